@@ -1,0 +1,445 @@
+//! Header, section table, compression and checksums: everything that does not depend on
+//! what an asset means.
+
+use std::io::{Read as _, Write as _};
+use std::path::Path;
+
+use bytemuck::Pod;
+use serde::{Serialize, de::DeserializeOwned};
+
+use crate::{Error, Issue};
+
+/// First eight bytes of every asset. The line feed catches text-mode transfers.
+pub const MAGIC: [u8; 8] = *b"RELIGHT\n";
+/// Format version this crate writes.
+pub const VERSION: u32 = 1;
+
+const HEADER_LENGTH: usize = 24;
+const ENTRY_LENGTH: usize = 32;
+/// More sections than any version defines; bounds the table before it is read.
+const MAX_SECTIONS: u32 = 64;
+/// Speed matters little offline and decoding speed does not depend on it.
+const ZSTD_LEVEL: i32 = 15;
+
+/// What an asset holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u32)]
+pub enum Kind {
+    /// Geometry, materials and visibility.
+    Scene = 1,
+    /// Spherical Gaussian lighting.
+    Environment = 2,
+}
+
+impl Kind {
+    fn from_u32(value: u32) -> Option<Self> {
+        [Self::Scene, Self::Environment]
+            .into_iter()
+            .find(|kind| *kind as u32 == value)
+    }
+}
+
+/// What a section holds. Values are part of the format.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u32)]
+pub enum SectionKind {
+    /// bincode metadata.
+    Metadata = 1,
+    /// [`crate::Vertex`] array.
+    Vertices = 2,
+    /// [`crate::Triangle`] array.
+    Triangles = 3,
+    /// [`crate::Cluster`] array.
+    Clusters = 4,
+    /// 16-bit SSDF coefficients.
+    Coefficients = 5,
+    /// 8-bit basis tiles.
+    Basis = 6,
+    /// Texels of all textures, concatenated.
+    Texels = 7,
+    /// [`crate::Lobe`] array.
+    Lobes = 8,
+}
+
+impl SectionKind {
+    fn from_u32(value: u32) -> Option<Self> {
+        [
+            Self::Metadata,
+            Self::Vertices,
+            Self::Triangles,
+            Self::Clusters,
+            Self::Coefficients,
+            Self::Basis,
+            Self::Texels,
+            Self::Lobes,
+        ]
+        .into_iter()
+        .find(|kind| *kind as u32 == value)
+    }
+}
+
+/// How much memory a reader may allocate for one asset.
+#[derive(Clone, Copy, Debug)]
+pub struct Limits {
+    /// Sum of the raw lengths of all sections, bytes. Default 4 GiB.
+    pub max_bytes: u64,
+    /// Raw length of the metadata section, bytes. Default 16 MiB.
+    pub max_metadata_bytes: u64,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            max_bytes: 4 << 30,
+            max_metadata_bytes: 16 << 20,
+        }
+    }
+}
+
+/// One row of the section table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SectionInfo {
+    /// What it holds.
+    pub kind: SectionKind,
+    /// Byte offset of the stored bytes in the file.
+    pub offset: u64,
+    /// Compressed length, bytes.
+    pub stored_length: u64,
+    /// Length after decompression, bytes.
+    pub raw_length: u64,
+    /// CRC-32 of the stored bytes.
+    pub checksum: u32,
+}
+
+/// Reads the header and section table only: the asset's kind, version and sections.
+pub fn inspect(bytes: &[u8], limits: &Limits) -> Result<(Kind, u32, Vec<SectionInfo>), Error> {
+    let take = |offset: usize, length: usize| {
+        bytes.get(offset..offset + length).ok_or_else(|| {
+            Error::invalid(
+                Issue::Truncated,
+                "header",
+                format_args!("at least {} bytes", offset + length),
+                format_args!("{} bytes", bytes.len()),
+            )
+        })
+    };
+    let u32_at = |offset: usize| -> Result<u32, Error> {
+        Ok(u32::from_le_bytes(
+            take(offset, 4)?.try_into().expect("four bytes"),
+        ))
+    };
+    let u64_at = |offset: usize| -> Result<u64, Error> {
+        Ok(u64::from_le_bytes(
+            take(offset, 8)?.try_into().expect("eight bytes"),
+        ))
+    };
+    let magic = take(0, 8)?;
+    if magic != MAGIC {
+        return Err(Error::invalid(
+            Issue::BadMagic,
+            "header",
+            format_args!("{MAGIC:02x?}"),
+            format_args!("{magic:02x?}"),
+        ));
+    }
+    let version = u32_at(8)?;
+    if version != VERSION {
+        return Err(Error::invalid(
+            Issue::UnknownVersion,
+            "header",
+            format_args!("version {VERSION}"),
+            format_args!("version {version}"),
+        ));
+    }
+    let kind_value = u32_at(12)?;
+    let kind = Kind::from_u32(kind_value).ok_or_else(|| {
+        Error::invalid(
+            Issue::WrongKind,
+            "header",
+            "kind 1 (scene) or 2 (environment)",
+            kind_value,
+        )
+    })?;
+    let count = u32_at(16)?;
+    if count > MAX_SECTIONS {
+        return Err(Error::invalid(
+            Issue::BadSectionTable,
+            "header",
+            format_args!("at most {MAX_SECTIONS} sections"),
+            count,
+        ));
+    }
+    let reserved = u32_at(20)?;
+    if reserved != 0 {
+        return Err(Error::invalid(Issue::ReservedNotZero, "header", 0, reserved));
+    }
+    let mut sections: Vec<SectionInfo> = Vec::with_capacity(count as usize);
+    let mut end = (HEADER_LENGTH + count as usize * ENTRY_LENGTH) as u64;
+    let mut total = 0u64;
+    for index in 0..count as usize {
+        let entry = HEADER_LENGTH + index * ENTRY_LENGTH;
+        let place = format!("section table entry {index}");
+        let kind_value = u32_at(entry)?;
+        let kind = SectionKind::from_u32(kind_value).ok_or_else(|| {
+            Error::invalid(Issue::BadSectionTable, &place, "a known section kind", kind_value)
+        })?;
+        let info = SectionInfo {
+            kind,
+            checksum: u32_at(entry + 4)?,
+            offset: u64_at(entry + 8)?,
+            stored_length: u64_at(entry + 16)?,
+            raw_length: u64_at(entry + 24)?,
+        };
+        // Strictly ascending kinds make sections unique and the table canonical.
+        if sections.last().is_some_and(|last| last.kind as u32 >= kind as u32) {
+            return Err(Error::invalid(
+                Issue::BadSectionTable,
+                &place,
+                "section kinds in ascending order",
+                format_args!("{kind:?}"),
+            ));
+        }
+        if info.offset != end {
+            return Err(Error::invalid(
+                Issue::BadSectionTable,
+                &place,
+                format_args!("offset {end}"),
+                format_args!("offset {}", info.offset),
+            ));
+        }
+        end = end.checked_add(info.stored_length).ok_or_else(|| {
+            Error::invalid(Issue::BadSectionTable, &place, "a length inside the file", info.stored_length)
+        })?;
+        total = total.saturating_add(info.raw_length);
+        if total > limits.max_bytes {
+            return Err(Error::invalid(
+                Issue::OverBudget,
+                &place,
+                format_args!("at most {} bytes in all", limits.max_bytes),
+                format_args!("{total} bytes"),
+            ));
+        }
+        sections.push(info);
+    }
+    match end.cmp(&(bytes.len() as u64)) {
+        std::cmp::Ordering::Equal => Ok((kind, version, sections)),
+        ordering => Err(Error::invalid(
+            if ordering.is_gt() { Issue::Truncated } else { Issue::TrailingBytes },
+            "file",
+            format_args!("{end} bytes"),
+            format_args!("{} bytes", bytes.len()),
+        )),
+    }
+}
+
+/// Hands out sections in order and checks that all were used.
+pub(crate) struct Reader<'a> {
+    bytes: &'a [u8],
+    limits: &'a Limits,
+    sections: std::vec::IntoIter<SectionInfo>,
+}
+
+impl<'a> Reader<'a> {
+    pub(crate) fn new(bytes: &'a [u8], expected: Kind, limits: &'a Limits) -> Result<Self, Error> {
+        let (kind, _, sections) = inspect(bytes, limits)?;
+        if kind != expected {
+            return Err(Error::invalid(
+                Issue::WrongKind,
+                "header",
+                format_args!("{expected:?}"),
+                format_args!("{kind:?}"),
+            ));
+        }
+        Ok(Self {
+            bytes,
+            limits,
+            sections: sections.into_iter(),
+        })
+    }
+
+    /// The next section, decompressed. It must be of `kind`.
+    pub(crate) fn section(&mut self, kind: SectionKind) -> Result<Vec<u8>, Error> {
+        let info = self.sections.next().filter(|info| info.kind == kind).ok_or_else(|| {
+            Error::section(Issue::MissingSection, kind, "to be present", "nothing")
+        })?;
+        let start = info.offset as usize;
+        let stored = &self.bytes[start..start + info.stored_length as usize];
+        let checksum = crc32fast::hash(stored);
+        if checksum != info.checksum {
+            return Err(Error::section(
+                Issue::BadChecksum,
+                kind,
+                format_args!("{:08x}", info.checksum),
+                format_args!("{checksum:08x}"),
+            ));
+        }
+        let bad = |found: String| {
+            Error::section(
+                Issue::BadCompression,
+                kind,
+                format_args!("{} bytes of zstd", info.raw_length),
+                found,
+            )
+        };
+        // Grow as bytes arrive: a lying raw length must not allocate on its own.
+        let mut raw = Vec::new();
+        zstd::stream::read::Decoder::with_buffer(stored)
+            .and_then(|decoder| decoder.take(info.raw_length + 1).read_to_end(&mut raw))
+            .map_err(|error| bad(error.to_string()))?;
+        if raw.len() as u64 != info.raw_length {
+            return Err(bad(format!("{} bytes or more", raw.len())));
+        }
+        Ok(raw)
+    }
+
+    /// The next section as an array of little-endian elements.
+    pub(crate) fn pod<T: Pod>(&mut self, kind: SectionKind) -> Result<Vec<T>, Error> {
+        let raw = self.section(kind)?;
+        let size = size_of::<T>();
+        if !raw.len().is_multiple_of(size) {
+            return Err(Error::section(
+                Issue::BadLength,
+                kind,
+                format_args!("a multiple of {size} bytes"),
+                raw.len(),
+            ));
+        }
+        Ok(bytemuck::pod_collect_to_vec(&raw))
+    }
+
+    /// The metadata section.
+    pub(crate) fn metadata<T: DeserializeOwned>(&mut self) -> Result<T, Error> {
+        let raw = self.section(SectionKind::Metadata)?;
+        if raw.len() as u64 > self.limits.max_metadata_bytes {
+            return Err(Error::section(
+                Issue::OverBudget,
+                SectionKind::Metadata,
+                format_args!("at most {} bytes", self.limits.max_metadata_bytes),
+                raw.len(),
+            ));
+        }
+        let (value, used) = bincode::serde::decode_from_slice(&raw, metadata_encoding())
+            .map_err(|error| {
+                Error::section(Issue::BadMetadata, SectionKind::Metadata, "bincode metadata", error)
+            })?;
+        if used != raw.len() {
+            return Err(Error::section(
+                Issue::BadMetadata,
+                SectionKind::Metadata,
+                format_args!("{used} bytes"),
+                format_args!("{} bytes", raw.len()),
+            ));
+        }
+        Ok(value)
+    }
+
+    /// Fails if a section was not asked for.
+    pub(crate) fn finish(mut self) -> Result<(), Error> {
+        match self.sections.next() {
+            None => Ok(()),
+            Some(info) => Err(Error::section(
+                Issue::BadSectionTable,
+                info.kind,
+                "no such section in this kind of asset",
+                "one",
+            )),
+        }
+    }
+}
+
+/// Collects sections; the counterpart of [`Reader`].
+pub(crate) struct Writer {
+    kind: Kind,
+    sections: Vec<(SectionInfo, Vec<u8>)>,
+}
+
+impl Writer {
+    pub(crate) fn new(kind: Kind) -> Self {
+        Self {
+            kind,
+            sections: Vec::new(),
+        }
+    }
+
+    pub(crate) fn section(&mut self, kind: SectionKind, raw: &[u8]) -> Result<(), Error> {
+        let stored = zstd::bulk::compress(raw, ZSTD_LEVEL).map_err(|error| {
+            Error::section(Issue::BadCompression, kind, "zstd to accept the bytes", error)
+        })?;
+        let info = SectionInfo {
+            kind,
+            offset: 0,
+            stored_length: stored.len() as u64,
+            raw_length: raw.len() as u64,
+            checksum: crc32fast::hash(&stored),
+        };
+        self.sections.push((info, stored));
+        Ok(())
+    }
+
+    pub(crate) fn metadata<T: Serialize>(&mut self, value: &T) -> Result<(), Error> {
+        let raw = bincode::serde::encode_to_vec(value, metadata_encoding()).map_err(|error| {
+            Error::section(Issue::BadMetadata, SectionKind::Metadata, "encodable metadata", error)
+        })?;
+        self.section(SectionKind::Metadata, &raw)
+    }
+
+    pub(crate) fn finish(self) -> Vec<u8> {
+        let mut offset = (HEADER_LENGTH + self.sections.len() * ENTRY_LENGTH) as u64;
+        let mut bytes = Vec::new();
+        bytes.extend(MAGIC);
+        bytes.extend(VERSION.to_le_bytes());
+        bytes.extend((self.kind as u32).to_le_bytes());
+        bytes.extend((self.sections.len() as u32).to_le_bytes());
+        bytes.extend(0u32.to_le_bytes());
+        for (info, _) in &self.sections {
+            bytes.extend((info.kind as u32).to_le_bytes());
+            bytes.extend(info.checksum.to_le_bytes());
+            bytes.extend(offset.to_le_bytes());
+            bytes.extend(info.stored_length.to_le_bytes());
+            bytes.extend(info.raw_length.to_le_bytes());
+            offset += info.stored_length;
+        }
+        for (_, stored) in &self.sections {
+            bytes.extend(stored);
+        }
+        bytes
+    }
+}
+
+/// Fixed-width little-endian integers, at most 16 MiB: a length field cannot make the
+/// decoder allocate more than that.
+fn metadata_encoding() -> impl bincode::config::Config {
+    bincode::config::standard()
+        .with_little_endian()
+        .with_fixed_int_encoding()
+        .with_limit::<{ 16 << 20 }>()
+}
+
+/// The bytes of a POD array. The format is little-endian, as is every supported target.
+pub(crate) fn pod_section<T: Pod>(values: &[T]) -> Vec<u8> {
+    const { assert!(cfg!(target_endian = "little"), "POD sections are little-endian") };
+    bytemuck::cast_slice(values).to_vec()
+}
+
+/// Writes `bytes` beside `path` and renames: the file is either the old one or the whole
+/// new one, never a part.
+pub fn write_file(path: &Path, bytes: &[u8]) -> Result<(), Error> {
+    let io = |source| Error::Io {
+        path: path.display().to_string(),
+        source,
+    };
+    let mut partial = path.as_os_str().to_owned();
+    partial.push(format!(".{}.partial", std::process::id()));
+    let partial = std::path::PathBuf::from(partial);
+    let result = std::fs::File::create(&partial)
+        .and_then(|mut file| {
+            file.write_all(bytes)?;
+            file.sync_all()
+        })
+        .and_then(|()| std::fs::rename(&partial, path));
+    if result.is_err() {
+        // The error that stopped the write is the one to report.
+        let _ = std::fs::remove_file(&partial);
+    }
+    result.map_err(io)
+}

@@ -1,0 +1,93 @@
+//! Distant lighting as a sum of spherical Gaussians.
+
+use bytemuck::{Pod, Zeroable};
+use serde::{Deserialize, Serialize};
+
+use crate::container::{Kind, Limits, Reader, SectionKind, Writer, pod_section};
+use crate::{Error, Issue};
+
+/// A spherical Gaussian G(ω) = amplitude · exp(sharpness (axis·ω − 1)).
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct Lobe {
+    /// Unit vector, world space.
+    pub axis: [f32; 3],
+    /// Sharpness λ, greater than 0.
+    pub sharpness: f32,
+    /// Linear Rec.709 radiance at the axis, each at least 0.
+    pub amplitude: [f32; 3],
+    /// Zero.
+    pub reserved: f32,
+}
+
+/// How well the lobes fit the image they came from.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct EnvironmentReport {
+    /// Source file name, without folders.
+    pub source: String,
+    /// Width and height of the source image.
+    pub source_size: [u32; 2],
+    /// NaN, infinite or negative pixels that were repaired.
+    pub repaired_pixels: u64,
+    /// Solid-angle-weighted ‖fit − image‖₂ / ‖image‖₂ over all channels.
+    pub relative_l2: f32,
+    /// Per channel (energy of fit − energy of image) / energy of image.
+    pub energy_error: [f32; 3],
+}
+
+/// A decoded environment asset.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Environment {
+    /// How it was made.
+    pub report: EnvironmentReport,
+    /// The lobes, brightest energy first.
+    pub lobes: Vec<Lobe>,
+}
+
+/// Decodes and validates an environment.
+pub fn read_environment(bytes: &[u8], limits: &Limits) -> Result<Environment, Error> {
+    let mut reader = Reader::new(bytes, Kind::Environment, limits)?;
+    let report: EnvironmentReport = reader.metadata()?;
+    let lobes: Vec<Lobe> = reader.pod(SectionKind::Lobes)?;
+    reader.finish()?;
+    validate(&report, &lobes)?;
+    Ok(Environment { report, lobes })
+}
+
+/// Encodes an environment; the same value gives the same bytes.
+pub fn write_environment(environment: &Environment) -> Result<Vec<u8>, Error> {
+    validate(&environment.report, &environment.lobes)?;
+    let mut writer = Writer::new(Kind::Environment);
+    writer.metadata(&environment.report)?;
+    writer.section(SectionKind::Lobes, &pod_section(&environment.lobes))?;
+    Ok(writer.finish())
+}
+
+fn validate(report: &EnvironmentReport, lobes: &[Lobe]) -> Result<(), Error> {
+    let fit = report.energy_error.iter().chain([&report.relative_l2]);
+    if !fit.into_iter().all(|value| value.is_finite()) {
+        return Err(Error::section(
+            Issue::ValueOutOfRange,
+            SectionKind::Metadata,
+            "finite fit errors",
+            format_args!("{report:?}"),
+        ));
+    }
+    for (index, lobe) in lobes.iter().enumerate() {
+        let length = lobe.axis.iter().map(|x| x * x).sum::<f32>();
+        let valid = (length - 1.0).abs() < 1e-3
+            && lobe.sharpness > 0.0
+            && lobe.sharpness.is_finite()
+            && lobe.amplitude.iter().all(|a| a.is_finite() && *a >= 0.0)
+            && lobe.reserved == 0.0;
+        if !valid {
+            return Err(Error::section(
+                Issue::ValueOutOfRange,
+                SectionKind::Lobes,
+                "unit axis, sharpness > 0, finite amplitude >= 0",
+                format_args!("lobe {index}: {lobe:?}"),
+            ));
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,97 @@
+//! What can be wrong with bytes, and where.
+
+use crate::SectionKind;
+
+/// Stable identifiers of everything a reader or validator can object to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[non_exhaustive]
+pub enum Issue {
+    /// The first eight bytes are not [`crate::MAGIC`].
+    BadMagic,
+    /// The version is not one this reader knows.
+    UnknownVersion,
+    /// The asset is of another kind (scene, environment) than asked for.
+    WrongKind,
+    /// A field that must be zero is not.
+    ReservedNotZero,
+    /// The file ends before the bytes that the header promises.
+    Truncated,
+    /// The file goes on after the last section.
+    TrailingBytes,
+    /// Sections are not contiguous, in order, or unique.
+    BadSectionTable,
+    /// A required section is absent.
+    MissingSection,
+    /// A section's checksum does not match its stored bytes.
+    BadChecksum,
+    /// A section does not decompress to its raw length.
+    BadCompression,
+    /// A section's raw length is not the one its element count demands.
+    BadLength,
+    /// The asset would need more memory than [`crate::Limits`] allows.
+    OverBudget,
+    /// The metadata section does not decode.
+    BadMetadata,
+    /// A number is not finite, or outside its documented range.
+    ValueOutOfRange,
+    /// An index points outside the array it indexes.
+    IndexOutOfRange,
+}
+
+/// One objection: what, where, what was expected and what was found.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// The bytes are not a valid asset.
+    #[error("{issue:?} in {place}: expected {expected}, found {found}")]
+    Invalid {
+        /// Stable identifier.
+        issue: Issue,
+        /// Section or header field.
+        place: String,
+        /// What a valid file has there.
+        expected: String,
+        /// What this file has there.
+        found: String,
+    },
+    /// The file could not be read or written.
+    #[error("{path}: {source}")]
+    Io {
+        /// The file.
+        path: String,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+}
+
+impl Error {
+    /// The stable identifier, or `None` for an input/output error.
+    pub fn issue(&self) -> Option<Issue> {
+        match self {
+            Self::Invalid { issue, .. } => Some(*issue),
+            Self::Io { .. } => None,
+        }
+    }
+
+    pub(crate) fn invalid(
+        issue: Issue,
+        place: impl ToString,
+        expected: impl ToString,
+        found: impl ToString,
+    ) -> Self {
+        Self::Invalid {
+            issue,
+            place: place.to_string(),
+            expected: expected.to_string(),
+            found: found.to_string(),
+        }
+    }
+
+    pub(crate) fn section(
+        issue: Issue,
+        section: SectionKind,
+        expected: impl ToString,
+        found: impl ToString,
+    ) -> Self {
+        Self::invalid(issue, format_args!("section {section:?}"), expected, found)
+    }
+}

@@ -1,0 +1,31 @@
+//! The `.relight` container: bytes to typed sections and back.
+//!
+//! One container serves scenes and environments. [`Scene`] and [`Environment`] are the
+//! decoded assets; [`read_scene`], [`write_scene`], [`read_environment`] and
+//! [`write_environment`] convert them from and to bytes. The byte layout is specified in
+//! `FORMAT.md` beside this crate.
+//!
+//! Readers treat bytes as untrusted: every length is checked against the file and against
+//! [`Limits`] before anything is allocated, every index against the array it indexes, and
+//! every error names the section, what was expected and what was found.
+
+mod container;
+mod environment;
+mod error;
+mod material;
+mod scene;
+
+pub use container::{
+    Kind, Limits, MAGIC, SectionInfo, SectionKind, VERSION, inspect, write_file,
+};
+pub use environment::{
+    Environment, EnvironmentReport, Lobe, read_environment, write_environment,
+};
+pub use error::{Error, Issue};
+pub use material::{
+    Camera, FieldOfView, Material, Specular, Surface, Texture, TextureEncoding, TextureSlot,
+};
+pub use scene::{
+    BakeReport, CHANNELS_PER_TILE, Cluster, MAX_TILES_PER_CLUSTER, Representation, Scene,
+    Triangle, Vertex, VisibilityParameters, read_scene, write_scene,
+};

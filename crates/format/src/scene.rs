@@ -1,0 +1,410 @@
+//! Geometry, materials and compressed visibility.
+
+use bytemuck::{Pod, Zeroable};
+use serde::{Deserialize, Serialize};
+
+use crate::container::{Kind, Limits, Reader, SectionKind, Writer, pod_section};
+use crate::{Camera, Error, Issue, Material, Specular, Surface, Texture, TextureEncoding};
+
+/// Basis images per tile: one per channel of an RGBA texel.
+pub const CHANNELS_PER_TILE: usize = 4;
+/// Most tiles a cluster may have: 32 basis images, the mean among them.
+pub const MAX_TILES_PER_CLUSTER: u32 = 8;
+
+/// One vertex. Vertices that several clusters share are stored once per cluster.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct Vertex {
+    /// World space, metres.
+    pub position: [f32; 3],
+    /// Shading normal; unit length at original vertices, the plain average of its
+    /// neighbours at vertices that refinement added, so that interpolation is unchanged.
+    pub normal: [f32; 3],
+    /// xyz: tangent, w: sign of the bitangent `cross(normal, tangent) * w`.
+    pub tangent: [f32; 4],
+    /// Texture coordinates, v down as in glTF.
+    pub uv: [f32; 2],
+}
+
+/// One triangle: counter-clockwise vertices seen from outside. All three vertices belong
+/// to `cluster`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]
+pub struct Triangle {
+    /// Indices into [`Scene::vertices`].
+    pub vertices: [u32; 3],
+    /// Index into [`Scene::materials`].
+    pub material: u16,
+    /// Index into [`Scene::clusters`].
+    pub cluster: u16,
+}
+
+/// A set of vertices that share basis images. Clusters tile the vertex array, the
+/// coefficient array and the basis array in order, without gaps.
+///
+/// The SSDF of the cluster's vertex `v` (0-based within the cluster) in direction ω is
+/// `Σ_c coefficient(v, c) · coefficient_scale · basis_c(ω)`, in radians, where
+/// `coefficient` is `i16 / 32767`, `basis_c` the bilinear sample of `i8 / 127` and c runs
+/// over all `4 · tiles` channels.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct Cluster {
+    /// First vertex.
+    pub first_vertex: u32,
+    /// Number of vertices.
+    pub vertex_count: u32,
+    /// First coefficient: `vertex_count * 4 * tiles` of them, vertex after vertex.
+    pub first_coefficient: u32,
+    /// First tile: `tiles` of them.
+    pub first_tile: u32,
+    /// Tiles of four basis images, 1 to [`MAX_TILES_PER_CLUSTER`].
+    pub tiles: u32,
+    /// Radians that a coefficient of 32767 stands for.
+    pub coefficient_scale: f32,
+}
+
+/// How visibility is represented.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Representation {
+    /// A mean and basis per cluster of vertices (Sloan et al. 2003).
+    ClusteredPca,
+    /// One mean and basis for the whole scene (Wang et al. 2013).
+    GlobalPca,
+}
+
+/// What visibility was sampled from and how it is stored.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct VisibilityParameters {
+    /// How it is represented.
+    pub representation: Representation,
+    /// Texels per side of the octahedral map that rays sampled.
+    pub sample_resolution: u32,
+    /// Texels per side of a basis image.
+    pub basis_resolution: u32,
+    /// SSDFs are clamped to ± this angle, radians.
+    pub distance_clamp: f32,
+    /// Rays start this far from the surface along the geometric normal, metres.
+    pub ray_offset: f32,
+}
+
+/// What the bake measured about itself.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct BakeReport {
+    /// Vertices and triangles read from the mesh.
+    pub source_vertices: u64,
+    /// Triangles read from the mesh.
+    pub source_triangles: u64,
+    /// Root mean square of stored minus exact clamped SSDF over all vertices and texels,
+    /// radians.
+    pub rms_error: f32,
+    /// The same over texels within 0.1 rad of the visibility boundary, where alone the
+    /// SSDF shades.
+    pub boundary_rms_error: f32,
+    /// Warnings, as printed.
+    pub warnings: Vec<String>,
+}
+
+/// A decoded scene asset.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scene {
+    /// Name, from the input file.
+    pub name: String,
+    /// Visibility parameters.
+    pub visibility: VisibilityParameters,
+    /// The camera of the scene file, if any.
+    pub camera: Option<Camera>,
+    /// Materials.
+    pub materials: Vec<Material>,
+    /// Textures.
+    pub textures: Vec<Texture>,
+    /// What the bake measured.
+    pub report: BakeReport,
+    /// Vertices, cluster after cluster.
+    pub vertices: Vec<Vertex>,
+    /// Triangles, cluster after cluster.
+    pub triangles: Vec<Triangle>,
+    /// Clusters.
+    pub clusters: Vec<Cluster>,
+    /// SSDF coefficients.
+    pub coefficients: Vec<i16>,
+    /// Basis tiles: `basis_resolution²` RGBA texels each, row 0 first, no gutter.
+    pub basis: Vec<i8>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Metadata {
+    name: String,
+    visibility: VisibilityParameters,
+    camera: Option<Camera>,
+    materials: Vec<Material>,
+    textures: Vec<(u32, u32, TextureEncoding)>,
+    report: BakeReport,
+}
+
+/// Decodes and validates a scene.
+pub fn read_scene(bytes: &[u8], limits: &Limits) -> Result<Scene, Error> {
+    let mut reader = Reader::new(bytes, Kind::Scene, limits)?;
+    let metadata: Metadata = reader.metadata()?;
+    let vertices = reader.pod(SectionKind::Vertices)?;
+    let triangles = reader.pod(SectionKind::Triangles)?;
+    let clusters = reader.pod(SectionKind::Clusters)?;
+    let coefficients = reader.pod(SectionKind::Coefficients)?;
+    let basis = reader.pod(SectionKind::Basis)?;
+    let texels: Vec<u8> = reader.pod(SectionKind::Texels)?;
+    reader.finish()?;
+    let scene = Scene {
+        name: metadata.name,
+        visibility: metadata.visibility,
+        camera: metadata.camera,
+        materials: metadata.materials,
+        textures: split_texels(&metadata.textures, &texels)?,
+        report: metadata.report,
+        vertices,
+        triangles,
+        clusters,
+        coefficients,
+        basis,
+    };
+    validate(&scene)?;
+    Ok(scene)
+}
+
+/// Encodes a scene; the same value gives the same bytes.
+pub fn write_scene(scene: &Scene) -> Result<Vec<u8>, Error> {
+    validate(scene)?;
+    let mut writer = Writer::new(Kind::Scene);
+    writer.metadata(&Metadata {
+        name: scene.name.clone(),
+        visibility: scene.visibility.clone(),
+        camera: scene.camera,
+        materials: scene.materials.clone(),
+        textures: scene
+            .textures
+            .iter()
+            .map(|texture| (texture.width, texture.height, texture.encoding))
+            .collect(),
+        report: scene.report.clone(),
+    })?;
+    writer.section(SectionKind::Vertices, &pod_section(&scene.vertices))?;
+    writer.section(SectionKind::Triangles, &pod_section(&scene.triangles))?;
+    writer.section(SectionKind::Clusters, &pod_section(&scene.clusters))?;
+    writer.section(SectionKind::Coefficients, &pod_section(&scene.coefficients))?;
+    writer.section(SectionKind::Basis, &pod_section(&scene.basis))?;
+    let texels: Vec<u8> = scene.textures.iter().flat_map(|t| t.texels.iter().copied()).collect();
+    writer.section(SectionKind::Texels, &texels)?;
+    Ok(writer.finish())
+}
+
+fn split_texels(
+    sizes: &[(u32, u32, TextureEncoding)],
+    mut texels: &[u8],
+) -> Result<Vec<Texture>, Error> {
+    let total = texels.len();
+    let mut textures = Vec::new();
+    for &(width, height, encoding) in sizes {
+        let length = u64::from(width) * u64::from(height) * 4;
+        let split = usize::try_from(length).ok().and_then(|length| texels.split_at_checked(length));
+        let (head, tail) = split.filter(|_| length > 0).ok_or_else(|| {
+            Error::section(
+                Issue::BadLength,
+                SectionKind::Texels,
+                format_args!("{width}x{height} RGBA8 texels of texture {}", textures.len()),
+                format_args!("{} of {total} bytes left", texels.len()),
+            )
+        })?;
+        textures.push(Texture { width, height, encoding, texels: head.to_vec() });
+        texels = tail;
+    }
+    if texels.is_empty() {
+        Ok(textures)
+    } else {
+        Err(Error::section(
+            Issue::BadLength,
+            SectionKind::Texels,
+            format_args!("{} bytes", total - texels.len()),
+            format_args!("{total} bytes"),
+        ))
+    }
+}
+
+fn validate(scene: &Scene) -> Result<(), Error> {
+    validate_metadata(scene)?;
+    for (index, vertex) in scene.vertices.iter().enumerate() {
+        let values: &[f32] = bytemuck::cast_slice(std::slice::from_ref(vertex));
+        if !values.iter().all(|value| value.is_finite()) {
+            return Err(Error::section(
+                Issue::ValueOutOfRange,
+                SectionKind::Vertices,
+                "finite numbers",
+                format_args!("vertex {index}: {vertex:?}"),
+            ));
+        }
+    }
+    validate_clusters(scene)?;
+    for (index, triangle) in scene.triangles.iter().enumerate() {
+        let cluster = scene.clusters.get(triangle.cluster as usize);
+        let inside = cluster.is_some_and(|cluster| {
+            let range = cluster.first_vertex..cluster.first_vertex + cluster.vertex_count;
+            triangle.vertices.iter().all(|vertex| range.contains(vertex))
+        });
+        if !inside || triangle.material as usize >= scene.materials.len() {
+            return Err(Error::section(
+                Issue::IndexOutOfRange,
+                SectionKind::Triangles,
+                "vertices of its own cluster and an existing material",
+                format_args!("triangle {index}: {triangle:?}"),
+            ));
+        }
+    }
+    Ok(())
+}
+
+fn validate_metadata(scene: &Scene) -> Result<(), Error> {
+    let metadata = |issue, expected: &str, found: std::fmt::Arguments| {
+        Err(Error::section(issue, SectionKind::Metadata, expected, found))
+    };
+    let parameters = &scene.visibility;
+    let valid = (1..=4096).contains(&parameters.sample_resolution)
+        && (2..=1024).contains(&parameters.basis_resolution)
+        && parameters.distance_clamp > 0.0
+        && parameters.distance_clamp <= std::f32::consts::PI
+        && parameters.ray_offset >= 0.0
+        && parameters.ray_offset.is_finite();
+    if !valid {
+        return metadata(
+            Issue::ValueOutOfRange,
+            "sample resolution 1..=4096, basis resolution 2..=1024, clamp in (0, pi], offset >= 0",
+            format_args!("{parameters:?}"),
+        );
+    }
+    for material in &scene.materials {
+        let slots = [
+            material.base_color_texture,
+            material.metallic_roughness_texture,
+            material.normal_texture,
+            material.anisotropy_texture,
+        ];
+        for slot in slots.into_iter().flatten() {
+            if slot.texture as usize >= scene.textures.len() {
+                return metadata(
+                    Issue::IndexOutOfRange,
+                    "an existing texture",
+                    format_args!("{slot:?} of material {:?}", material.name),
+                );
+            }
+            if !slot.transform.iter().flatten().all(|value| value.is_finite()) {
+                return metadata(
+                    Issue::ValueOutOfRange,
+                    "a finite texture transform",
+                    format_args!("{slot:?} of material {:?}", material.name),
+                );
+            }
+        }
+        if !surface_is_valid(&material.surface) || !material.normal_scale.is_finite() {
+            return metadata(
+                Issue::ValueOutOfRange,
+                "finite material parameters in their documented ranges",
+                format_args!("{material:?}"),
+            );
+        }
+    }
+    if let Some(camera) = &scene.camera {
+        let (crate::FieldOfView::X(angle) | crate::FieldOfView::Y(angle)) = camera.field_of_view;
+        let vectors = [camera.position, camera.target, camera.up];
+        let finite = vectors.iter().flatten().all(|value| value.is_finite());
+        if !finite || !(angle > 0.0 && angle < std::f32::consts::PI) {
+            return metadata(
+                Issue::ValueOutOfRange,
+                "a finite camera with a field of view in (0, pi)",
+                format_args!("{camera:?}"),
+            );
+        }
+    }
+    Ok(())
+}
+
+fn surface_is_valid(surface: &Surface) -> bool {
+    let color = |value: &[f32; 3]| value.iter().all(|x| x.is_finite() && *x >= 0.0);
+    let unit = |value: f32| (0.0..=1.0).contains(&value);
+    let alpha = |value: f32| value > 0.0 && value <= 1.0;
+    match surface {
+        Surface::MetallicRoughness {
+            base_color,
+            metallic,
+            roughness,
+            anisotropy_strength,
+            anisotropy_rotation,
+        } => {
+            color(base_color)
+                && unit(*metallic)
+                && unit(*roughness)
+                && unit(*anisotropy_strength)
+                && anisotropy_rotation.is_finite()
+        }
+        Surface::Layered { diffuse, specular } => {
+            color(diffuse)
+                && match specular {
+                    Specular::None => true,
+                    Specular::Measured { f0, alpha: x, .. } => color(f0) && alpha(*x),
+                    Specular::BlinnPhong { specular, exponent } => {
+                        color(specular) && *exponent >= 1.0 && exponent.is_finite()
+                    }
+                    Specular::Ward { specular, alpha: [x, y] } => {
+                        color(specular) && alpha(*x) && alpha(*y)
+                    }
+                    Specular::CookTorrance { f0, roughness } => color(f0) && alpha(*roughness),
+                    Specular::Ggx { f0, alpha: [x, y] } => color(f0) && alpha(*x) && alpha(*y),
+                }
+        }
+    }
+}
+
+fn validate_clusters(scene: &Scene) -> Result<(), Error> {
+    let resolution = scene.visibility.basis_resolution as usize;
+    let tile_length = resolution * resolution * CHANNELS_PER_TILE;
+    let (mut vertex, mut coefficient, mut tile) = (0u64, 0u64, 0u64);
+    for (index, cluster) in scene.clusters.iter().enumerate() {
+        let valid = u64::from(cluster.first_vertex) == vertex
+            && u64::from(cluster.first_coefficient) == coefficient
+            && u64::from(cluster.first_tile) == tile
+            && (1..=MAX_TILES_PER_CLUSTER).contains(&cluster.tiles)
+            && cluster.coefficient_scale.is_finite()
+            && cluster.coefficient_scale >= 0.0;
+        if !valid {
+            return Err(Error::section(
+                Issue::ValueOutOfRange,
+                SectionKind::Clusters,
+                format_args!("first vertex {vertex}, coefficient {coefficient}, tile {tile}"),
+                format_args!("cluster {index}: {cluster:?}"),
+            ));
+        }
+        let channels = u64::from(cluster.tiles) * CHANNELS_PER_TILE as u64;
+        vertex += u64::from(cluster.vertex_count);
+        coefficient += u64::from(cluster.vertex_count) * channels;
+        tile += u64::from(cluster.tiles);
+    }
+    let lengths = [
+        (SectionKind::Vertices, vertex, scene.vertices.len()),
+        (SectionKind::Coefficients, coefficient, scene.coefficients.len()),
+        (SectionKind::Basis, tile * tile_length as u64, scene.basis.len()),
+    ];
+    for (section, expected, found) in lengths {
+        if expected != found as u64 {
+            return Err(Error::section(
+                Issue::BadLength,
+                section,
+                format_args!("{expected} elements, as the clusters say"),
+                found,
+            ));
+        }
+    }
+    if scene.clusters.len() > usize::from(u16::MAX) {
+        return Err(Error::section(
+            Issue::OverBudget,
+            SectionKind::Clusters,
+            format_args!("at most {} clusters", u16::MAX),
+            scene.clusters.len(),
+        ));
+    }
+    Ok(())
+}

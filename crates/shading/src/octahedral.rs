@@ -1,0 +1,78 @@
+//! Sphere ↔ square: the octahedral map over the full sphere in world space
+//! (Praun & Hoppe 2003; Engelhardt & Dachsbacher 2008).
+//!
+//! +Y is the centre of the square, −Y its four corners; x grows with u and z with v.
+
+use glam::{Vec2, Vec3};
+
+/// The point of the unit square that shows `direction` (any non-zero length).
+pub fn encode(direction: Vec3) -> Vec2 {
+    let p = direction / (direction.x.abs() + direction.y.abs() + direction.z.abs());
+    let q = if p.y >= 0.0 { Vec2::new(p.x, p.z) } else { fold(Vec2::new(p.x, p.z)) };
+    q * 0.5 + 0.5
+}
+
+/// The unit direction shown at `uv` in the unit square.
+pub fn decode(uv: Vec2) -> Vec3 {
+    let q = uv * 2.0 - 1.0;
+    let y = 1.0 - q.x.abs() - q.y.abs();
+    let p = if y >= 0.0 { q } else { fold(q) };
+    Vec3::new(p.x, y, p.y).normalize()
+}
+
+/// The unit direction of the centre of texel (`x`, `y`) of an `n` × `n` map.
+pub fn texel_direction(x: u32, y: u32, n: u32) -> Vec3 {
+    decode((Vec2::new(x as f32, y as f32) + 0.5) / n as f32)
+}
+
+/// The texel that continues the map at (`x`, `y`), which may lie up to one map outside:
+/// crossing an edge reflects about the edge's middle.
+pub fn wrap(x: i32, y: i32, n: u32) -> (u32, u32) {
+    let n = n as i32;
+    let (mut x, mut y) = (x, y);
+    if x < 0 || x >= n {
+        x = if x < 0 { -1 - x } else { 2 * n - 1 - x };
+        y = n - 1 - y;
+    }
+    if y < 0 || y >= n {
+        y = if y < 0 { -1 - y } else { 2 * n - 1 - y };
+        x = n - 1 - x;
+    }
+    (x as u32, y as u32)
+}
+
+/// Exchanges the inner diamond with the four outer triangles.
+fn fold(q: Vec2) -> Vec2 {
+    let sign = Vec2::new(1f32.copysign(q.x), 1f32.copysign(q.y));
+    (Vec2::ONE - Vec2::new(q.y.abs(), q.x.abs())) * sign
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn encode_inverts_decode_at_every_texel() {
+        let n = 128;
+        for y in 0..n {
+            for x in 0..n {
+                let uv = encode(texel_direction(x, y, n)) * n as f32 - 0.5;
+                let error = (uv - Vec2::new(x as f32, y as f32)).length();
+                assert!(error < 1e-3, "texel ({x}, {y}) came back as {uv}");
+            }
+        }
+    }
+
+    #[test]
+    fn wrapped_texels_are_neighbours_on_the_sphere() {
+        let n = 64;
+        for i in 0..n as i32 {
+            for (outside, inside) in [((-1, i), (0, i)), ((n as i32, i), (n as i32 - 1, i)), ((i, -1), (i, 0))] {
+                let (x, y) = wrap(outside.0, outside.1, n);
+                let a = texel_direction(x, y, n);
+                let b = texel_direction(inside.0 as u32, inside.1 as u32, n);
+                assert!(a.distance(b) < 3.0 / n as f32, "{outside:?} wraps to ({x}, {y})");
+            }
+        }
+    }
+}

@@ -1,1 +1,3 @@
-//! Placeholder while the workspace is laid out.
+//! Bakes a mesh, its materials and an HDR environment into `.relight` assets.
+
+pub mod ray;

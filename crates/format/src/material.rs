@@ -109,7 +109,8 @@ pub enum Surface {
     },
 }
 
-/// One material.
+/// One material. Surfaces are one-sided: black from behind. A double-sided surface is two
+/// one-sided ones, because each side has its own visibility.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Material {
     /// Name, for messages and editing; need not be unique.
@@ -126,9 +127,6 @@ pub struct Material {
     pub normal_scale: f32,
     /// `KHR_materials_anisotropy`: RG is the direction in [-1, 1], B the strength.
     pub anisotropy_texture: Option<TextureSlot>,
-    /// Back faces reflect like front faces, about the flipped normal; single-sided
-    /// surfaces are black from behind.
-    pub double_sided: bool,
 }
 
 /// Which image axis a field of view spans.

@@ -1,1 +1,4 @@
-//! Placeholder while the workspace is laid out.
+//! Spherical Gaussians, BRDFs, SSDF decoding and visible-region integrators: WGSL with a
+//! CPU twin of each.
+
+pub mod octahedral;

@@ -1,0 +1,195 @@
+//! Rays against a triangle soup: watertight triangle test over an `obvhs` BVH.
+
+use glam::{Vec3, Vec3A};
+use obvhs::{
+    Boundable, BvhBuildParams, aabb::Aabb,
+    bvh2::{Bvh2, builder::build_bvh2},
+    ray::{Ray, RayHit},
+};
+
+/// Where a ray first meets the scene.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Hit {
+    /// Index of the triangle in the slice given to [`RayCaster::new`].
+    pub triangle: usize,
+    /// Weights of the triangle's vertices; they sum to 1.
+    pub barycentrics: Vec3,
+    /// Ray parameter, in lengths of the direction.
+    pub distance: f32,
+}
+
+/// A set of triangles that rays can be cast against.
+///
+/// The triangle test is watertight: the sign of an edge's volume with the ray is computed
+/// alike, up to sign, from both triangles that share the edge, and a ray through an edge
+/// hits both, so no ray passes between triangles that share their vertices' coordinates.
+pub struct RayCaster {
+    bvh: Bvh2,
+    /// In the order in which the tree's leaves name them.
+    triangles: Vec<[Vec3A; 3]>,
+}
+
+/// A triangle's bounds, padded so that rounding in the box test loses no hit.
+struct Padded {
+    vertices: [Vec3A; 3],
+    padding: f32,
+}
+
+impl Boundable for Padded {
+    fn aabb(&self) -> Aabb {
+        let bounds = Aabb::from_points(&self.vertices);
+        Aabb::new(bounds.min - self.padding, bounds.max + self.padding)
+    }
+}
+
+impl RayCaster {
+    /// Builds the tree. Triangles may be degenerate; coordinates must be finite.
+    pub fn new(triangles: &[[Vec3; 3]]) -> Self {
+        let extent = triangles
+            .iter()
+            .flatten()
+            .fold(0f32, |extent, vertex| extent.max(vertex.abs().max_element()));
+        // A few units in the last place of the largest coordinate.
+        let padding = extent * 4.0 * f32::EPSILON;
+        let padded: Vec<Padded> = triangles
+            .iter()
+            .map(|triangle| Padded { vertices: triangle.map(Vec3A::from), padding })
+            .collect();
+        let mut params = BvhBuildParams::medium_build();
+        params.pre_split = false;
+        let bvh = if padded.is_empty() {
+            Bvh2::default()
+        } else {
+            build_bvh2(&padded, params, &mut std::time::Duration::default())
+        };
+        let triangles = bvh
+            .primitive_indices
+            .iter()
+            .map(|&index| padded[index as usize].vertices)
+            .collect();
+        Self { bvh, triangles }
+    }
+
+    /// Whether anything lies on the ray at a parameter greater than zero.
+    pub fn any_hit(&self, origin: Vec3, direction: Vec3) -> bool {
+        if self.triangles.is_empty() {
+            return false;
+        }
+        let ray = Ray::new_inf(origin.into(), direction.into());
+        !self.bvh.ray_traverse_miss(ray, |ray, index| {
+            intersect(&self.triangles[index], ray).map_or(f32::INFINITY, |(t, _)| t)
+        })
+    }
+
+    /// The nearest intersection at a parameter greater than zero.
+    pub fn closest_hit(&self, origin: Vec3, direction: Vec3) -> Option<Hit> {
+        if self.triangles.is_empty() {
+            return None;
+        }
+        let ray = Ray::new_inf(origin.into(), direction.into());
+        let mut hit = RayHit::none();
+        self.bvh.ray_traverse(ray, &mut hit, |ray, index| {
+            intersect(&self.triangles[index], ray).map_or(f32::INFINITY, |(t, _)| t)
+        });
+        if hit.t == f32::INFINITY {
+            return None;
+        }
+        let index = hit.primitive_id as usize;
+        let (distance, barycentrics) = intersect(&self.triangles[index], &ray)?;
+        Some(Hit {
+            triangle: self.bvh.primitive_indices[index] as usize,
+            barycentrics,
+            distance,
+        })
+    }
+}
+
+/// Ray parameter and barycentrics of the intersection, if any, with parameter > 0.
+///
+/// Signed volumes of the ray with the three edges (Plücker coordinates about the ray's
+/// origin). `a × b` and `b × a` round to exact negatives, which makes shared edges
+/// consistent.
+#[inline(always)]
+fn intersect(triangle: &[Vec3A; 3], ray: &Ray) -> Option<(f32, Vec3)> {
+    let [a, b, c] = triangle.map(|vertex| vertex - ray.origin);
+    let u = ray.direction.dot(b.cross(c));
+    let v = ray.direction.dot(c.cross(a));
+    let w = ray.direction.dot(a.cross(b));
+    if !((u >= 0.0 && v >= 0.0 && w >= 0.0) || (u <= 0.0 && v <= 0.0 && w <= 0.0)) {
+        return None;
+    }
+    let volume = u + v + w;
+    if volume == 0.0 {
+        return None;
+    }
+    let normal = (triangle[1] - triangle[0]).cross(triangle[2] - triangle[0]);
+    let t = normal.dot(a) / normal.dot(ray.direction);
+    (t > 0.0 && t.is_finite()).then(|| (t, Vec3::new(u, v, w) / volume))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn quad_grid(n: u32) -> Vec<[Vec3; 3]> {
+        let at = |x: u32, z: u32| {
+            let (x, z) = (x as f32 / n as f32 - 0.5, z as f32 / n as f32 - 0.5);
+            Vec3::new(x, 0.1 * (7.0 * x).sin() * (5.0 * z).cos(), z)
+        };
+        (0..n * n)
+            .flat_map(|i| {
+                let (x, z) = (i % n, i / n);
+                let [a, b, c, d] = [at(x, z), at(x + 1, z), at(x + 1, z + 1), at(x, z + 1)];
+                [[a, c, b], [a, d, c]]
+            })
+            .collect()
+    }
+
+    #[test]
+    fn rays_through_shared_vertices_and_edges_hit() {
+        let triangles = quad_grid(40);
+        let caster = RayCaster::new(&triangles);
+        let origin = Vec3::new(0.013, 1.7, -0.021);
+        for triangle in &triangles {
+            for (i, &vertex) in triangle.iter().enumerate() {
+                let middle = (vertex + triangle[(i + 1) % 3]) * 0.5;
+                for target in [vertex, middle] {
+                    if target.x.abs() < 0.49 && target.z.abs() < 0.49 {
+                        assert!(caster.any_hit(origin, target - origin), "ray to {target} leaks");
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn closest_hit_agrees_with_testing_every_triangle() {
+        let triangles = quad_grid(12);
+        let caster = RayCaster::new(&triangles);
+        for i in 0..500u32 {
+            let direction = relight_shading::octahedral::texel_direction(i % 25, i / 25, 25);
+            let origin = Vec3::new(0.1, 0.02, -0.07);
+            let ray = Ray::new_inf(origin.into(), direction.into());
+            let brute = triangles
+                .iter()
+                .filter_map(|triangle| intersect(&triangle.map(Vec3A::from), &ray))
+                .map(|(t, _)| t)
+                .min_by(f32::total_cmp);
+            let hit = caster.closest_hit(origin, direction);
+            assert_eq!(hit.map(|hit| hit.distance), brute, "direction {direction}");
+            assert_eq!(caster.any_hit(origin, direction), brute.is_some());
+            if let Some(hit) = hit {
+                let [a, b, c] = triangles[hit.triangle];
+                let w = hit.barycentrics;
+                let point = a * w.x + b * w.y + c * w.z;
+                assert!(point.distance(origin + direction * hit.distance) < 1e-5);
+            }
+        }
+    }
+
+    #[test]
+    fn nothing_is_hit_in_an_empty_scene() {
+        assert!(!RayCaster::new(&[]).any_hit(Vec3::ZERO, Vec3::Y));
+        assert_eq!(RayCaster::new(&[]).closest_hit(Vec3::ZERO, Vec3::Y), None);
+    }
+}

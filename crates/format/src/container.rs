@@ -20,6 +20,12 @@ const ENTRY_LENGTH: usize = 32;
 const MAX_SECTIONS: u32 = 64;
 /// Speed matters little offline and decoding speed does not depend on it.
 const ZSTD_LEVEL: i32 = 15;
+/// log2 of the largest zstd window a reader allocates for; level 15 uses 22 at most.
+const ZSTD_MAX_WINDOW_LOG: u32 = 23;
+/// Most bytes of metadata, whatever [`Limits`] say.
+const MAX_METADATA_BYTES: usize = 16 << 20;
+/// Bytes decompressed at a time: what a lying raw length can make a reader allocate.
+const DECODE_BLOCK_BYTES: usize = 1 << 20;
 
 /// What an asset holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -79,11 +85,16 @@ impl SectionKind {
 }
 
 /// How much memory a reader may allocate for one asset.
+///
+/// Arrays are decompressed in place, so the sum of raw lengths bounds them; textures are
+/// held twice while they are split. Decoded metadata takes a few times its raw length, and
+/// decompression up to 8 MiB of window.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
     /// Sum of the raw lengths of all sections, bytes. Default 4 GiB.
     pub max_bytes: u64,
-    /// Raw length of the metadata section, bytes. Default 16 MiB.
+    /// Raw length of the metadata section, bytes. Default 16 MiB, which is also the most
+    /// that the format allows.
     pub max_metadata_bytes: u64,
 }
 
@@ -91,7 +102,7 @@ impl Default for Limits {
     fn default() -> Self {
         Self {
             max_bytes: 4 << 30,
-            max_metadata_bytes: 16 << 20,
+            max_metadata_bytes: MAX_METADATA_BYTES as u64,
         }
     }
 }
@@ -171,7 +182,12 @@ pub fn inspect(bytes: &[u8], limits: &Limits) -> Result<(Kind, u32, Vec<SectionI
     }
     let reserved = u32_at(20)?;
     if reserved != 0 {
-        return Err(Error::invalid(Issue::ReservedNotZero, "header", 0, reserved));
+        return Err(Error::invalid(
+            Issue::ReservedNotZero,
+            "header",
+            0,
+            reserved,
+        ));
     }
     let mut sections: Vec<SectionInfo> = Vec::with_capacity(count as usize);
     let mut end = (HEADER_LENGTH + count as usize * ENTRY_LENGTH) as u64;
@@ -181,7 +197,12 @@ pub fn inspect(bytes: &[u8], limits: &Limits) -> Result<(Kind, u32, Vec<SectionI
         let place = format!("section table entry {index}");
         let kind_value = u32_at(entry)?;
         let kind = SectionKind::from_u32(kind_value).ok_or_else(|| {
-            Error::invalid(Issue::BadSectionTable, &place, "a known section kind", kind_value)
+            Error::invalid(
+                Issue::BadSectionTable,
+                &place,
+                "a known section kind",
+                kind_value,
+            )
         })?;
         let info = SectionInfo {
             kind,
@@ -191,7 +212,10 @@ pub fn inspect(bytes: &[u8], limits: &Limits) -> Result<(Kind, u32, Vec<SectionI
             raw_length: u64_at(entry + 24)?,
         };
         // Strictly ascending kinds make sections unique and the table canonical.
-        if sections.last().is_some_and(|last| last.kind as u32 >= kind as u32) {
+        if sections
+            .last()
+            .is_some_and(|last| last.kind as u32 >= kind as u32)
+        {
             return Err(Error::invalid(
                 Issue::BadSectionTable,
                 &place,
@@ -208,7 +232,12 @@ pub fn inspect(bytes: &[u8], limits: &Limits) -> Result<(Kind, u32, Vec<SectionI
             ));
         }
         end = end.checked_add(info.stored_length).ok_or_else(|| {
-            Error::invalid(Issue::BadSectionTable, &place, "a length inside the file", info.stored_length)
+            Error::invalid(
+                Issue::BadSectionTable,
+                &place,
+                "a length inside the file",
+                info.stored_length,
+            )
         })?;
         total = total.saturating_add(info.raw_length);
         if total > limits.max_bytes {
@@ -224,7 +253,11 @@ pub fn inspect(bytes: &[u8], limits: &Limits) -> Result<(Kind, u32, Vec<SectionI
     match end.cmp(&(bytes.len() as u64)) {
         std::cmp::Ordering::Equal => Ok((kind, version, sections)),
         ordering => Err(Error::invalid(
-            if ordering.is_gt() { Issue::Truncated } else { Issue::TrailingBytes },
+            if ordering.is_gt() {
+                Issue::Truncated
+            } else {
+                Issue::TrailingBytes
+            },
             "file",
             format_args!("{end} bytes"),
             format_args!("{} bytes", bytes.len()),
@@ -257,13 +290,10 @@ impl<'a> Reader<'a> {
         })
     }
 
-    /// The next section, decompressed. It must be of `kind`.
-    pub(crate) fn section(&mut self, kind: SectionKind) -> Result<Vec<u8>, Error> {
-        let info = self.sections.next().filter(|info| info.kind == kind).ok_or_else(|| {
-            Error::section(Issue::MissingSection, kind, "to be present", "nothing")
-        })?;
-        let start = info.offset as usize;
-        let stored = &self.bytes[start..start + info.stored_length as usize];
+    /// The next section, which must be of `kind`, as an array of little-endian elements.
+    pub(crate) fn pod<T: Pod>(&mut self, kind: SectionKind) -> Result<Vec<T>, Error> {
+        let info = self.next(kind)?;
+        let stored = &self.bytes[info.offset as usize..][..info.stored_length as usize];
         let checksum = crc32fast::hash(stored);
         if checksum != info.checksum {
             return Err(Error::section(
@@ -273,54 +303,95 @@ impl<'a> Reader<'a> {
                 format_args!("{checksum:08x}"),
             ));
         }
-        let bad = |found: String| {
-            Error::section(
-                Issue::BadCompression,
-                kind,
-                format_args!("{} bytes of zstd", info.raw_length),
-                found,
-            )
-        };
-        // Grow as bytes arrive: a lying raw length must not allocate on its own.
-        let mut raw = Vec::new();
-        zstd::stream::read::Decoder::with_buffer(stored)
-            .and_then(|decoder| decoder.take(info.raw_length + 1).read_to_end(&mut raw))
-            .map_err(|error| bad(error.to_string()))?;
-        if raw.len() as u64 != info.raw_length {
-            return Err(bad(format!("{} bytes or more", raw.len())));
-        }
-        Ok(raw)
-    }
-
-    /// The next section as an array of little-endian elements.
-    pub(crate) fn pod<T: Pod>(&mut self, kind: SectionKind) -> Result<Vec<T>, Error> {
-        let raw = self.section(kind)?;
         let size = size_of::<T>();
-        if !raw.len().is_multiple_of(size) {
+        if !info.raw_length.is_multiple_of(size as u64) {
             return Err(Error::section(
                 Issue::BadLength,
                 kind,
                 format_args!("a multiple of {size} bytes"),
-                raw.len(),
+                info.raw_length,
             ));
         }
-        Ok(bytemuck::pod_collect_to_vec(&raw))
+        let over_budget = || {
+            Error::section(
+                Issue::OverBudget,
+                kind,
+                "memory for it",
+                format_args!("{} bytes", info.raw_length),
+            )
+        };
+        let length = usize::try_from(info.raw_length).map_err(|_| over_budget())? / size;
+        let bad = |found: &dyn std::fmt::Display| {
+            Error::section(
+                Issue::BadCompression,
+                kind,
+                format_args!("{} bytes in one zstd frame", info.raw_length),
+                found,
+            )
+        };
+        let mut decoder = zstd::stream::read::Decoder::with_buffer(stored)
+            .map_err(|error| bad(&error))?
+            .single_frame();
+        decoder
+            .window_log_max(ZSTD_MAX_WINDOW_LOG)
+            .map_err(|error| bad(&error))?;
+        // Grows as bytes arrive, by doubling up to the exact length: neither a lying raw
+        // length nor a second copy of the section costs memory.
+        let mut values: Vec<T> = Vec::new();
+        while values.len() < length {
+            let start = values.len();
+            let block = (DECODE_BLOCK_BYTES / size).max(1);
+            if start == values.capacity() {
+                values
+                    .try_reserve_exact(start.max(block).min(length - start))
+                    .map_err(|_| over_budget())?;
+            }
+            values.resize(
+                values.capacity().min(length).min(start + block),
+                T::zeroed(),
+            );
+            decoder
+                .read_exact(bytemuck::cast_slice_mut(&mut values[start..]))
+                .map_err(|error| bad(&error))?;
+        }
+        let excess = decoder.read(&mut [0]).map_err(|error| bad(&error))?;
+        if excess > 0 {
+            return Err(bad(&"more bytes"));
+        }
+        match decoder.finish().len() {
+            0 => Ok(values),
+            unused => Err(bad(&format_args!("{unused} bytes after it"))),
+        }
     }
 
     /// The metadata section.
     pub(crate) fn metadata<T: DeserializeOwned>(&mut self) -> Result<T, Error> {
-        let raw = self.section(SectionKind::Metadata)?;
-        if raw.len() as u64 > self.limits.max_metadata_bytes {
+        let limit = self
+            .limits
+            .max_metadata_bytes
+            .min(MAX_METADATA_BYTES as u64);
+        let length = self
+            .sections
+            .as_slice()
+            .first()
+            .map_or(0, |info| info.raw_length);
+        if length > limit {
             return Err(Error::section(
                 Issue::OverBudget,
                 SectionKind::Metadata,
-                format_args!("at most {} bytes", self.limits.max_metadata_bytes),
-                raw.len(),
+                format_args!("at most {limit} bytes"),
+                length,
             ));
         }
-        let (value, used) = bincode::serde::decode_from_slice(&raw, metadata_encoding())
-            .map_err(|error| {
-                Error::section(Issue::BadMetadata, SectionKind::Metadata, "bincode metadata", error)
+        let raw: Vec<u8> = self.pod(SectionKind::Metadata)?;
+        let (value, used) =
+            bincode::serde::decode_from_slice(&raw, metadata_encoding()).map_err(|error| {
+                Error::section(
+                    Issue::BadMetadata,
+                    SectionKind::Metadata,
+                    "bincode metadata",
+                    error,
+                )
             })?;
         if used != raw.len() {
             return Err(Error::section(
@@ -331,6 +402,20 @@ impl<'a> Reader<'a> {
             ));
         }
         Ok(value)
+    }
+
+    fn next(&mut self, kind: SectionKind) -> Result<SectionInfo, Error> {
+        let found = match self.sections.next() {
+            Some(info) if info.kind == kind => return Ok(info),
+            Some(info) => format!("section {:?}", info.kind),
+            None => "no more sections".to_owned(),
+        };
+        Err(Error::section(
+            Issue::MissingSection,
+            kind,
+            "it next",
+            found,
+        ))
     }
 
     /// Fails if a section was not asked for.
@@ -361,9 +446,21 @@ impl Writer {
         }
     }
 
-    pub(crate) fn section(&mut self, kind: SectionKind, raw: &[u8]) -> Result<(), Error> {
+    pub(crate) fn section<T: Pod>(&mut self, kind: SectionKind, values: &[T]) -> Result<(), Error> {
+        const {
+            assert!(
+                cfg!(target_endian = "little"),
+                "POD sections are little-endian"
+            )
+        };
+        let raw: &[u8] = bytemuck::cast_slice(values);
         let stored = zstd::bulk::compress(raw, ZSTD_LEVEL).map_err(|error| {
-            Error::section(Issue::BadCompression, kind, "zstd to accept the bytes", error)
+            Error::section(
+                Issue::BadCompression,
+                kind,
+                "zstd to accept the bytes",
+                error,
+            )
         })?;
         let info = SectionInfo {
             kind,
@@ -378,8 +475,21 @@ impl Writer {
 
     pub(crate) fn metadata<T: Serialize>(&mut self, value: &T) -> Result<(), Error> {
         let raw = bincode::serde::encode_to_vec(value, metadata_encoding()).map_err(|error| {
-            Error::section(Issue::BadMetadata, SectionKind::Metadata, "encodable metadata", error)
+            Error::section(
+                Issue::BadMetadata,
+                SectionKind::Metadata,
+                "encodable metadata",
+                error,
+            )
         })?;
+        if raw.len() > MAX_METADATA_BYTES {
+            return Err(Error::section(
+                Issue::OverBudget,
+                SectionKind::Metadata,
+                format_args!("at most {MAX_METADATA_BYTES} bytes"),
+                raw.len(),
+            ));
+        }
         self.section(SectionKind::Metadata, &raw)
     }
 
@@ -399,26 +509,20 @@ impl Writer {
             bytes.extend(info.raw_length.to_le_bytes());
             offset += info.stored_length;
         }
-        for (_, stored) in &self.sections {
+        for (_, stored) in self.sections {
             bytes.extend(stored);
         }
         bytes
     }
 }
 
-/// Fixed-width little-endian integers, at most 16 MiB: a length field cannot make the
-/// decoder allocate more than that.
+/// Fixed-width little-endian integers, bounded: a length field cannot make the decoder
+/// allocate more than a section may hold.
 fn metadata_encoding() -> impl bincode::config::Config {
     bincode::config::standard()
         .with_little_endian()
         .with_fixed_int_encoding()
-        .with_limit::<{ 16 << 20 }>()
-}
-
-/// The bytes of a POD array. The format is little-endian, as is every supported target.
-pub(crate) fn pod_section<T: Pod>(values: &[T]) -> Vec<u8> {
-    const { assert!(cfg!(target_endian = "little"), "POD sections are little-endian") };
-    bytemuck::cast_slice(values).to_vec()
+        .with_limit::<MAX_METADATA_BYTES>()
 }
 
 /// Writes `bytes` beside `path` and renames: the file is either the old one or the whole
@@ -431,7 +535,9 @@ pub fn write_file(path: &Path, bytes: &[u8]) -> Result<(), Error> {
     let mut partial = path.as_os_str().to_owned();
     partial.push(format!(".{}.partial", std::process::id()));
     let partial = std::path::PathBuf::from(partial);
-    let result = std::fs::File::create(&partial)
+    // A leftover of a killed process, or a link that someone laid there, is not followed.
+    let _ = std::fs::remove_file(&partial);
+    let result = std::fs::File::create_new(&partial)
         .and_then(|mut file| {
             file.write_all(bytes)?;
             file.sync_all()

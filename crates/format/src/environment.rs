@@ -3,7 +3,7 @@
 use bytemuck::{Pod, Zeroable};
 use serde::{Deserialize, Serialize};
 
-use crate::container::{Kind, Limits, Reader, SectionKind, Writer, pod_section};
+use crate::container::{Kind, Limits, Reader, SectionKind, Writer};
 use crate::{Error, Issue};
 
 /// A spherical Gaussian G(ω) = amplitude · exp(sharpness (axis·ω − 1)).
@@ -19,6 +19,10 @@ pub struct Lobe {
     /// Zero.
     pub reserved: f32,
 }
+
+/// Largest deviation of an axis's squared length from 1: far above f32 rounding, far below
+/// what would dim a lobe.
+const AXIS_TOLERANCE: f32 = 1e-3;
 
 /// How well the lobes fit the image they came from.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -59,7 +63,7 @@ pub fn write_environment(environment: &Environment) -> Result<Vec<u8>, Error> {
     validate(&environment.report, &environment.lobes)?;
     let mut writer = Writer::new(Kind::Environment);
     writer.metadata(&environment.report)?;
-    writer.section(SectionKind::Lobes, &pod_section(&environment.lobes))?;
+    writer.section(SectionKind::Lobes, &environment.lobes)?;
     Ok(writer.finish())
 }
 
@@ -75,16 +79,16 @@ fn validate(report: &EnvironmentReport, lobes: &[Lobe]) -> Result<(), Error> {
     }
     for (index, lobe) in lobes.iter().enumerate() {
         let length = lobe.axis.iter().map(|x| x * x).sum::<f32>();
-        let valid = (length - 1.0).abs() < 1e-3
+        let valid = (length - 1.0).abs() < AXIS_TOLERANCE
             && lobe.sharpness > 0.0
             && lobe.sharpness.is_finite()
             && lobe.amplitude.iter().all(|a| a.is_finite() && *a >= 0.0)
-            && lobe.reserved == 0.0;
+            && lobe.reserved.to_bits() == 0;
         if !valid {
             return Err(Error::section(
                 Issue::ValueOutOfRange,
                 SectionKind::Lobes,
-                "unit axis, sharpness > 0, finite amplitude >= 0",
+                "unit axis, finite sharpness > 0, finite amplitude >= 0, reserved 0",
                 format_args!("lobe {index}: {lobe:?}"),
             ));
         }

@@ -81,8 +81,8 @@ impl Error {
         Self::Invalid {
             issue,
             place: place.to_string(),
-            expected: expected.to_string(),
-            found: found.to_string(),
+            expected: brief(&expected.to_string()),
+            found: brief(&found.to_string()),
         }
     }
 
@@ -94,4 +94,18 @@ impl Error {
     ) -> Self {
         Self::invalid(issue, format_args!("section {section:?}"), expected, found)
     }
+}
+
+/// Most bytes of an untrusted value that a message repeats.
+const MAX_QUOTED_BYTES: usize = 300;
+
+fn brief(text: &str) -> String {
+    if text.len() <= MAX_QUOTED_BYTES {
+        return text.to_owned();
+    }
+    let end = (0..=MAX_QUOTED_BYTES)
+        .rev()
+        .find(|end| text.is_char_boundary(*end))
+        .unwrap_or(0);
+    format!("{}…", &text[..end])
 }

@@ -15,17 +15,13 @@ mod error;
 mod material;
 mod scene;
 
-pub use container::{
-    Kind, Limits, MAGIC, SectionInfo, SectionKind, VERSION, inspect, write_file,
-};
-pub use environment::{
-    Environment, EnvironmentReport, Lobe, read_environment, write_environment,
-};
+pub use container::{Kind, Limits, MAGIC, SectionInfo, SectionKind, VERSION, inspect, write_file};
+pub use environment::{Environment, EnvironmentReport, Lobe, read_environment, write_environment};
 pub use error::{Error, Issue};
 pub use material::{
     Camera, FieldOfView, Material, Specular, Surface, Texture, TextureEncoding, TextureSlot,
 };
 pub use scene::{
-    BakeReport, CHANNELS_PER_TILE, Cluster, MAX_TILES_PER_CLUSTER, Representation, Scene,
-    Triangle, Vertex, VisibilityParameters, read_scene, write_scene,
+    BakeReport, CHANNELS_PER_TILE, Cluster, MAX_TILES_PER_CLUSTER, Representation, Scene, Triangle,
+    Vertex, VisibilityParameters, read_scene, write_scene,
 };

@@ -3,7 +3,7 @@
 use bytemuck::{Pod, Zeroable};
 use serde::{Deserialize, Serialize};
 
-use crate::container::{Kind, Limits, Reader, SectionKind, Writer, pod_section};
+use crate::container::{Kind, Limits, Reader, SectionKind, Writer};
 use crate::{Camera, Error, Issue, Material, Specular, Surface, Texture, TextureEncoding};
 
 /// Basis images per tile: one per channel of an RGBA texel.
@@ -185,12 +185,16 @@ pub fn write_scene(scene: &Scene) -> Result<Vec<u8>, Error> {
             .collect(),
         report: scene.report.clone(),
     })?;
-    writer.section(SectionKind::Vertices, &pod_section(&scene.vertices))?;
-    writer.section(SectionKind::Triangles, &pod_section(&scene.triangles))?;
-    writer.section(SectionKind::Clusters, &pod_section(&scene.clusters))?;
-    writer.section(SectionKind::Coefficients, &pod_section(&scene.coefficients))?;
-    writer.section(SectionKind::Basis, &pod_section(&scene.basis))?;
-    let texels: Vec<u8> = scene.textures.iter().flat_map(|t| t.texels.iter().copied()).collect();
+    writer.section(SectionKind::Vertices, &scene.vertices)?;
+    writer.section(SectionKind::Triangles, &scene.triangles)?;
+    writer.section(SectionKind::Clusters, &scene.clusters)?;
+    writer.section(SectionKind::Coefficients, &scene.coefficients)?;
+    writer.section(SectionKind::Basis, &scene.basis)?;
+    let texels: Vec<u8> = scene
+        .textures
+        .iter()
+        .flat_map(|t| t.texels.iter().copied())
+        .collect();
     writer.section(SectionKind::Texels, &texels)?;
     Ok(writer.finish())
 }
@@ -202,17 +206,24 @@ fn split_texels(
     let total = texels.len();
     let mut textures = Vec::new();
     for &(width, height, encoding) in sizes {
-        let length = u64::from(width) * u64::from(height) * 4;
-        let split = usize::try_from(length).ok().and_then(|length| texels.split_at_checked(length));
-        let (head, tail) = split.filter(|_| length > 0).ok_or_else(|| {
+        let split = texel_bytes(width, height).and_then(|length| texels.split_at_checked(length));
+        let (head, tail) = split.ok_or_else(|| {
             Error::section(
                 Issue::BadLength,
                 SectionKind::Texels,
-                format_args!("{width}x{height} RGBA8 texels of texture {}", textures.len()),
+                format_args!(
+                    "{width}x{height} RGBA8 texels of texture {}",
+                    textures.len()
+                ),
                 format_args!("{} of {total} bytes left", texels.len()),
             )
         })?;
-        textures.push(Texture { width, height, encoding, texels: head.to_vec() });
+        textures.push(Texture {
+            width,
+            height,
+            encoding,
+            texels: head.to_vec(),
+        });
         texels = tail;
     }
     if texels.is_empty() {
@@ -225,6 +236,15 @@ fn split_texels(
             format_args!("{total} bytes"),
         ))
     }
+}
+
+/// Bytes of an RGBA8 image, or `None` if it has none or too many to address.
+fn texel_bytes(width: u32, height: u32) -> Option<usize> {
+    // Two 32-bit factors and a 4 can exceed even 64 bits.
+    let bytes = u64::from(width)
+        .checked_mul(u64::from(height))?
+        .checked_mul(4)?;
+    usize::try_from(bytes).ok().filter(|bytes| *bytes > 0)
 }
 
 fn validate(scene: &Scene) -> Result<(), Error> {
@@ -244,8 +264,12 @@ fn validate(scene: &Scene) -> Result<(), Error> {
     for (index, triangle) in scene.triangles.iter().enumerate() {
         let cluster = scene.clusters.get(triangle.cluster as usize);
         let inside = cluster.is_some_and(|cluster| {
-            let range = cluster.first_vertex..cluster.first_vertex + cluster.vertex_count;
-            triangle.vertices.iter().all(|vertex| range.contains(vertex))
+            let within = |vertex: &u32| {
+                vertex
+                    .checked_sub(cluster.first_vertex)
+                    .is_some_and(|v| v < cluster.vertex_count)
+            };
+            triangle.vertices.iter().all(within)
         });
         if !inside || triangle.material as usize >= scene.materials.len() {
             return Err(Error::section(
@@ -261,7 +285,12 @@ fn validate(scene: &Scene) -> Result<(), Error> {
 
 fn validate_metadata(scene: &Scene) -> Result<(), Error> {
     let metadata = |issue, expected: &str, found: std::fmt::Arguments| {
-        Err(Error::section(issue, SectionKind::Metadata, expected, found))
+        Err(Error::section(
+            issue,
+            SectionKind::Metadata,
+            expected,
+            found,
+        ))
     };
     let parameters = &scene.visibility;
     let valid = (1..=4096).contains(&parameters.sample_resolution)
@@ -292,7 +321,12 @@ fn validate_metadata(scene: &Scene) -> Result<(), Error> {
                     format_args!("{slot:?} of material {:?}", material.name),
                 );
             }
-            if !slot.transform.iter().flatten().all(|value| value.is_finite()) {
+            if !slot
+                .transform
+                .iter()
+                .flatten()
+                .all(|value| value.is_finite())
+            {
                 return metadata(
                     Issue::ValueOutOfRange,
                     "a finite texture transform",
@@ -307,6 +341,31 @@ fn validate_metadata(scene: &Scene) -> Result<(), Error> {
                 format_args!("{material:?}"),
             );
         }
+    }
+    for (index, texture) in scene.textures.iter().enumerate() {
+        if texel_bytes(texture.width, texture.height) != Some(texture.texels.len()) {
+            return metadata(
+                Issue::BadLength,
+                "4 bytes per texel, at least one texel",
+                format_args!(
+                    "{} bytes in texture {index} of {}x{} texels",
+                    texture.texels.len(),
+                    texture.width,
+                    texture.height
+                ),
+            );
+        }
+    }
+    let report = &scene.report;
+    if ![report.rms_error, report.boundary_rms_error]
+        .iter()
+        .all(|x| x.is_finite() && *x >= 0.0)
+    {
+        return metadata(
+            Issue::ValueOutOfRange,
+            "finite errors >= 0",
+            format_args!("{} and {}", report.rms_error, report.boundary_rms_error),
+        );
     }
     if let Some(camera) = &scene.camera {
         let (crate::FieldOfView::X(angle) | crate::FieldOfView::Y(angle)) = camera.field_of_view;
@@ -349,9 +408,10 @@ fn surface_is_valid(surface: &Surface) -> bool {
                     Specular::BlinnPhong { specular, exponent } => {
                         color(specular) && *exponent >= 1.0 && exponent.is_finite()
                     }
-                    Specular::Ward { specular, alpha: [x, y] } => {
-                        color(specular) && alpha(*x) && alpha(*y)
-                    }
+                    Specular::Ward {
+                        specular,
+                        alpha: [x, y],
+                    } => color(specular) && alpha(*x) && alpha(*y),
                     Specular::CookTorrance { f0, roughness } => color(f0) && alpha(*roughness),
                     Specular::Ggx { f0, alpha: [x, y] } => color(f0) && alpha(*x) && alpha(*y),
                 }
@@ -385,8 +445,16 @@ fn validate_clusters(scene: &Scene) -> Result<(), Error> {
     }
     let lengths = [
         (SectionKind::Vertices, vertex, scene.vertices.len()),
-        (SectionKind::Coefficients, coefficient, scene.coefficients.len()),
-        (SectionKind::Basis, tile * tile_length as u64, scene.basis.len()),
+        (
+            SectionKind::Coefficients,
+            coefficient,
+            scene.coefficients.len(),
+        ),
+        (
+            SectionKind::Basis,
+            tile * tile_length as u64,
+            scene.basis.len(),
+        ),
     ];
     for (section, expected, found) in lengths {
         if expected != found as u64 {
@@ -395,6 +463,28 @@ fn validate_clusters(scene: &Scene) -> Result<(), Error> {
                 section,
                 format_args!("{expected} elements, as the clusters say"),
                 found,
+            ));
+        }
+    }
+    // −1 is the least value that both signed normalised encodings mean the same by
+    // everywhere; one step below it is clamped by some decoders and not by others.
+    let below_minus_one = [
+        (
+            SectionKind::Coefficients,
+            scene.coefficients.iter().position(|x| *x == i16::MIN),
+        ),
+        (
+            SectionKind::Basis,
+            scene.basis.iter().position(|x| *x == i8::MIN),
+        ),
+    ];
+    for (section, position) in below_minus_one {
+        if let Some(position) = position {
+            return Err(Error::section(
+                Issue::ValueOutOfRange,
+                section,
+                "signed normalised values of at least -1",
+                format_args!("less at element {position}"),
             ));
         }
     }

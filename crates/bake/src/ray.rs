@@ -49,8 +49,9 @@ impl RayCaster {
             .iter()
             .flatten()
             .fold(0f32, |extent, vertex| extent.max(vertex.abs().max_element()));
-        // A few units in the last place of the largest coordinate.
-        let padding = extent * 4.0 * f32::EPSILON;
+        // The box test loses up to three units in the last place of the distance to the
+        // ray's origin, which lies within a few extents of the scene.
+        let padding = extent * 16.0 * f32::EPSILON;
         let padded: Vec<Padded> = triangles
             .iter()
             .map(|triangle| Padded { vertices: triangle.map(Vec3A::from), padding })
@@ -108,23 +109,40 @@ impl RayCaster {
 ///
 /// Signed volumes of the ray with the three edges (Plücker coordinates about the ray's
 /// origin). `a × b` and `b × a` round to exact negatives, which makes shared edges
-/// consistent.
+/// consistent; double precision near zero makes the edges about a vertex consistent.
 #[inline(always)]
 fn intersect(triangle: &[Vec3A; 3], ray: &Ray) -> Option<(f32, Vec3)> {
     let [a, b, c] = triangle.map(|vertex| vertex - ray.origin);
-    let u = ray.direction.dot(b.cross(c));
-    let v = ray.direction.dot(c.cross(a));
-    let w = ray.direction.dot(a.cross(b));
-    if !((u >= 0.0 && v >= 0.0 && w >= 0.0) || (u <= 0.0 && v <= 0.0 && w <= 0.0)) {
+    let mut volumes = Vec3::new(
+        ray.direction.dot(b.cross(c)),
+        ray.direction.dot(c.cross(a)),
+        ray.direction.dot(a.cross(b)),
+    );
+    // Bounds the rounding error of a volume: below it the sign is unknown.
+    let scale = a.abs().max(b.abs()).max(c.abs()).max_element();
+    let uncertain = 16.0 * f32::EPSILON * scale * scale * ray.direction.abs().max_element();
+    if volumes.abs().min_element() <= uncertain {
+        volumes = precise_volumes(triangle, ray);
+    }
+    if !(volumes.min_element() >= 0.0 || volumes.max_element() <= 0.0) {
         return None;
     }
-    let volume = u + v + w;
+    let volume = volumes.element_sum();
     if volume == 0.0 {
         return None;
     }
     let normal = (triangle[1] - triangle[0]).cross(triangle[2] - triangle[0]);
     let t = normal.dot(a) / normal.dot(ray.direction);
-    (t > 0.0 && t.is_finite()).then(|| (t, Vec3::new(u, v, w) / volume))
+    (t > 0.0 && t.is_finite()).then(|| (t, volumes / volume))
+}
+
+#[cold]
+fn precise_volumes(triangle: &[Vec3A; 3], ray: &Ray) -> Vec3 {
+    let origin = ray.origin.as_dvec3();
+    let direction = ray.direction.as_dvec3();
+    let [a, b, c] = triangle.map(|vertex| vertex.as_dvec3() - origin);
+    let volume = |p: glam::DVec3, q: glam::DVec3| direction.dot(p.cross(q)) as f32;
+    Vec3::new(volume(b, c), volume(c, a), volume(a, b))
 }
 
 #[cfg(test)]

@@ -1,1 +1,6 @@
-//! Placeholder while the workspace is laid out.
+//! Render, truth, compare, demo and experiments, as functions over data in memory. The
+//! `lab` binary puts them on a command line.
+
+pub mod compare;
+pub mod display;
+pub mod image_file;

@@ -1,0 +1,84 @@
+//! Linear radiance to 8-bit sRGB, for eyes and for FLIP.
+
+use crate::image_file::Image;
+
+/// Linear grey shown where nothing covers the pixel.
+const BACKGROUND: f32 = 0.18;
+
+/// Tone-mapped sRGB pixels over a neutral background. `exposure` is in stops.
+pub fn pixels(image: &Image, exposure: f32) -> Vec<[u8; 3]> {
+    let scale = exposure.exp2();
+    let show = |pixel: &[f32; 4]| {
+        [0, 1, 2].map(|i| {
+            let alpha = pixel[3].clamp(0.0, 1.0);
+            // Only radiance is exposed and tone-mapped; coverage then blends as light does.
+            let radiance = if alpha > 0.0 { pixel[i] / alpha } else { 0.0 };
+            let linear = tone_map(radiance * scale) * alpha + BACKGROUND * (1.0 - alpha);
+            (srgb(linear) * 255.0).round() as u8
+        })
+    };
+    image.pixels.iter().map(show).collect()
+}
+
+/// Exposure in stops that shows the log-average luminance of the covered pixels as middle
+/// grey, 0.18 (Reinhard et al. 2002, §3.1); 0 for a black image.
+pub fn automatic_exposure(image: &Image) -> f32 {
+    let luminances: Vec<f64> = image
+        .pixels
+        .iter()
+        .filter(|pixel| pixel[3] > 0.5)
+        .map(|pixel| f64::from(luminance([0, 1, 2].map(|i| pixel[i] / pixel[3])).max(0.0)))
+        .collect();
+    let count = luminances.len().max(1) as f64;
+    let mean = luminances.iter().sum::<f64>() / count;
+    if !(mean > 0.0 && mean.is_finite()) {
+        return 0.0;
+    }
+    // Keeps black pixels from dragging the average to zero.
+    let floor = 1e-3 * mean;
+    let log = luminances.iter().map(|luminance| (luminance + floor).log2()).sum::<f64>() / count;
+    (0.18f64.log2() - log) as f32
+}
+
+/// Rec.709 luminance.
+pub fn luminance(color: [f32; 3]) -> f32 {
+    0.2126 * color[0] + 0.7152 * color[1] + 0.0722 * color[2]
+}
+
+/// Filmic curve, [0, ∞) to [0, 1] (Narkowicz 2015, fit of the ACES reference transform).
+fn tone_map(x: f32) -> f32 {
+    let x = x.max(0.0).min(1e4);
+    (x * (2.51 * x + 0.03) / (x * (2.43 * x + 0.59) + 0.14)).clamp(0.0, 1.0)
+}
+
+/// The sRGB transfer function (IEC 61966-2-1).
+fn srgb(x: f32) -> f32 {
+    if x <= 0.003_130_8 { 12.92 * x } else { 1.055 * x.powf(1.0 / 2.4) - 0.055 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn background_shows_where_nothing_covers() {
+        let mut image = Image::new(2, 1);
+        image.pixels = vec![[0.0; 4], [0.0, 0.0, 0.0, 1.0]];
+        // sRGB of 0.18 is 0.4614.
+        assert_eq!(pixels(&image, 0.0), [[118; 3], [0; 3]]);
+    }
+
+    #[test]
+    fn automatic_exposure_undoes_a_scale() {
+        let mut image = Image::new(8, 1);
+        image.pixels = (0..8).map(|i| [i as f32, 1.0, 0.5, 1.0]).collect();
+        let before = automatic_exposure(&image);
+        for pixel in &mut image.pixels {
+            for value in &mut pixel[..3] {
+                *value *= 8.0;
+            }
+        }
+        // Scaling by 2³ must take exactly three stops off, up to f32 rounding.
+        assert!((before - automatic_exposure(&image) - 3.0).abs() < 1e-4);
+    }
+}

@@ -62,8 +62,8 @@ pub enum Specular {
         /// Beckmann roughness m in (0, 1].
         roughness: f32,
     },
-    /// GGX with height-correlated Smith masking and Schlick's Fresnel (Walter et al. 2007;
-    /// Heitz 2014).
+    /// GGX with separable Smith masking and Schlick's Fresnel (Walter et al. 2007), as in
+    /// Mitsuba 3 `roughconductor`.
     Ggx {
         /// Linear Rec.709 reflectance at normal incidence.
         f0: [f32; 3],

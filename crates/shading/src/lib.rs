@@ -2,3 +2,5 @@
 //! CPU twin of each.
 
 pub mod octahedral;
+pub mod reference;
+pub mod surface;

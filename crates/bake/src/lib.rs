@@ -1,3 +1,5 @@
 //! Bakes a mesh, its materials and an HDR environment into `.relight` assets.
 
 pub mod ray;
+pub mod ssdf;
+pub mod visibility;

@@ -1,0 +1,109 @@
+//! Visibility of the sphere of directions from a point: one bit per octahedral texel.
+
+use glam::Vec3;
+use relight_shading::octahedral;
+
+use crate::ray::RayCaster;
+
+/// The directions of an octahedral map's texel centres, row after row.
+#[derive(Debug)]
+pub struct Directions {
+    resolution: u32,
+    directions: Vec<Vec3>,
+}
+
+impl Directions {
+    /// Texel centres of a `resolution` × `resolution` map.
+    pub fn new(resolution: u32) -> Self {
+        let directions = (0..resolution * resolution)
+            .map(|i| octahedral::texel_direction(i % resolution, i / resolution, resolution))
+            .collect();
+        Self { resolution, directions }
+    }
+
+    /// Texels per side.
+    pub fn resolution(&self) -> u32 {
+        self.resolution
+    }
+
+    /// All directions, unit length.
+    pub fn as_slice(&self) -> &[Vec3] {
+        &self.directions
+    }
+}
+
+/// One bit per texel, row after row: set where the direction is visible.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Bitmap {
+    words: Vec<u64>,
+}
+
+impl Bitmap {
+    /// A bitmap of `texels` texels, set where `visible` says so.
+    pub fn from_fn(texels: usize, mut visible: impl FnMut(usize) -> bool) -> Self {
+        let words = (0..texels.div_ceil(64))
+            .map(|word| {
+                let bits = 64.min(texels - word * 64);
+                (0..bits).fold(0, |bits, bit| bits | u64::from(visible(word * 64 + bit)) << bit)
+            })
+            .collect();
+        Self { words }
+    }
+
+    /// Whether the direction of texel `index` is visible.
+    pub fn get(&self, index: usize) -> bool {
+        self.words[index / 64] >> (index % 64) & 1 == 1
+    }
+}
+
+/// Casts one ray per texel from `origin`. Directions below the tangent plane are traced
+/// like any other: the horizon of the shading normal is applied when shading.
+pub fn sample(caster: &RayCaster, origin: Vec3, directions: &Directions) -> Bitmap {
+    let directions = directions.as_slice();
+    Bitmap::from_fn(directions.len(), |index| !caster.any_hit(origin, directions[index]))
+}
+
+/// Points from which a surface's visibility is sampled: each vertex moved by `offset`
+/// along its geometric normal, the area-weighted mean normal of the triangles that use it.
+/// A vertex whose triangles have no area stays where it is.
+pub fn origins(positions: &[Vec3], triangles: &[[u32; 3]], offset: f32) -> Vec<Vec3> {
+    let mut normals = vec![Vec3::ZERO; positions.len()];
+    for triangle in triangles {
+        let [a, b, c] = triangle.map(|vertex| positions[vertex as usize]);
+        let area_normal = (b - a).cross(c - a);
+        for &vertex in triangle {
+            normals[vertex as usize] += area_normal;
+        }
+    }
+    positions
+        .iter()
+        .zip(normals)
+        .map(|(&position, normal)| position + offset * normal.normalize_or_zero())
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_large_plane_blocks_exactly_the_lower_hemisphere() {
+        let s = 1e5;
+        let [a, b, c, d] =
+            [[-s, -s], [-s, s], [s, s], [s, -s]].map(|[x, z]| Vec3::new(x, 0.0, z));
+        let caster = RayCaster::new(&[[a, b, c], [a, c, d]]);
+        let directions = Directions::new(32);
+        let bitmap = sample(&caster, Vec3::new(0.3, 0.01, -0.2), &directions);
+        for (index, direction) in directions.as_slice().iter().enumerate() {
+            assert_eq!(bitmap.get(index), direction.y >= 0.0, "direction {direction}");
+        }
+    }
+
+    #[test]
+    fn origins_move_along_the_mean_face_normal() {
+        let positions = [Vec3::ZERO, Vec3::Z, Vec3::X, Vec3::ONE];
+        let moved = origins(&positions, &[[0, 1, 2]], 0.5);
+        assert_eq!(moved[1], Vec3::new(0.0, 0.5, 1.0));
+        assert_eq!(moved[3], Vec3::ONE, "unused vertices stay");
+    }
+}

@@ -1,5 +1,7 @@
 //! Bakes a mesh, its materials and an HDR environment into `.relight` assets.
 
+pub mod cluster;
+pub mod compress;
 pub mod ray;
 pub mod ssdf;
 pub mod visibility;

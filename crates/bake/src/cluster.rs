@@ -1,0 +1,117 @@
+//! Triangles into spatially coherent groups of bounded size.
+
+use glam::Vec3;
+
+/// How far a quarter turn of the normal counts, in extents of the scene.
+const NORMAL_WEIGHT: f32 = 0.25;
+
+/// A triangle as the partition sees it: position in extents of the scene, weighted normal.
+type Feature = [f32; 6];
+
+/// Splits the triangles into groups whose vertices number at most `max_vertices` (or that
+/// hold one triangle), by recursive median cuts along the feature of largest spread.
+/// Groups come in spatial order; triangles within a group keep their order.
+pub fn partition(positions: &[Vec3], triangles: &[[u32; 3]], max_vertices: usize) -> Vec<Vec<u32>> {
+    let extent = positions
+        .iter()
+        .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), p| (low.min(*p), high.max(*p)));
+    let scale = 1.0 / (extent.1 - extent.0).max_element().max(f32::MIN_POSITIVE);
+    let features: Vec<Feature> = triangles
+        .iter()
+        .map(|triangle| {
+            let [a, b, c] = triangle.map(|vertex| positions[vertex as usize]);
+            let centre = (a + b + c) / 3.0 * scale;
+            let normal = (b - a).cross(c - a).normalize_or_zero() * NORMAL_WEIGHT;
+            [centre.x, centre.y, centre.z, normal.x, normal.y, normal.z]
+        })
+        .collect();
+    let mut groups = Vec::new();
+    let all = (0..triangles.len() as u32).collect();
+    split(all, &features, triangles, max_vertices, &mut groups);
+    groups
+}
+
+fn split(
+    mut group: Vec<u32>,
+    features: &[Feature],
+    triangles: &[[u32; 3]],
+    max_vertices: usize,
+    groups: &mut Vec<Vec<u32>>,
+) {
+    if group.len() < 2 || vertices_of(&group, triangles).len() <= max_vertices {
+        if !group.is_empty() {
+            group.sort_unstable();
+            groups.push(group);
+        }
+        return;
+    }
+    let axis = widest_axis(group.iter().map(|&t| &features[t as usize]));
+    // Ties are broken by index: the cut does not depend on the sort's implementation.
+    group.sort_unstable_by(|&a, &b| {
+        features[a as usize][axis].total_cmp(&features[b as usize][axis]).then(a.cmp(&b))
+    });
+    let upper = group.split_off(group.len() / 2);
+    split(group, features, triangles, max_vertices, groups);
+    split(upper, features, triangles, max_vertices, groups);
+}
+
+fn widest_axis<'a>(features: impl Iterator<Item = &'a Feature> + Clone) -> usize {
+    let count = features.clone().count() as f32;
+    let mut mean = [0.0; 6];
+    for feature in features.clone() {
+        for (mean, value) in mean.iter_mut().zip(feature) {
+            *mean += value / count;
+        }
+    }
+    let mut spread = [0.0; 6];
+    for feature in features {
+        for ((spread, mean), value) in spread.iter_mut().zip(mean).zip(feature) {
+            *spread += (value - mean).powi(2);
+        }
+    }
+    (0..6).max_by(|&a, &b| spread[a].total_cmp(&spread[b])).unwrap_or(0)
+}
+
+/// The vertices that the triangles use, ascending.
+pub fn vertices_of(group: &[u32], triangles: &[[u32; 3]]) -> Vec<u32> {
+    let mut vertices: Vec<u32> =
+        group.iter().flat_map(|&triangle| triangles[triangle as usize]).collect();
+    vertices.sort_unstable();
+    vertices.dedup();
+    vertices
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn groups_cover_every_triangle_once_within_the_bound() {
+        let n = 40u32;
+        let positions: Vec<Vec3> = (0..(n + 1) * (n + 1))
+            .map(|i| Vec3::new((i % (n + 1)) as f32, 0.0, (i / (n + 1)) as f32))
+            .collect();
+        let triangles: Vec<[u32; 3]> = (0..n * n)
+            .flat_map(|i| {
+                let a = i / n * (n + 1) + i % n;
+                [[a, a + n + 1, a + 1], [a + 1, a + n + 1, a + n + 2]]
+            })
+            .collect();
+        let groups = partition(&positions, &triangles, 100);
+        let mut seen: Vec<u32> = groups.iter().flatten().copied().collect();
+        seen.sort_unstable();
+        assert!(seen.iter().copied().eq(0..triangles.len() as u32));
+        for group in &groups {
+            assert!(vertices_of(group, &triangles).len() <= 100);
+        }
+        let total: usize = groups.iter().map(|g| vertices_of(g, &triangles).len()).sum();
+        assert!(total < positions.len() * 3 / 2, "compact groups share few vertices: {total}");
+    }
+
+    #[test]
+    fn equal_features_still_split() {
+        let positions = vec![Vec3::ZERO; 30];
+        let triangles: Vec<[u32; 3]> = (0..10).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
+        assert!(partition(&positions, &triangles, 3).iter().all(|group| group.len() == 1));
+    }
+}

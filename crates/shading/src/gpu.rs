@@ -1,0 +1,806 @@
+//! A scene as the GPU sees it: plain buffers and atlas layers, without a GPU.
+//!
+//! The structures mirror `wgsl/bindings.wgsl`, member by member and in order.
+
+use bytemuck::{Pod, Zeroable};
+use relight_format::{CHANNELS_PER_TILE, Scene, Specular, Surface, TextureEncoding};
+
+use crate::camera::View;
+use crate::octahedral;
+
+/// `Material::surface`: base colour, metallic and roughness as in glTF.
+pub const SURFACE_METALLIC_ROUGHNESS: u32 = 0;
+/// `Material::surface`: a Lambertian base plus one specular model.
+pub const SURFACE_LAYERED: u32 = 1;
+/// `Material::model`: no specular reflection.
+pub const MODEL_NONE: u32 = 0;
+/// `Material::model`: Blinn-Phong.
+pub const MODEL_BLINN_PHONG: u32 = 1;
+/// `Material::model`: Ward.
+pub const MODEL_WARD: u32 = 2;
+/// `Material::model`: Cook-Torrance.
+pub const MODEL_COOK_TORRANCE: u32 = 3;
+/// `Material::model`: GGX.
+pub const MODEL_GGX: u32 = 4;
+/// `Frame::method`: one half-space per lobe.
+pub const METHOD_AMBIENT: u32 = 0;
+/// `Frame::method`: spokes about each lobe's axis.
+pub const METHOD_POLAR: u32 = 1;
+
+/// Most layers of the basis atlas: WebGPU's default limit.
+pub const MAX_ATLAS_LAYERS: u32 = 256;
+/// Largest side of the basis atlas in texels: WebGPU's default limit.
+pub const MAX_ATLAS_SIZE: u32 = 8192;
+
+/// What changes from frame to frame (uniform, 144 bytes).
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct Frame {
+    /// World to clip space, column after column.
+    pub view_projection: [[f32; 4]; 4],
+    /// Centre of projection, world space.
+    pub eye: [f32; 3],
+    /// Number of lights.
+    pub light_count: u32,
+    /// Direction through the upper left corner of the image.
+    pub corner: [f32; 3],
+    /// [`METHOD_AMBIENT`] or [`METHOD_POLAR`].
+    pub method: u32,
+    /// Step of the direction from one column to the next.
+    pub right: [f32; 3],
+    /// Polar: number of spokes.
+    pub spokes: u32,
+    /// Step of the direction from one row to the next.
+    pub down: [f32; 3],
+    /// First row of a dispatch.
+    pub first_row: u32,
+    /// Reciprocal width and height of the basis atlas.
+    pub atlas_texel: [f32; 2],
+    /// Texels per side of a basis tile, without its gutter.
+    pub basis_resolution: f32,
+    /// Stored signed distances are clamped to ± this angle, radians.
+    pub distance_clamp: f32,
+}
+
+/// A distant spherical Gaussian light (32 bytes).
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct Light {
+    /// Unit vector, world space.
+    pub axis: [f32; 3],
+    /// Sharpness λ.
+    pub sharpness: f32,
+    /// Linear Rec.709 radiance at the axis.
+    pub amplitude: [f32; 3],
+    /// Zero.
+    pub reserved: f32,
+}
+
+/// A vertex (48 bytes).
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct Vertex {
+    /// World space, metres.
+    pub position: [f32; 3],
+    /// Texture coordinate u.
+    pub u: f32,
+    /// Shading normal, not necessarily of unit length.
+    pub normal: [f32; 3],
+    /// Texture coordinate v, down.
+    pub v: f32,
+    /// xyz: tangent, w: sign of the bitangent.
+    pub tangent: [f32; 4],
+}
+
+/// A set of vertices that share basis images (32 bytes).
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct Cluster {
+    /// First vertex.
+    pub first_vertex: u32,
+    /// First word of the coefficients: `2 * tiles` words per vertex.
+    pub first_word: u32,
+    /// Tiles of four basis images.
+    pub tiles: u32,
+    /// Layer of the atlas.
+    pub layer: u32,
+    /// Texel coordinates of the first tile's corner, inside its gutter.
+    pub tile_origin: [f32; 2],
+    /// Radians that a coefficient of 32767 stands for.
+    pub coefficient_scale: f32,
+    /// Zero.
+    pub reserved: f32,
+}
+
+/// A texture as a range of the texel buffer (48 bytes).
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct TextureSlot {
+    /// First texel.
+    pub offset: u32,
+    /// Texels per row; 0 where there is no texture.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// 1 where red, green and blue are sRGB encoded.
+    pub srgb: u32,
+    /// u of the texture is `dot(transform_u, (u, v, 1))`.
+    pub transform_u: [f32; 4],
+    /// v of the texture is `dot(transform_v, (u, v, 1))`.
+    pub transform_v: [f32; 4],
+}
+
+/// A material (256 bytes).
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct Material {
+    /// Base colour, or diffuse albedo of a layered surface.
+    pub color: [f32; 3],
+    /// [`SURFACE_METALLIC_ROUGHNESS`] or [`SURFACE_LAYERED`].
+    pub surface: u32,
+    /// Layered: reflectance at normal incidence, or specular albedo.
+    pub specular: [f32; 3],
+    /// Layered: [`MODEL_NONE`] to [`MODEL_GGX`].
+    pub model: u32,
+    /// Layered: alpha along tangent and bitangent; Blinn-Phong: exponent in x.
+    pub alpha: [f32; 2],
+    /// Scale of the normal map's x and y.
+    pub normal_scale: f32,
+    /// Zero.
+    pub reserved: f32,
+    /// Metallic-roughness: 0 dielectric, 1 metal.
+    pub metallic: f32,
+    /// Metallic-roughness: perceptual roughness.
+    pub roughness: f32,
+    /// Metallic-roughness: strength of anisotropy.
+    pub anisotropy_strength: f32,
+    /// Metallic-roughness: direction of anisotropy, radians from the tangent.
+    pub anisotropy_rotation: f32,
+    /// Multiplies `color`.
+    pub base_color_texture: TextureSlot,
+    /// G multiplies `roughness`, B multiplies `metallic`.
+    pub metallic_roughness_texture: TextureSlot,
+    /// Tangent-space normal map.
+    pub normal_texture: TextureSlot,
+    /// RG is the direction in [−1, 1], B the strength.
+    pub anisotropy_texture: TextureSlot,
+}
+
+/// What a packed scene looks like to [`Frame`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AtlasLayout {
+    /// Texels per side of a tile, without its gutter.
+    pub basis_resolution: u32,
+    /// Texels per row of a layer.
+    pub width: u32,
+    /// Rows of a layer.
+    pub height: u32,
+    /// Layers.
+    pub layers: u32,
+}
+
+/// A scene as buffers and atlas layers.
+#[derive(Clone, Debug)]
+pub struct PackedScene {
+    /// Vertices.
+    pub vertices: Vec<Vertex>,
+    /// Three vertices, then `material | cluster << 16`.
+    pub triangles: Vec<[u32; 4]>,
+    /// Clusters.
+    pub clusters: Vec<Cluster>,
+    /// Two i16 per word, the first in the low half.
+    pub coefficients: Vec<u32>,
+    /// Materials.
+    pub materials: Vec<Material>,
+    /// Red in the low byte; never empty.
+    pub texels: Vec<u32>,
+    /// Where the textures lie in `texels`.
+    pub textures: Vec<PackedTexture>,
+    /// Size of the atlas.
+    pub atlas: AtlasLayout,
+    /// RGBA texels of all layers, each in [−127, 127].
+    pub basis: Vec<i8>,
+    /// Stored signed distances are clamped to ± this angle, radians.
+    pub distance_clamp: f32,
+}
+
+/// Where one texture lies in [`PackedScene::texels`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PackedTexture {
+    /// First texel.
+    pub offset: u32,
+    /// Texels per row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Meaning of the bytes.
+    pub encoding: TextureEncoding,
+}
+
+/// A scene needs more of something than the GPU, or this layout, offers.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("scene exceeds {limit}: needs {needed}, allowed {allowed}")]
+pub struct LimitError {
+    /// Name of the limit, that of `wgpu::Limits` where there is one.
+    pub limit: &'static str,
+    /// What the scene needs.
+    pub needed: u64,
+    /// What is allowed.
+    pub allowed: u64,
+}
+
+impl LimitError {
+    /// An error unless `needed` is at most `allowed`.
+    pub fn check(limit: &'static str, needed: u64, allowed: u64) -> Result<(), Self> {
+        if needed <= allowed {
+            Ok(())
+        } else {
+            Err(Self {
+                limit,
+                needed,
+                allowed,
+            })
+        }
+    }
+}
+
+/// Packs a valid scene, that is one that [`relight_format::read_scene`] returned or
+/// [`relight_format::write_scene`] accepts.
+pub fn pack_scene(scene: &Scene) -> Result<PackedScene, LimitError> {
+    let coefficient_words = scene.coefficients.len().div_ceil(2) as u64;
+    LimitError::check(
+        "32-bit coefficient index",
+        coefficient_words,
+        u64::from(u32::MAX),
+    )?;
+    let texel_count = scene
+        .textures
+        .iter()
+        .map(|t| t.texels.len() as u64 / 4)
+        .sum();
+    LimitError::check("32-bit texel index", texel_count, u64::from(u32::MAX))?;
+
+    let mut texels = Vec::with_capacity(texel_count as usize);
+    let mut textures = Vec::with_capacity(scene.textures.len());
+    for texture in &scene.textures {
+        textures.push(PackedTexture {
+            offset: texels.len() as u32,
+            width: texture.width,
+            height: texture.height,
+            encoding: texture.encoding,
+        });
+        texels.extend(
+            texture
+                .texels
+                .chunks_exact(4)
+                .map(|t| u32::from_le_bytes([t[0], t[1], t[2], t[3]])),
+        );
+    }
+    if texels.is_empty() {
+        // A buffer binding must not be empty.
+        texels.push(0);
+    }
+    let (atlas, clusters) = place_clusters(scene)?;
+    Ok(PackedScene {
+        vertices: scene.vertices.iter().map(pack_vertex).collect(),
+        triangles: scene
+            .triangles
+            .iter()
+            .map(|triangle| {
+                let [a, b, c] = triangle.vertices;
+                [
+                    a,
+                    b,
+                    c,
+                    u32::from(triangle.material) | u32::from(triangle.cluster) << 16,
+                ]
+            })
+            .collect(),
+        basis: fill_atlas(scene, &atlas, &clusters),
+        clusters,
+        coefficients: scene
+            .coefficients
+            .chunks(2)
+            .map(|pair| {
+                let half = |value: i16| u32::from(value.cast_unsigned());
+                half(pair[0]) | pair.get(1).map_or(0, |&high| half(high) << 16)
+            })
+            .collect(),
+        materials: scene
+            .materials
+            .iter()
+            .map(|material| pack_material(material, &textures))
+            .collect(),
+        texels,
+        textures,
+        atlas,
+        distance_clamp: scene.visibility.distance_clamp,
+    })
+}
+
+/// Packs one material; a slot that names a texture beyond `textures` becomes no texture.
+pub fn pack_material(material: &relight_format::Material, textures: &[PackedTexture]) -> Material {
+    let slot = |slot: Option<relight_format::TextureSlot>| {
+        slot.and_then(|slot| {
+            let texture = textures.get(slot.texture as usize)?;
+            let [[a, b, c], [d, e, f]] = slot.transform;
+            Some(TextureSlot {
+                offset: texture.offset,
+                width: texture.width,
+                height: texture.height,
+                srgb: u32::from(texture.encoding == TextureEncoding::Srgb),
+                transform_u: [a, b, c, 0.0],
+                transform_v: [d, e, f, 0.0],
+            })
+        })
+        .unwrap_or(TextureSlot::zeroed())
+    };
+    let packed = Material {
+        normal_scale: material.normal_scale,
+        base_color_texture: slot(material.base_color_texture),
+        metallic_roughness_texture: slot(material.metallic_roughness_texture),
+        normal_texture: slot(material.normal_texture),
+        anisotropy_texture: slot(material.anisotropy_texture),
+        ..Material::zeroed()
+    };
+    match &material.surface {
+        &Surface::MetallicRoughness {
+            base_color,
+            metallic,
+            roughness,
+            anisotropy_strength,
+            anisotropy_rotation,
+        } => Material {
+            color: base_color,
+            surface: SURFACE_METALLIC_ROUGHNESS,
+            metallic,
+            roughness,
+            anisotropy_strength,
+            anisotropy_rotation,
+            ..packed
+        },
+        Surface::Layered { diffuse, specular } => {
+            let (model, specular, alpha) = match *specular {
+                Specular::None => (MODEL_NONE, [0.0; 3], [1.0; 2]),
+                Specular::BlinnPhong { specular, exponent } => {
+                    (MODEL_BLINN_PHONG, specular, [exponent, 0.0])
+                }
+                Specular::Ward { specular, alpha } => (MODEL_WARD, specular, alpha),
+                Specular::CookTorrance { f0, roughness } => {
+                    (MODEL_COOK_TORRANCE, f0, [roughness; 2])
+                }
+                Specular::Ggx { f0, alpha } => (MODEL_GGX, f0, alpha),
+                Specular::Measured { f0, alpha, .. } => (MODEL_GGX, f0, [alpha; 2]),
+            };
+            Material {
+                color: *diffuse,
+                surface: SURFACE_LAYERED,
+                specular,
+                model,
+                alpha,
+                ..packed
+            }
+        }
+    }
+}
+
+impl Frame {
+    /// The frame of a packed scene seen through `view`, before lights and method are set:
+    /// no lights, `ambient`.
+    pub fn new(view: &View, atlas: &AtlasLayout, distance_clamp: f32) -> Self {
+        Self {
+            view_projection: view.view_projection.to_cols_array_2d(),
+            eye: view.eye.into(),
+            light_count: 0,
+            corner: view.corner.into(),
+            method: METHOD_AMBIENT,
+            right: view.right.into(),
+            spokes: 0,
+            down: view.down.into(),
+            first_row: 0,
+            atlas_texel: [1.0 / atlas.width as f32, 1.0 / atlas.height as f32],
+            basis_resolution: atlas.basis_resolution as f32,
+            distance_clamp,
+        }
+    }
+}
+
+fn pack_vertex(vertex: &relight_format::Vertex) -> Vertex {
+    Vertex {
+        position: vertex.position,
+        u: vertex.uv[0],
+        normal: vertex.normal,
+        v: vertex.uv[1],
+        tangent: vertex.tangent,
+    }
+}
+
+/// Places the tiles of each cluster side by side, rows of clusters from the top, layer
+/// after layer.
+fn place_clusters(scene: &Scene) -> Result<(AtlasLayout, Vec<Cluster>), LimitError> {
+    let stride = scene.visibility.basis_resolution + 2;
+    let widest = scene.clusters.iter().map(|c| c.tiles).max().unwrap_or(1) * stride;
+    LimitError::check(
+        "max_texture_dimension_2d",
+        u64::from(widest),
+        u64::from(MAX_ATLAS_SIZE),
+    )?;
+    // Small pages waste little in the last layer; larger ones are for scenes that would
+    // otherwise have too many layers.
+    let mut page = 2048;
+    loop {
+        let width = widest.max(page);
+        let (height, layers, clusters) = place_in_rows(scene, stride, width, page.max(stride));
+        if layers <= MAX_ATLAS_LAYERS || page == MAX_ATLAS_SIZE {
+            LimitError::check(
+                "max_texture_array_layers",
+                u64::from(layers),
+                u64::from(MAX_ATLAS_LAYERS),
+            )?;
+            let basis_resolution = scene.visibility.basis_resolution;
+            return Ok((
+                AtlasLayout {
+                    basis_resolution,
+                    width,
+                    height,
+                    layers,
+                },
+                clusters,
+            ));
+        }
+        page *= 2;
+    }
+}
+
+/// Used height, number of layers, and clusters placed in pages of `width` × `page`.
+fn place_in_rows(scene: &Scene, stride: u32, width: u32, page: u32) -> (u32, u32, Vec<Cluster>) {
+    let (mut x, mut y, mut layer, mut height) = (0, 0, 0, stride);
+    let clusters = scene
+        .clusters
+        .iter()
+        .map(|cluster| {
+            let extent = cluster.tiles * stride;
+            if x + extent > width {
+                (x, y) = (0, y + stride);
+            }
+            if y + stride > page {
+                (x, y, layer) = (0, 0, layer + 1);
+            }
+            let tile_origin = [(x + 1) as f32, (y + 1) as f32];
+            x += extent;
+            height = height.max(y + stride);
+            Cluster {
+                first_vertex: cluster.first_vertex,
+                first_word: cluster.first_coefficient / 2,
+                tiles: cluster.tiles,
+                layer,
+                tile_origin,
+                coefficient_scale: cluster.coefficient_scale,
+                reserved: 0.0,
+            }
+        })
+        .collect();
+    (height, layer + 1, clusters)
+}
+
+/// Copies every tile with its gutter to its place.
+fn fill_atlas(scene: &Scene, atlas: &AtlasLayout, clusters: &[Cluster]) -> Vec<i8> {
+    let n = atlas.basis_resolution;
+    let row_length = atlas.width as usize * CHANNELS_PER_TILE;
+    let mut texels = vec![0i8; row_length * atlas.height as usize * atlas.layers as usize];
+    let tile_length = (n * n) as usize * CHANNELS_PER_TILE;
+    for (cluster, placed) in scene.clusters.iter().zip(clusters) {
+        for tile in 0..cluster.tiles {
+            let source =
+                &scene.basis[(cluster.first_tile + tile) as usize * tile_length..][..tile_length];
+            // Corner of the tile with its gutter.
+            let left = placed.tile_origin[0] as u32 - 1 + tile * (n + 2);
+            let top = placed.layer * atlas.height + placed.tile_origin[1] as u32 - 1;
+            for y in 0..n + 2 {
+                for x in 0..n + 2 {
+                    let (from_x, from_y) = octahedral::wrap(x as i32 - 1, y as i32 - 1, n);
+                    let from = (from_y * n + from_x) as usize * CHANNELS_PER_TILE;
+                    let to =
+                        (top + y) as usize * row_length + (left + x) as usize * CHANNELS_PER_TILE;
+                    for channel in 0..CHANNELS_PER_TILE {
+                        // −128 has no place in basis values, and snorm decodes it as −127.
+                        texels[to + channel] = source[from + channel].max(-127);
+                    }
+                }
+            }
+        }
+    }
+    texels
+}
+
+#[cfg(test)]
+mod tests {
+    use std::mem::{offset_of, size_of};
+
+    use relight_format::{
+        BakeReport, Representation, Texture, TextureSlot as FormatSlot, VisibilityParameters,
+    };
+
+    use super::*;
+    use crate::wgsl::{Entry, source};
+
+    /// Compares a Rust structure with the WGSL one of the same name, both ways round.
+    macro_rules! check_layout {
+        ($module:expr, $name:ident { $($member:ident),* $(,)? }) => {{
+            let (_, found) = $module
+                .types
+                .iter()
+                .find(|(_, found)| found.name.as_deref() == Some(stringify!($name)))
+                .expect(concat!(stringify!($name), " is in bindings.wgsl"));
+            let naga::TypeInner::Struct { members, span } = &found.inner else {
+                panic!("{} is no structure", stringify!($name));
+            };
+            assert_eq!(*span as usize, size_of::<$name>(), "size of {}", stringify!($name));
+            let wgsl: Vec<_> = members
+                .iter()
+                .map(|member| (member.name.as_deref().unwrap_or(""), member.offset as usize))
+                .collect();
+            let rust = vec![$((stringify!($member), offset_of!($name, $member))),*];
+            assert_eq!(wgsl, rust, "members of {}", stringify!($name));
+        }};
+    }
+
+    #[test]
+    fn structures_match_wgsl() {
+        let module = naga::front::wgsl::parse_str(&source(Entry::Library)).expect("valid WGSL");
+        check_layout!(
+            module,
+            Frame {
+                view_projection,
+                eye,
+                light_count,
+                corner,
+                method,
+                right,
+                spokes,
+                down,
+                first_row,
+                atlas_texel,
+                basis_resolution,
+                distance_clamp,
+            }
+        );
+        check_layout!(
+            module,
+            Light {
+                axis,
+                sharpness,
+                amplitude,
+                reserved
+            }
+        );
+        check_layout!(
+            module,
+            Vertex {
+                position,
+                u,
+                normal,
+                v,
+                tangent
+            }
+        );
+        check_layout!(
+            module,
+            Cluster {
+                first_vertex,
+                first_word,
+                tiles,
+                layer,
+                tile_origin,
+                coefficient_scale,
+                reserved,
+            }
+        );
+        check_layout!(
+            module,
+            TextureSlot {
+                offset,
+                width,
+                height,
+                srgb,
+                transform_u,
+                transform_v,
+            }
+        );
+        check_layout!(
+            module,
+            Material {
+                color,
+                surface,
+                specular,
+                model,
+                alpha,
+                normal_scale,
+                reserved,
+                metallic,
+                roughness,
+                anisotropy_strength,
+                anisotropy_rotation,
+                base_color_texture,
+                metallic_roughness_texture,
+                normal_texture,
+                anisotropy_texture,
+            }
+        );
+    }
+
+    /// Clusters of the given numbers of tiles, three vertices and one triangle each; the
+    /// basis bytes and coefficients are all different from their neighbours'.
+    fn scene(resolution: u32, tiles: &[u32]) -> Scene {
+        let mut clusters = Vec::new();
+        let (mut coefficient, mut tile) = (0, 0);
+        for (index, &tiles) in tiles.iter().enumerate() {
+            clusters.push(relight_format::Cluster {
+                first_vertex: 3 * index as u32,
+                vertex_count: 3,
+                first_coefficient: coefficient,
+                first_tile: tile,
+                tiles,
+                coefficient_scale: 0.5 + index as f32,
+            });
+            coefficient += 12 * tiles;
+            tile += tiles;
+        }
+        let vertex = relight_format::Vertex {
+            position: [1.0, 2.0, 3.0],
+            normal: [0.0, 1.0, 0.0],
+            tangent: [1.0, 0.0, 0.0, -1.0],
+            uv: [0.25, 0.75],
+        };
+        Scene {
+            name: "test".into(),
+            visibility: VisibilityParameters {
+                representation: Representation::ClusteredPca,
+                sample_resolution: 128,
+                basis_resolution: resolution,
+                distance_clamp: 0.5,
+                ray_offset: 0.0,
+            },
+            camera: None,
+            materials: Vec::new(),
+            textures: Vec::new(),
+            report: BakeReport::default(),
+            vertices: vec![vertex; 3 * tiles.len()],
+            triangles: (0..tiles.len())
+                .map(|index| relight_format::Triangle {
+                    vertices: [3 * index as u32, 3 * index as u32 + 1, 3 * index as u32 + 2],
+                    material: 7,
+                    cluster: index as u16,
+                })
+                .collect(),
+            clusters,
+            coefficients: (0..coefficient)
+                .map(|i| (i as i16).wrapping_mul(2477))
+                .collect(),
+            basis: (0..tile * resolution * resolution * 4)
+                .map(|i| (i.wrapping_mul(97) >> 2) as i8)
+                .collect(),
+        }
+    }
+
+    #[test]
+    fn tiles_arrive_in_the_atlas_with_wrapped_gutters() {
+        // More than one row and more than one layer: 2048 / 258 = 7 tiles per row.
+        let n = 256;
+        let scene = scene(n, &[3, 4, 1, 8, 2, 7, 7, 7, 7, 7, 7, 5]);
+        let packed = pack_scene(&scene).expect("fits");
+        assert!(packed.atlas.layers > 1 && packed.atlas.width >= 8 * 258);
+        for (cluster, placed) in scene.clusters.iter().zip(&packed.clusters) {
+            for tile in 0..cluster.tiles {
+                let texel = |x: i32, y: i32| {
+                    let column = placed.tile_origin[0] as i32 + (tile * (n + 2)) as i32 + x;
+                    let row = (placed.layer * packed.atlas.height) as i32
+                        + placed.tile_origin[1] as i32
+                        + y;
+                    let index = (row as usize * packed.atlas.width as usize + column as usize) * 4;
+                    &packed.basis[index..index + 4]
+                };
+                for (x, y) in [
+                    (0, 0),
+                    (255, 255),
+                    (13, 100),
+                    (-1, 3),
+                    (256, 90),
+                    (9, -1),
+                    (200, 256),
+                    (-1, -1),
+                ] {
+                    let (from_x, from_y) = octahedral::wrap(x, y, n);
+                    let index =
+                        (((cluster.first_tile + tile) * n + from_y) * n + from_x) as usize * 4;
+                    let expected: Vec<i8> = scene.basis[index..index + 4]
+                        .iter()
+                        .map(|&b| b.max(-127))
+                        .collect();
+                    assert_eq!(
+                        texel(x, y),
+                        expected,
+                        "tile {tile} texel ({x}, {y}) of {cluster:?}"
+                    );
+                }
+            }
+        }
+        assert!(!packed.basis.contains(&-128));
+    }
+
+    #[test]
+    fn coefficients_and_triangles_are_found_as_documented() {
+        let scene = scene(4, &[2, 1, 3]);
+        let packed = pack_scene(&scene).expect("fits");
+        for (cluster, placed) in scene.clusters.iter().zip(&packed.clusters) {
+            let channels = 4 * cluster.tiles;
+            for vertex in 0..cluster.vertex_count {
+                for channel in 0..channels {
+                    let word = packed.coefficients
+                        [(placed.first_word + vertex * 2 * placed.tiles + channel / 2) as usize];
+                    let found = (word >> (16 * (channel % 2))) as u16 as i16;
+                    let index = cluster.first_coefficient + vertex * channels + channel;
+                    assert_eq!(found, scene.coefficients[index as usize]);
+                }
+            }
+        }
+        assert_eq!(packed.triangles[2], [6, 7, 8, 7 | 2 << 16]);
+    }
+
+    #[test]
+    fn limits_are_named() {
+        let error = pack_scene(&scene(1024, &[8])).expect_err("8 × 1026 texels in a row");
+        assert_eq!(error.limit, "max_texture_dimension_2d");
+        assert_eq!(error.needed, 8208);
+    }
+
+    #[test]
+    fn a_material_keeps_its_numbers_and_finds_its_texture() {
+        let mut scene = scene(4, &[1]);
+        for (width, encoding) in [(3, TextureEncoding::Linear), (2, TextureEncoding::Srgb)] {
+            scene.textures.push(Texture {
+                width,
+                height: 1,
+                encoding,
+                texels: (0..4 * width as u8).collect(),
+            });
+        }
+        scene.materials.push(relight_format::Material {
+            name: "painted".into(),
+            surface: Surface::Layered {
+                diffuse: [0.1, 0.2, 0.3],
+                specular: Specular::Ward {
+                    specular: [0.4, 0.5, 0.6],
+                    alpha: [0.7, 0.8],
+                },
+            },
+            base_color_texture: Some(FormatSlot {
+                texture: 1,
+                transform: [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]],
+            }),
+            metallic_roughness_texture: None,
+            normal_texture: None,
+            normal_scale: 0.9,
+            anisotropy_texture: None,
+        });
+        let packed = pack_scene(&scene).expect("fits");
+        let material = packed.materials[0];
+        assert_eq!(
+            (material.surface, material.model),
+            (SURFACE_LAYERED, MODEL_WARD)
+        );
+        assert_eq!(
+            (material.color, material.specular),
+            ([0.1, 0.2, 0.3], [0.4, 0.5, 0.6])
+        );
+        assert_eq!((material.alpha, material.normal_scale), ([0.7, 0.8], 0.9));
+        let slot = material.base_color_texture;
+        assert_eq!(
+            (slot.offset, slot.width, slot.height, slot.srgb),
+            (3, 2, 1, 1)
+        );
+        assert_eq!(slot.transform_v, [4.0, 5.0, 6.0, 0.0]);
+        assert_eq!(material.normal_texture, TextureSlot::zeroed());
+        assert_eq!(packed.texels[4], u32::from_le_bytes([4, 5, 6, 7]));
+    }
+}

@@ -1,0 +1,76 @@
+//! Shader sources: the files of `wgsl/` joined, with constants taken from the Rust side.
+
+use std::fmt::Write as _;
+
+use crate::gpu;
+
+/// What a shader module is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Entry {
+    /// Functions and bindings without an entry point, to append kernels to.
+    Library,
+}
+
+impl Entry {
+    /// All of them.
+    pub const ALL: [Self; 1] = [Self::Library];
+}
+
+/// Joined in this order; the order does not matter to WGSL.
+const LIBRARY: &[&str] = &[
+    include_str!("wgsl/bindings.wgsl"),
+    include_str!("wgsl/camera.wgsl"),
+];
+
+/// The complete WGSL of one module.
+pub fn source(entry: Entry) -> String {
+    let mut source = constants();
+    match entry {
+        Entry::Library => source.extend(LIBRARY.iter().copied()),
+    }
+    source
+}
+
+/// Constants that WGSL and Rust share, written by Rust.
+fn constants() -> String {
+    let integers = [
+        (
+            "SURFACE_METALLIC_ROUGHNESS",
+            gpu::SURFACE_METALLIC_ROUGHNESS,
+        ),
+        ("SURFACE_LAYERED", gpu::SURFACE_LAYERED),
+        ("MODEL_NONE", gpu::MODEL_NONE),
+        ("MODEL_BLINN_PHONG", gpu::MODEL_BLINN_PHONG),
+        ("MODEL_WARD", gpu::MODEL_WARD),
+        ("MODEL_COOK_TORRANCE", gpu::MODEL_COOK_TORRANCE),
+        ("MODEL_GGX", gpu::MODEL_GGX),
+        ("METHOD_AMBIENT", gpu::METHOD_AMBIENT),
+        ("METHOD_POLAR", gpu::METHOD_POLAR),
+        ("MAX_TILES", relight_format::MAX_TILES_PER_CLUSTER),
+    ];
+    let mut text = String::new();
+    for (name, value) in integers {
+        writeln!(text, "const {name}: u32 = {value}u;").expect("a String accepts every write");
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_entry_is_valid_wgsl() {
+        for entry in Entry::ALL {
+            let source = source(entry);
+            let module = naga::front::wgsl::parse_str(&source)
+                .unwrap_or_else(|error| panic!("{entry:?}: {}", error.emit_to_string(&source)));
+            naga::valid::Validator::new(
+                naga::valid::ValidationFlags::all(),
+                naga::valid::Capabilities::empty(),
+            )
+            .validate(&module)
+            .unwrap_or_else(|error| panic!("{entry:?}: {}", error.emit_to_string(&source)));
+        }
+    }
+}

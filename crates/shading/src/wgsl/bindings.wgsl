@@ -1,0 +1,123 @@
+// Every structure and resource that the shading stages share. The Rust side is gpu.rs,
+// whose tests compare sizes and member offsets with this file as naga sees it.
+
+// What changes from frame to frame.
+struct Frame {
+    // World to clip space: reversed depth, infinite far plane.
+    view_projection: mat4x4<f32>,
+    // Centre of projection, world space.
+    eye: vec3<f32>,
+    light_count: u32,
+    // The ray of pixel (x, y) has direction corner + (x + 1/2) right + (y + 1/2) down.
+    corner: vec3<f32>,
+    // METHOD_AMBIENT or METHOD_POLAR.
+    method: u32,
+    right: vec3<f32>,
+    // polar: number of spokes.
+    spokes: u32,
+    down: vec3<f32>,
+    // First row of this dispatch; add it to global_invocation_id.y.
+    first_row: u32,
+    // 1 / width and 1 / height of the basis atlas.
+    atlas_texel: vec2<f32>,
+    // Texels per side of a basis tile, without its gutter.
+    basis_resolution: f32,
+    // Stored signed distances are clamped to +- this angle, radians.
+    distance_clamp: f32,
+}
+
+// A distant light: amplitude exp(sharpness (axis . w - 1)), linear radiance.
+struct Light {
+    axis: vec3<f32>,
+    sharpness: f32,
+    amplitude: vec3<f32>,
+    reserved: f32,
+}
+
+struct Vertex {
+    position: vec3<f32>,
+    u: f32,
+    // Shading normal, not necessarily of unit length.
+    normal: vec3<f32>,
+    v: f32,
+    // w: sign of the bitangent cross(normal, tangent).
+    tangent: vec4<f32>,
+}
+
+// A set of vertices that share basis images.
+struct Cluster {
+    first_vertex: u32,
+    // First word in `coefficients`; vertex after vertex, 2 * tiles words each.
+    first_word: u32,
+    // Basis tiles of four channels each, at most MAX_TILES.
+    tiles: u32,
+    // Layer of the atlas.
+    layer: u32,
+    // Texel coordinates of the corner of the first tile, inside its gutter. The next tile
+    // lies basis_resolution + 2 texels to the right.
+    tile_origin: vec2<f32>,
+    // Radians that a coefficient of 32767 stands for.
+    coefficient_scale: f32,
+    reserved: f32,
+}
+
+// A texture as a range of `texels`, one RGBA8 word each (red in the low byte), row 0 first.
+struct TextureSlot {
+    // First texel.
+    offset: u32,
+    // 0: no texture.
+    width: u32,
+    height: u32,
+    // 1: red, green and blue are sRGB encoded. 0: all channels are linear.
+    srgb: u32,
+    // u and v of the texture are dot(row.xyz, vec3(u, v, 1)) of the vertex.
+    transform_u: vec4<f32>,
+    transform_v: vec4<f32>,
+}
+
+struct Material {
+    // Base colour, or diffuse albedo of a layered surface.
+    color: vec3<f32>,
+    // SURFACE_METALLIC_ROUGHNESS or SURFACE_LAYERED.
+    surface: u32,
+    // Layered: reflectance at normal incidence, or specular albedo.
+    specular: vec3<f32>,
+    // Layered: MODEL_NONE, MODEL_BLINN_PHONG, MODEL_WARD, MODEL_COOK_TORRANCE or MODEL_GGX.
+    model: u32,
+    // Layered: alpha along tangent and bitangent; Blinn-Phong: exponent in x.
+    alpha: vec2<f32>,
+    // Scale of the normal map's x and y.
+    normal_scale: f32,
+    reserved: f32,
+    // Metallic-roughness, as in format::Surface.
+    metallic: f32,
+    roughness: f32,
+    anisotropy_strength: f32,
+    anisotropy_rotation: f32,
+    base_color_texture: TextureSlot,
+    metallic_roughness_texture: TextureSlot,
+    normal_texture: TextureSlot,
+    anisotropy_texture: TextureSlot,
+}
+
+@group(0) @binding(0) var<uniform> frame: Frame;
+@group(0) @binding(1) var<storage, read> lights: array<Light>;
+// tables::Tables::values().
+@group(0) @binding(2) var<storage, read> tables: array<f32>;
+
+@group(1) @binding(0) var<storage, read> vertices: array<Vertex>;
+// Three vertices, then material | cluster << 16.
+@group(1) @binding(1) var<storage, read> triangles: array<vec4<u32>>;
+@group(1) @binding(2) var<storage, read> clusters: array<Cluster>;
+// Two i16 per word, the first in the low half; c / 32767 is the coefficient.
+@group(1) @binding(3) var<storage, read> coefficients: array<u32>;
+@group(1) @binding(4) var<storage, read> materials: array<Material>;
+@group(1) @binding(5) var<storage, read> texels: array<u32>;
+// rgba8snorm tiles, each with a one-texel gutter that continues the octahedral map.
+@group(1) @binding(6) var basis_atlas: texture_2d_array<f32>;
+@group(1) @binding(7) var basis_sampler: sampler;
+
+// Triangle index + 1; 0 is background.
+@group(2) @binding(0) var visibility_buffer: texture_2d<u32>;
+// Linear radiance; alpha is 1 where a surface was shaded and 0 on the background.
+@group(2) @binding(1) var radiance: texture_storage_2d<rgba32float, write>;

@@ -2,6 +2,7 @@
 
 pub mod cluster;
 pub mod compress;
+pub mod hdr;
 pub mod ray;
 pub mod ssdf;
 pub mod visibility;

@@ -1,0 +1,693 @@
+//! Lat-long HDR images: loading, repair, directions, solid angles and sampling.
+//!
+//! Row 0 is +Y; with θ from +Y and φ about it, a direction is
+//! (sinθ sinφ, cosθ, −sinθ cosφ), and u = φ/2π, v = θ/π run over the image.
+
+use std::f64::consts::{PI, TAU};
+use std::io::Cursor;
+use std::path::Path;
+
+use exr::prelude::{FlatSamples, MetaData, ReadChannels, ReadLayers};
+use glam::{DVec3, Vec3};
+use image::ImageDecoder;
+
+/// Most pixels that an image may have: 16,384 × 8,192, 1.5 GiB as f32 RGB.
+pub const MAX_PIXELS: u64 = 1 << 27;
+
+/// Why an image could not be loaded.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// The file could not be read.
+    #[error("{path}: {source}")]
+    Io {
+        /// The file.
+        path: String,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// The file is not an image that can serve as an environment.
+    #[error("{path}: {place}: expected {expected}, found {found}")]
+    Invalid {
+        /// The file.
+        path: String,
+        /// Part of the file.
+        place: &'static str,
+        /// What a usable file has there.
+        expected: String,
+        /// What this file has there.
+        found: String,
+    },
+}
+
+/// What an image has in some place; the path is added by [`load`].
+struct Objection {
+    place: &'static str,
+    expected: String,
+    found: String,
+}
+
+#[expect(clippy::needless_pass_by_value, reason = "callers pass temporaries")]
+fn object(place: &'static str, expected: impl ToString, found: impl ToString) -> Objection {
+    Objection {
+        place,
+        expected: expected.to_string(),
+        found: found.to_string(),
+    }
+}
+
+/// A lat-long image of finite, non-negative radiance over the whole sphere.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LatLong {
+    /// Columns; at least 1.
+    pub width: u32,
+    /// Rows; at least 1.
+    pub height: u32,
+    /// Linear Rec.709 radiance, row by row from +Y.
+    pub pixels: Vec<[f32; 3]>,
+    /// Pixels with a NaN, infinite or negative channel that was replaced.
+    pub repaired: u64,
+}
+
+/// Loads a Radiance `.hdr` or OpenEXR file, told apart by content, and repairs it.
+///
+/// OpenEXR: the first layer with red, green and blue channels of any spelling (`R`,
+/// `view.red`), else with a luminance channel (`Y`). Pixels outside the data window are 0.
+pub fn load(path: &Path) -> Result<LatLong, Error> {
+    let bytes = std::fs::read(path).map_err(|source| Error::Io {
+        path: path.display().to_string(),
+        source,
+    })?;
+    decode(&bytes).map_err(
+        |Objection {
+             place,
+             expected,
+             found,
+         }| Error::Invalid {
+            path: path.display().to_string(),
+            place,
+            expected,
+            found,
+        },
+    )
+}
+
+fn decode(bytes: &[u8]) -> Result<LatLong, Objection> {
+    let (width, height, pixels) = match bytes {
+        [0x76, 0x2f, 0x31, 0x01, ..] => decode_exr(bytes)?,
+        [b'#', b'?', ..] => decode_radiance(bytes)?,
+        _ => {
+            let start = &bytes[..bytes.len().min(4)];
+            return Err(object(
+                "first bytes",
+                "#? of Radiance HDR or 76 2f 31 01 of OpenEXR",
+                format_args!("{start:02x?}"),
+            ));
+        }
+    };
+    Ok(LatLong::repair(width, height, pixels))
+}
+
+/// Checks a size read from a header before anything of that size is allocated.
+fn check_size(width: u64, height: u64) -> Result<(u32, u32), Objection> {
+    let valid = width > 0 && height > 0 && width.saturating_mul(height) <= MAX_PIXELS;
+    match (u32::try_from(width), u32::try_from(height)) {
+        (Ok(width), Ok(height)) if valid => Ok((width, height)),
+        _ => Err(object(
+            "image size",
+            format_args!("1 to {MAX_PIXELS} pixels"),
+            format_args!("{width} x {height}"),
+        )),
+    }
+}
+
+type Pixels = (u32, u32, Vec<[f32; 3]>);
+
+fn decode_radiance(bytes: &[u8]) -> Result<Pixels, Objection> {
+    let header = |error| object("header", "Radiance HDR, 32-bit_rle_rgbe, -Y +X", error);
+    // Other programs sign with their own name (`#?RGBE`), which strict mode refuses.
+    let strict = bytes.starts_with(image::codecs::hdr::SIGNATURE);
+    let decoder = image::codecs::hdr::HdrDecoder::with_strictness(Cursor::new(bytes), strict)
+        .map_err(header)?;
+    let (width, height) = decoder.dimensions();
+    let (width, height) = check_size(width.into(), height.into())?;
+    let metadata = decoder.metadata();
+    let exposure = metadata.exposure.unwrap_or(1.0);
+    let (r, g, b) = metadata.color_correction.unwrap_or((1.0, 1.0, 1.0));
+    let divisors = [r * exposure, g * exposure, b * exposure];
+    if !divisors
+        .iter()
+        .all(|divisor| divisor.is_normal() && *divisor > 0.0)
+    {
+        return Err(object(
+            "header EXPOSURE and COLORCORR",
+            "numbers > 0",
+            format_args!("{divisors:?}"),
+        ));
+    }
+    let mut pixels = vec![[0f32; 3]; width as usize * height as usize];
+    decoder
+        .read_image(bytemuck::cast_slice_mut(&mut pixels))
+        .map_err(|error| object("pixels", format_args!("{width} x {height} pixels"), error))?;
+    for pixel in &mut pixels {
+        for (channel, divisor) in pixel.iter_mut().zip(divisors) {
+            *channel /= divisor;
+        }
+    }
+    Ok((width, height, pixels))
+}
+
+fn decode_exr(bytes: &[u8]) -> Result<Pixels, Objection> {
+    let header = |error| object("header", "a flat OpenEXR image", error);
+    let metadata = MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(header)?;
+    let mut samples = 0u64;
+    for layer in &metadata.headers {
+        let (width, height) = check_size(
+            layer.layer_size.width() as u64,
+            layer.layer_size.height() as u64,
+        )?;
+        samples =
+            samples.saturating_add(width as u64 * height as u64 * layer.channels.list.len() as u64);
+        if layer.deep {
+            return Err(object("header", "a flat image", "deep data"));
+        }
+        if layer.own_attributes.environment_map == Some(exr::meta::attribute::EnvironmentMap::Cube)
+        {
+            return Err(object("attribute envmap", "latlong", "cube"));
+        }
+    }
+    // So that a small file cannot ask for much memory. Deflate packs at best 1,032:1, and
+    // no other OpenEXR compression packs as much; a sample has at least two bytes.
+    let most = bytes.len() as u64 * 1032 / 2;
+    if samples > most {
+        return Err(object(
+            "header",
+            format_args!("at most {most} samples in {} bytes", bytes.len()),
+            samples,
+        ));
+    }
+    let image = exr::prelude::read()
+        .no_deep_data()
+        .largest_resolution_level()
+        .all_channels()
+        .all_layers()
+        .all_attributes()
+        .non_parallel()
+        .from_buffered(Cursor::new(bytes))
+        .map_err(|error| object("pixels", "a complete OpenEXR image", error))?;
+
+    let names = |layer: &exr::image::Layer<exr::image::AnyChannels<FlatSamples>>| -> Vec<String> {
+        layer
+            .channel_data
+            .list
+            .iter()
+            .map(|channel| channel.name.to_string())
+            .collect()
+    };
+    let (layer, channels) = image
+        .layer_data
+        .iter()
+        .find_map(|layer| Some((layer, rgb_channels(&names(layer))?)))
+        .ok_or_else(|| {
+            let found: Vec<String> = image.layer_data.iter().flat_map(names).collect();
+            object(
+                "channels",
+                "red, green and blue, or luminance",
+                found.join(", "),
+            )
+        })?;
+    let channels = channels.map(|index| &layer.channel_data.list[index]);
+    for channel in channels {
+        if (channel.sampling.x(), channel.sampling.y()) != (1, 1) {
+            return Err(object(
+                "channel sampling",
+                "1 x 1",
+                format_args!("{:?}", channel.sampling),
+            ));
+        }
+    }
+
+    let window = image.attributes.display_window;
+    let (width, height) = check_size(window.size.width() as u64, window.size.height() as u64)?;
+    let (data_width, data_height) = (layer.size.width(), layer.size.height());
+    let most = 16 * data_width as u64 * data_height as u64;
+    if width as u64 * height as u64 > most {
+        return Err(object(
+            "display window",
+            format_args!("at most {most} pixels, 16 times the data window"),
+            format_args!("{width} x {height}"),
+        ));
+    }
+    let offset = layer.attributes.layer_position;
+    // Column and row of the data window's first pixel in the display window.
+    let left = i64::from(offset.x()) - i64::from(window.position.x());
+    let top = i64::from(offset.y()) - i64::from(window.position.y());
+    let mut pixels = vec![[0f32; 3]; width as usize * height as usize];
+    for (row, line) in pixels.chunks_exact_mut(width as usize).enumerate() {
+        let Some(row) = usize::try_from(row as i64 - top)
+            .ok()
+            .filter(|&row| row < data_height)
+        else {
+            continue;
+        };
+        for (column, pixel) in line.iter_mut().enumerate() {
+            let column = column as i64 - left;
+            if let Some(column) = usize::try_from(column).ok().filter(|&x| x < data_width) {
+                *pixel = channels.map(|channel| {
+                    channel
+                        .sample_data
+                        .value_by_flat_index(row * data_width + column)
+                        .to_f32()
+                });
+            }
+        }
+    }
+    Ok((width, height, pixels))
+}
+
+/// Indices of the red, green and blue channel with a common prefix, the shortest prefix
+/// first, or of one luminance channel thrice.
+fn rgb_channels(names: &[String]) -> Option<[usize; 3]> {
+    let split: Vec<(&str, String)> = names
+        .iter()
+        .map(|name| {
+            let (prefix, stem) = name.rsplit_once('.').unwrap_or(("", name));
+            (prefix, stem.to_ascii_lowercase())
+        })
+        .collect();
+    let mut prefixes: Vec<&str> = split.iter().map(|(prefix, _)| *prefix).collect();
+    prefixes.sort_by_key(|prefix| (prefix.len(), *prefix));
+    prefixes.dedup();
+    let find = |prefix: &str, stems: &[&str]| {
+        split
+            .iter()
+            .position(|(p, stem)| *p == prefix && stems.contains(&stem.as_str()))
+    };
+    let rgb = prefixes.iter().find_map(|prefix| {
+        Some([
+            find(prefix, &["r", "red"])?,
+            find(prefix, &["g", "green"])?,
+            find(prefix, &["b", "blue"])?,
+        ])
+    });
+    rgb.or_else(|| {
+        prefixes.iter().find_map(|prefix| {
+            // Luminance with chroma (RY, BY) is colour in another encoding, not grey.
+            let chroma = find(prefix, &["ry", "by"]).is_some();
+            let grey = find(prefix, &["y", "l", "luminance", "gray", "grey"])?;
+            (!chroma).then_some([grey; 3])
+        })
+    })
+}
+
+impl LatLong {
+    /// Takes any pixels and makes them finite and non-negative: NaN and negative channels
+    /// become 0, infinite ones the largest finite value of the eight neighbours (columns
+    /// wrap), or of the whole image where no neighbour is finite.
+    ///
+    /// # Panics
+    /// If there are not exactly `width` × `height` pixels, or none.
+    pub fn repair(width: u32, height: u32, mut pixels: Vec<[f32; 3]>) -> Self {
+        assert!(!pixels.is_empty() && pixels.len() as u64 == width as u64 * height as u64);
+        let (w, h) = (width as i64, height as i64);
+        let bad = |value: f32| !value.is_finite() || value < 0.0;
+        let broken: Vec<usize> = (0..pixels.len())
+            .filter(|&index| pixels[index].into_iter().any(bad))
+            .collect();
+        let finite_max = |values: &mut dyn Iterator<Item = f32>| {
+            values.filter(|value| value.is_finite()).reduce(f32::max)
+        };
+        let image_max: [f32; 3] = std::array::from_fn(|channel| {
+            finite_max(&mut pixels.iter().map(|pixel| pixel[channel]))
+                .unwrap_or(0.0)
+                .max(0.0)
+        });
+        // All from the pixels as read: a repaired pixel is nobody's neighbour.
+        let repaired: Vec<[f32; 3]> = broken
+            .iter()
+            .map(|&index| {
+                let (x, y) = (index as i64 % w, index as i64 / w);
+                std::array::from_fn(|channel| {
+                    let value = pixels[index][channel];
+                    if value.is_nan() || value < 0.0 {
+                        0.0
+                    } else if value.is_infinite() {
+                        let mut neighbours = (-1..=1)
+                            .flat_map(|dy| (-1..=1).map(move |dx| (x + dx, y + dy)))
+                            .filter(|&(_, y)| (0..h).contains(&y))
+                            .map(|(x, y)| pixels[(y * w + x.rem_euclid(w)) as usize][channel]);
+                        finite_max(&mut neighbours)
+                            .unwrap_or(image_max[channel])
+                            .max(0.0)
+                    } else {
+                        value
+                    }
+                })
+            })
+            .collect();
+        for (&index, pixel) in broken.iter().zip(repaired) {
+            pixels[index] = pixel;
+        }
+        Self {
+            width,
+            height,
+            pixels,
+            repaired: broken.len() as u64,
+        }
+    }
+
+    /// Direction of image coordinates u (columns) and v (rows), each in 0..=1; unit.
+    pub fn direction_at(u: f64, v: f64) -> DVec3 {
+        let ((sin_phi, cos_phi), (sin_theta, cos_theta)) =
+            ((TAU * u).sin_cos(), (PI * v).sin_cos());
+        DVec3::new(sin_theta * sin_phi, cos_theta, -sin_theta * cos_phi)
+    }
+
+    /// Image coordinates of a direction of any length: u in 0..1, v in 0..=1.
+    pub fn coordinates(direction: DVec3) -> (f64, f64) {
+        let u = (direction.x.atan2(-direction.z) / TAU).rem_euclid(1.0);
+        let v = direction.x.hypot(direction.z).atan2(direction.y) / PI;
+        // rem_euclid rounds tiny negative numbers to 1.
+        (if u < 1.0 { u } else { 0.0 }, v)
+    }
+
+    /// Direction of a pixel's centre; unit.
+    pub fn direction(&self, column: u32, row: u32) -> Vec3 {
+        Self::direction_at(
+            (column as f64 + 0.5) / self.width as f64,
+            (row as f64 + 0.5) / self.height as f64,
+        )
+        .as_vec3()
+    }
+
+    /// Solid angle of each pixel of a row, in steradians; over the image they sum to 4π.
+    pub fn solid_angle(&self, row: u32) -> f64 {
+        let half = PI / (2.0 * self.height as f64);
+        let centre = (2 * row + 1) as f64 * half;
+        // cos(centre − half) − cos(centre + half), without cancellation.
+        TAU / self.width as f64 * 2.0 * centre.sin() * half.sin()
+    }
+
+    /// The pixel at a column and row.
+    pub fn pixel(&self, column: u32, row: u32) -> Vec3 {
+        self.pixels[row as usize * self.width as usize + column as usize].into()
+    }
+
+    /// Radiance from a direction of any length, bilinear between pixel centres: columns
+    /// wrap around, and beyond the first and last row of centres the row is held.
+    pub fn sample(&self, direction: Vec3) -> Vec3 {
+        let (u, v) = Self::coordinates(direction.as_dvec3());
+        let x = u * self.width as f64 - 0.5;
+        let y = (v * self.height as f64 - 0.5).clamp(0.0, (self.height - 1) as f64);
+        let left = (x.floor() as i64).rem_euclid(self.width as i64) as u32;
+        let right = (left + 1) % self.width;
+        let top = y.floor() as u32;
+        let bottom = (top + 1).min(self.height - 1);
+        let (fx, fy) = ((x - x.floor()) as f32, (y - y.floor()) as f32);
+        let upper = self.pixel(left, top).lerp(self.pixel(right, top), fx);
+        let lower = self.pixel(left, bottom).lerp(self.pixel(right, bottom), fx);
+        upper.lerp(lower, fy)
+    }
+
+    /// Integral of radiance over the sphere, per channel.
+    pub fn total_power(&self) -> [f64; 3] {
+        let mut power = [0.0; 3];
+        for (row, line) in self.pixels.chunks_exact(self.width as usize).enumerate() {
+            let weight = self.solid_angle(row as u32);
+            for (channel, power) in power.iter_mut().enumerate() {
+                *power += weight * line.iter().map(|pixel| pixel[channel] as f64).sum::<f64>();
+            }
+        }
+        power
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Directions are unit vectors in f32.
+    const DIRECTION_TOLERANCE: f32 = 1e-6;
+
+    fn gradient(width: u32, height: u32) -> LatLong {
+        let pixels = (0..width * height)
+            .map(|i| [i as f32, (i * 7 % 13) as f32, 1.0])
+            .collect();
+        LatLong::repair(width, height, pixels)
+    }
+
+    fn encode_radiance(width: u32, height: u32, pixels: &[[f32; 3]]) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        let pixels: Vec<_> = pixels.iter().map(|pixel| image::Rgb(*pixel)).collect();
+        image::codecs::hdr::HdrEncoder::new(&mut bytes)
+            .encode(&pixels, width as usize, height as usize)
+            .unwrap();
+        bytes
+    }
+
+    fn encode_exr(
+        size: (usize, usize),
+        names: &[&str],
+        sample: impl Fn(usize, usize) -> f32,
+        data_window: Option<(i32, i32)>,
+    ) -> Vec<u8> {
+        use exr::prelude::*;
+        let list = names
+            .iter()
+            .enumerate()
+            .map(|(channel, name)| {
+                let values = (0..size.0 * size.1).map(|index| sample(channel, index));
+                // Alternate the sample type: both must be read.
+                let samples = if channel % 2 == 0 {
+                    FlatSamples::F32(values.collect())
+                } else {
+                    FlatSamples::F16(values.map(f16::from_f32).collect())
+                };
+                AnyChannel::new(*name, samples)
+            })
+            .collect();
+        let mut attributes = LayerAttributes::named("layer");
+        if let Some((x, y)) = data_window {
+            attributes.layer_position = Vec2(x, y);
+        }
+        let layer = Layer::new(
+            size,
+            attributes,
+            Encoding::FAST_LOSSLESS,
+            AnyChannels::sort(list),
+        );
+        let mut image = Image::from_layer(layer);
+        if data_window.is_some() {
+            image.attributes.display_window = IntegerBounds::new((0, 0), (8, 4));
+        }
+        let mut bytes = Cursor::new(Vec::new());
+        image
+            .write()
+            .non_parallel()
+            .to_buffered(&mut bytes)
+            .unwrap();
+        bytes.into_inner()
+    }
+
+    fn message(result: Result<LatLong, Objection>) -> String {
+        let objection = result.expect_err("an error");
+        format!(
+            "{}: {} / {}",
+            objection.place, objection.expected, objection.found
+        )
+    }
+
+    #[test]
+    fn solid_angles_sum_to_the_sphere() {
+        for (width, height) in [(1, 1), (7, 3), (500, 250), (1024, 512)] {
+            let image = gradient(width, height);
+            let sum: f64 = (0..height)
+                .map(|row| width as f64 * image.solid_angle(row))
+                .sum();
+            assert!((sum - 4.0 * PI).abs() < 1e-11, "{width} x {height}: {sum}");
+        }
+    }
+
+    #[test]
+    fn directions_follow_the_convention() {
+        let close = |a: DVec3, b: DVec3| assert!(a.distance(b) < 1e-12, "{a} {b}");
+        close(LatLong::direction_at(0.3, 0.0), DVec3::Y);
+        close(LatLong::direction_at(0.0, 0.5), DVec3::NEG_Z);
+        close(LatLong::direction_at(0.25, 0.5), DVec3::X);
+        close(LatLong::direction_at(0.5, 0.5), DVec3::Z);
+        close(LatLong::direction_at(0.75, 0.5), DVec3::NEG_X);
+        let image = gradient(12, 6);
+        for (column, row) in [(0, 0), (3, 2), (11, 5)] {
+            let (u, v) = LatLong::coordinates(image.direction(column, row).as_dvec3() * 3.0);
+            assert!((u * 12.0 - 0.5 - column as f64).abs() < 1e-5);
+            assert!((v * 6.0 - 0.5 - row as f64).abs() < 1e-5);
+        }
+    }
+
+    #[test]
+    fn samples_at_pixel_centres_are_the_pixels() {
+        let image = gradient(16, 8);
+        for row in 0..8 {
+            for column in 0..16 {
+                let sample = image.sample(image.direction(column, row) * 2.0);
+                // f32 rounding of the direction, times the gradient between pixels.
+                assert!(sample.distance(image.pixel(column, row)) < 1e-3);
+            }
+        }
+    }
+
+    #[test]
+    fn samples_wrap_in_u_and_hold_at_the_poles() {
+        let image = gradient(4, 2);
+        let seam = image.sample(LatLong::direction_at(0.0, 0.25).as_vec3());
+        let expected = (image.pixel(3, 0) + image.pixel(0, 0)) * 0.5;
+        assert!(seam.distance(expected) < 1e-4, "{seam} {expected}");
+        let pole = LatLong::direction_at(0.125, 1e-9).as_vec3();
+        assert!((pole - Vec3::Y).length() < DIRECTION_TOLERANCE);
+        assert!(image.sample(Vec3::Y).is_finite() && image.sample(Vec3::NEG_Y).is_finite());
+        let near_pole = image.sample(LatLong::direction_at(0.375, 0.01).as_vec3());
+        assert!(near_pole.distance(image.pixel(1, 0)) < 1e-3);
+    }
+
+    #[test]
+    fn power_of_a_constant_image_is_four_pi() {
+        let image = LatLong::repair(9, 5, vec![[1.0, 2.0, 0.5]; 45]);
+        for (power, radiance) in image.total_power().into_iter().zip([1.0, 2.0, 0.5]) {
+            assert!((power / (4.0 * PI * radiance) - 1.0).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn broken_pixels_are_repaired_and_counted() {
+        let mut pixels = vec![[1.0f32; 3]; 8 * 4];
+        pixels[0] = [f32::NAN, 2.0, -1.0];
+        pixels[7] = [9.0, 1.0, 1.0];
+        pixels[8] = [f32::INFINITY, 1.0, 1.0];
+        pixels[20] = [1.0, f32::NEG_INFINITY, 1.0];
+        let image = LatLong::repair(8, 4, pixels);
+        assert_eq!(image.repaired, 3);
+        assert_eq!(image.pixels[0], [0.0, 2.0, 0.0]);
+        // Its neighbour across the seam is the brightest.
+        assert_eq!(image.pixels[8], [9.0, 1.0, 1.0]);
+        assert_eq!(image.pixels[20], [1.0, 0.0, 1.0]);
+        assert_eq!(image.pixels[1], [1.0; 3]);
+
+        let mut pixels = vec![[f32::INFINITY; 3]; 25];
+        pixels[24] = [5.0; 3];
+        let image = LatLong::repair(5, 5, pixels);
+        assert_eq!((image.repaired, image.pixels[0]), (24, [5.0; 3]));
+        let image = LatLong::repair(2, 1, vec![[f32::INFINITY; 3]; 2]);
+        assert_eq!(image.pixels, [[0.0; 3]; 2]);
+    }
+
+    #[test]
+    fn radiance_files_are_read() {
+        let pixels: Vec<[f32; 3]> = (0..32).map(|i| [i as f32, 0.5, 4.0]).collect();
+        let bytes = encode_radiance(8, 4, &pixels);
+        let image = decode(&bytes).ok().unwrap();
+        assert_eq!((image.width, image.height, image.repaired), (8, 4, 0));
+        for (read, written) in image.pixels.iter().zip(&pixels) {
+            // RGBE keeps eight bits of the largest channel.
+            let step = written[0].max(4.0) / 128.0;
+            assert!(
+                (0..3).all(|c| (read[c] - written[c]).abs() <= step),
+                "{read:?} {written:?}"
+            );
+        }
+        let text = String::from_utf8_lossy(&bytes).into_owned();
+        assert!(text.starts_with("#?RADIANCE\n"));
+        let exposed = [b"#?RGBE\nEXPOSURE=2\n", &bytes[b"#?RADIANCE\n".len()..]].concat();
+        let halved = decode(&exposed).ok().unwrap();
+        assert_eq!(halved.pixels[5][2], image.pixels[5][2] / 2.0);
+    }
+
+    #[test]
+    fn exr_files_of_any_channel_naming_are_read() {
+        let sample = |channel: usize, index: usize| (channel * 100 + index) as f32;
+        for names in [
+            &["R", "G", "B"][..],
+            &["A", "view.red", "view.green", "view.blue"],
+        ] {
+            let image = decode(&encode_exr((4, 2), names, sample, None))
+                .ok()
+                .unwrap();
+            let first = names.len() - 3;
+            let expected = [first, first + 1, first + 2].map(|channel| sample(channel, 5));
+            assert_eq!(
+                (image.width, image.height, image.pixels[5]),
+                (4, 2, expected)
+            );
+        }
+        let image = decode(&encode_exr((4, 2), &["Y"], sample, None))
+            .ok()
+            .unwrap();
+        assert_eq!(image.pixels[5], [5.0; 3]);
+        let error = message(decode(&encode_exr((4, 2), &["Z", "id"], sample, None)));
+        assert!(
+            error.starts_with("channels: red, green and blue") && error.contains('Z'),
+            "{error}"
+        );
+        let error = message(decode(&encode_exr(
+            (4, 2),
+            &["Y", "RY", "BY"],
+            sample,
+            None,
+        )));
+        assert!(error.contains("RY"), "{error}");
+    }
+
+    #[test]
+    fn exr_data_windows_are_placed_in_the_display_window() {
+        let sample = |_, index: usize| 1.0 + index as f32;
+        let image = decode(&encode_exr((4, 2), &["R", "G", "B"], sample, Some((6, 1))))
+            .ok()
+            .unwrap();
+        assert_eq!((image.width, image.height), (8, 4));
+        assert_eq!(image.pixels[8 + 6], [1.0; 3]);
+        assert_eq!(image.pixels[8 + 7], [2.0; 3]);
+        assert_eq!(image.pixels[16 + 7], [6.0; 3]);
+        assert_eq!(
+            image.pixels.iter().filter(|pixel| pixel[0] > 0.0).count(),
+            4
+        );
+    }
+
+    #[test]
+    fn broken_files_give_an_error_that_names_the_place() {
+        assert!(message(decode(b"")).starts_with("first bytes"));
+        assert!(message(decode(b"\x89PNG")).contains("[89, 50, 4e, 47]"));
+        let huge = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 60000 +X 60000\n";
+        assert!(message(decode(huge)).starts_with("image size"));
+        let empty = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 0 +X 8\n";
+        assert!(message(decode(empty)).starts_with("image size"));
+        let xyz = b"#?RADIANCE\nFORMAT=32-bit_rle_xyze\n\n-Y 8 +X 8\n";
+        assert!(message(decode(xyz)).starts_with("header"));
+        let dark = b"#?RADIANCE\nEXPOSURE=0\n\n-Y 8 +X 8\n";
+        assert!(message(decode(dark)).contains("EXPOSURE"));
+        let missing = load(Path::new("no/such/file.hdr")).unwrap_err().to_string();
+        assert!(missing.contains("no/such/file.hdr"), "{missing}");
+    }
+
+    #[test]
+    fn every_prefix_of_a_file_is_an_error_and_no_flipped_byte_panics() {
+        let pixels: Vec<[f32; 3]> = (0..32).map(|i| [i as f32, 0.5, 4.0]).collect();
+        let radiance = encode_radiance(8, 4, &pixels);
+        let exr = encode_exr((8, 4), &["R", "G", "B"], |c, i| (c * i) as f32, None);
+        for bytes in [radiance, exr] {
+            for end in 0..bytes.len() {
+                assert!(
+                    decode(&bytes[..end]).is_err(),
+                    "prefix of {end} of {}",
+                    bytes.len()
+                );
+            }
+            for position in 0..bytes.len() {
+                for value in [0, 0x7f, 0x80, 0xff, bytes[position] ^ 1] {
+                    let mut broken = bytes.clone();
+                    broken[position] = value;
+                    // Any answer will do, as long as there is one.
+                    let _ = decode(&broken);
+                }
+            }
+        }
+    }
+}

@@ -451,7 +451,7 @@ impl Writer {
             assert!(
                 cfg!(target_endian = "little"),
                 "POD sections are little-endian"
-            )
+            );
         };
         let raw: &[u8] = bytemuck::cast_slice(values);
         let stored = zstd::bulk::compress(raw, ZSTD_LEVEL).map_err(|error| {

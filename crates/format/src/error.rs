@@ -72,6 +72,10 @@ impl Error {
         }
     }
 
+    #[expect(
+        clippy::needless_pass_by_value,
+        reason = "callers pass literals and format_args!"
+    )]
     pub(crate) fn invalid(
         issue: Issue,
         place: impl ToString,

@@ -2,12 +2,13 @@
 //!
 //! One container serves scenes and environments. [`Scene`] and [`Environment`] are the
 //! decoded assets; [`read_scene`], [`write_scene`], [`read_environment`] and
-//! [`write_environment`] convert them from and to bytes. The byte layout is specified in
-//! `FORMAT.md` beside this crate.
+//! [`write_environment`] convert them from and to bytes.
 //!
 //! Readers treat bytes as untrusted: every length is checked against the file and against
 //! [`Limits`] before anything is allocated, every index against the array it indexes, and
 //! every error names the section, what was expected and what was found.
+#![doc = ""]
+#![doc = include_str!("../FORMAT.md")]
 
 mod container;
 mod environment;

@@ -371,7 +371,7 @@ fn validate_metadata(scene: &Scene) -> Result<(), Error> {
         let (crate::FieldOfView::X(angle) | crate::FieldOfView::Y(angle)) = camera.field_of_view;
         let vectors = [camera.position, camera.target, camera.up];
         let finite = vectors.iter().flatten().all(|value| value.is_finite());
-        if !finite || !(angle > 0.0 && angle < std::f32::consts::PI) {
+        if !(finite && angle > 0.0 && angle < std::f32::consts::PI) {
             return metadata(
                 Issue::ValueOutOfRange,
                 "a finite camera with a field of view in (0, pi)",

@@ -1,0 +1,266 @@
+//! Random valid assets.
+
+use relight_format::{
+    BakeReport, Camera, Cluster, Environment, EnvironmentReport, FieldOfView, Lobe, Material,
+    Representation, Scene, Specular, Surface, Texture, TextureEncoding, TextureSlot, Triangle,
+    Vertex, VisibilityParameters,
+};
+
+/// SplitMix64 (Steele, Lea & Flood 2014): small, seeded, the same everywhere.
+pub struct Random(u64);
+
+impl Random {
+    pub fn new(seed: u64) -> Self {
+        Self(seed)
+    }
+
+    pub fn bits(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    /// Below `bound`, which is above 0.
+    pub fn below(&mut self, bound: usize) -> usize {
+        (self.bits() % bound as u64) as usize
+    }
+
+    pub fn chance(&mut self) -> bool {
+        self.bits() & 1 == 0
+    }
+
+    /// In (0, 1].
+    pub fn unit(&mut self) -> f32 {
+        ((self.bits() >> 40) + 1) as f32 / (1u32 << 24) as f32
+    }
+
+    /// In (−10, 10].
+    pub fn signed(&mut self) -> f32 {
+        20.0 * self.unit() - 10.0
+    }
+
+    fn color(&mut self) -> [f32; 3] {
+        std::array::from_fn(|_| 2.0 * self.unit())
+    }
+
+    fn vector<const N: usize>(&mut self) -> [f32; N] {
+        std::array::from_fn(|_| self.signed())
+    }
+
+    fn name(&mut self) -> String {
+        let letters = ['a', 'Z', '0', ' ', '/', 'é', '\n', '\u{1f600}'];
+        (0..self.below(6))
+            .map(|_| letters[self.below(letters.len())])
+            .collect()
+    }
+
+    fn maybe<T>(&mut self, make: impl FnOnce(&mut Self) -> T) -> Option<T> {
+        self.chance().then(|| make(self))
+    }
+}
+
+/// A valid environment.
+pub fn environment(random: &mut Random) -> Environment {
+    let lobes = (0..random.below(5))
+        .map(|_| {
+            let axis = random.vector::<3>();
+            let length = axis.iter().map(|x| x * x).sum::<f32>().sqrt();
+            Lobe {
+                axis: axis.map(|x| x / length),
+                sharpness: 1e4 * random.unit(),
+                amplitude: random.color(),
+                reserved: 0.0,
+            }
+        })
+        .collect();
+    Environment {
+        report: EnvironmentReport {
+            source: random.name(),
+            source_size: [random.bits() as u32, random.bits() as u32],
+            repaired_pixels: random.bits(),
+            relative_l2: random.unit(),
+            energy_error: random.vector(),
+        },
+        lobes,
+    }
+}
+
+/// A valid scene; some have no vertices, some no clusters, some no textures.
+pub fn scene(random: &mut Random) -> Scene {
+    let textures: Vec<Texture> = (0..random.below(3))
+        .map(|_| {
+            let (width, height) = (1 + random.below(4) as u32, 1 + random.below(4) as u32);
+            let encoding = if random.chance() {
+                TextureEncoding::Srgb
+            } else {
+                TextureEncoding::Linear
+            };
+            let texels = (0..width * height * 4)
+                .map(|_| random.bits() as u8)
+                .collect();
+            Texture {
+                width,
+                height,
+                encoding,
+                texels,
+            }
+        })
+        .collect();
+    let materials: Vec<Material> = (0..=random.below(8))
+        .map(|_| material(random, textures.len()))
+        .collect();
+    let resolution = 2 + random.below(3) as u32;
+    let mut scene = Scene {
+        name: random.name(),
+        visibility: VisibilityParameters {
+            representation: if random.chance() {
+                Representation::ClusteredPca
+            } else {
+                Representation::GlobalPca
+            },
+            sample_resolution: 1 + random.below(4096) as u32,
+            basis_resolution: resolution,
+            distance_clamp: 3.0 * random.unit(),
+            ray_offset: random.unit(),
+        },
+        camera: random.maybe(|random| Camera {
+            position: random.vector(),
+            target: random.vector(),
+            up: random.vector(),
+            field_of_view: if random.chance() {
+                FieldOfView::X(3.0 * random.unit())
+            } else {
+                FieldOfView::Y(3.0 * random.unit())
+            },
+        }),
+        materials,
+        textures,
+        report: BakeReport {
+            source_vertices: random.bits(),
+            source_triangles: random.bits(),
+            rms_error: random.unit(),
+            boundary_rms_error: random.unit(),
+            warnings: (0..random.below(3)).map(|_| random.name()).collect(),
+        },
+        vertices: Vec::new(),
+        triangles: Vec::new(),
+        clusters: Vec::new(),
+        coefficients: Vec::new(),
+        basis: Vec::new(),
+    };
+    for cluster in 0..random.below(4) {
+        let first_vertex = scene.vertices.len() as u32;
+        let vertex_count = random.below(6) as u32;
+        let tiles = 1 + random.below(8) as u32;
+        scene.clusters.push(Cluster {
+            first_vertex,
+            vertex_count,
+            first_coefficient: scene.coefficients.len() as u32,
+            first_tile: scene.basis.len() as u32 / (4 * resolution * resolution),
+            tiles,
+            coefficient_scale: random.unit(),
+        });
+        scene.vertices.extend((0..vertex_count).map(|_| Vertex {
+            position: random.vector(),
+            normal: random.vector(),
+            tangent: random.vector(),
+            uv: random.vector(),
+        }));
+        let coefficients = vertex_count * 4 * tiles;
+        scene
+            .coefficients
+            .extend((0..coefficients).map(|_| (random.bits() as i16).max(-32767)));
+        let texels = tiles * 4 * resolution * resolution;
+        scene
+            .basis
+            .extend((0..texels).map(|_| (random.bits() as i8).max(-127)));
+        if vertex_count > 0 {
+            scene
+                .triangles
+                .extend((0..random.below(6)).map(|_| Triangle {
+                    vertices: std::array::from_fn(|_| {
+                        first_vertex + random.below(vertex_count as usize) as u32
+                    }),
+                    material: random.below(scene.materials.len()) as u16,
+                    cluster: cluster as u16,
+                }));
+        }
+    }
+    scene
+}
+
+/// A valid scene with something in every section and vertices in two clusters.
+pub fn full_scene() -> Scene {
+    let full = |scene: &Scene| {
+        let populated = scene
+            .clusters
+            .iter()
+            .filter(|cluster| cluster.vertex_count > 0)
+            .count();
+        populated > 1 && !scene.triangles.is_empty() && !scene.textures.is_empty()
+    };
+    (0..1000)
+        .map(|seed| scene(&mut Random::new(seed)))
+        .find(full)
+        .expect("such scenes are common")
+}
+
+fn material(random: &mut Random, textures: usize) -> Material {
+    let slot = |random: &mut Random| {
+        (textures > 0 && random.chance()).then(|| TextureSlot {
+            texture: random.below(textures) as u32,
+            transform: [random.vector(), random.vector()],
+        })
+    };
+    Material {
+        base_color_texture: slot(random),
+        metallic_roughness_texture: slot(random),
+        normal_texture: slot(random),
+        anisotropy_texture: slot(random),
+        normal_scale: random.signed(),
+        name: random.name(),
+        surface: surface(random),
+    }
+}
+
+fn surface(random: &mut Random) -> Surface {
+    if random.chance() {
+        return Surface::MetallicRoughness {
+            base_color: random.color(),
+            metallic: random.unit(),
+            roughness: random.unit(),
+            anisotropy_strength: random.unit(),
+            anisotropy_rotation: random.signed(),
+        };
+    }
+    let specular = match random.below(6) {
+        0 => Specular::None,
+        1 => Specular::BlinnPhong {
+            specular: random.color(),
+            exponent: 1.0 + 1e3 * random.unit(),
+        },
+        2 => Specular::Ward {
+            specular: random.color(),
+            alpha: [random.unit(), random.unit()],
+        },
+        3 => Specular::CookTorrance {
+            f0: random.color(),
+            roughness: random.unit(),
+        },
+        4 => Specular::Ggx {
+            f0: random.color(),
+            alpha: [random.unit(), random.unit()],
+        },
+        _ => Specular::Measured {
+            path: random.name(),
+            f0: random.color(),
+            alpha: random.unit(),
+        },
+    };
+    Surface::Layered {
+        diffuse: random.color(),
+        specular,
+    }
+}

@@ -1,0 +1,232 @@
+//! Files of every version, frozen: today's reader must read them as what they were.
+//!
+//! `RELIGHT_UPDATE_GOLDEN=1` writes those of the current version; that is right only until
+//! the version is released. A missing file fails.
+
+use std::path::PathBuf;
+
+use relight_format::{
+    BakeReport, Camera, Cluster, Environment, EnvironmentReport, FieldOfView, Limits, Lobe,
+    Material, Representation, Scene, Specular, Surface, Texture, TextureEncoding, TextureSlot,
+    Triangle, VERSION, Vertex, VisibilityParameters, read_environment, read_scene,
+    write_environment, write_scene,
+};
+
+use crate::container::File;
+
+fn golden(name: &str, written: &[u8]) -> Vec<u8> {
+    let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(format!("tests/golden/v{VERSION}"));
+    let path = folder.join(name);
+    if std::env::var_os("RELIGHT_UPDATE_GOLDEN").is_some_and(|value| value == "1") {
+        std::fs::create_dir_all(&folder).unwrap();
+        std::fs::write(&path, written).unwrap();
+    }
+    std::fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+}
+
+/// The header and the raw bytes of every section: all that a release of zstd cannot change.
+fn content(bytes: &[u8]) -> (u32, u32, Vec<(u32, Vec<u8>)>) {
+    let file = File::parse(bytes);
+    let sections = file
+        .sections
+        .iter()
+        .map(|section| (section.kind, section.raw()))
+        .collect();
+    (file.version, file.kind, sections)
+}
+
+#[test]
+fn scenes_of_version_1() {
+    let written = write_scene(&scene()).unwrap();
+    let frozen = golden("scene.relight", &written);
+    assert_eq!(read_scene(&frozen, &Limits::default()).unwrap(), scene());
+    assert!(
+        content(&frozen) == content(&written),
+        "the writer's layout changed"
+    );
+}
+
+#[test]
+fn environments_of_version_1() {
+    let written = write_environment(&environment()).unwrap();
+    let frozen = golden("environment.relight", &written);
+    assert_eq!(
+        read_environment(&frozen, &Limits::default()).unwrap(),
+        environment()
+    );
+    assert!(
+        content(&frozen) == content(&written),
+        "the writer's layout changed"
+    );
+}
+
+fn environment() -> Environment {
+    Environment {
+        report: EnvironmentReport {
+            source: "grâce.hdr".to_owned(),
+            source_size: [1024, 512],
+            repaired_pixels: 3,
+            relative_l2: 0.25,
+            energy_error: [0.5, -0.25, 0.125],
+        },
+        lobes: vec![
+            Lobe {
+                axis: [0.0, 1.0, 0.0],
+                sharpness: 4096.0,
+                amplitude: [100.0, 50.0, 25.0],
+                reserved: 0.0,
+            },
+            Lobe {
+                axis: [0.6, 0.0, -0.8],
+                sharpness: 0.5,
+                amplitude: [0.0, 0.5, 1.0],
+                reserved: 0.0,
+            },
+        ],
+    }
+}
+
+/// Every variant, every optional field both ways, two clusters of different tile counts.
+fn scene() -> Scene {
+    let vertex = |index: u32| {
+        let x = index as f32;
+        Vertex {
+            position: [x, -x, 0.5 * x],
+            normal: [0.0, 1.0, 0.0],
+            tangent: [1.0, 0.0, 0.0, -1.0],
+            uv: [0.25 * x, 1.0 - 0.25 * x],
+        }
+    };
+    Scene {
+        name: "scène.toml".to_owned(),
+        visibility: VisibilityParameters {
+            representation: Representation::GlobalPca,
+            sample_resolution: 128,
+            basis_resolution: 2,
+            distance_clamp: 0.5,
+            ray_offset: 0.0625,
+        },
+        camera: Some(Camera {
+            position: [1.0, 2.0, 3.0],
+            target: [0.0, 0.5, 0.0],
+            up: [0.0, 1.0, 0.0],
+            field_of_view: FieldOfView::Y(0.75),
+        }),
+        materials: materials(),
+        textures: vec![
+            Texture {
+                width: 2,
+                height: 1,
+                encoding: TextureEncoding::Srgb,
+                texels: (0..8).collect(),
+            },
+            Texture {
+                width: 1,
+                height: 3,
+                encoding: TextureEncoding::Linear,
+                texels: (100..112).collect(),
+            },
+        ],
+        report: BakeReport {
+            source_vertices: 8,
+            source_triangles: 6,
+            rms_error: 0.125,
+            boundary_rms_error: 0.25,
+            warnings: vec!["one".to_owned(), "zwei".to_owned()],
+        },
+        vertices: (0..7).map(vertex).collect(),
+        triangles: vec![
+            Triangle {
+                vertices: [0, 1, 2],
+                material: 0,
+                cluster: 0,
+            },
+            Triangle {
+                vertices: [3, 4, 5],
+                material: 6,
+                cluster: 1,
+            },
+            Triangle {
+                vertices: [6, 5, 4],
+                material: 2,
+                cluster: 1,
+            },
+        ],
+        clusters: vec![
+            Cluster {
+                first_vertex: 0,
+                vertex_count: 3,
+                first_coefficient: 0,
+                first_tile: 0,
+                tiles: 1,
+                coefficient_scale: 0.5,
+            },
+            Cluster {
+                first_vertex: 3,
+                vertex_count: 4,
+                first_coefficient: 12,
+                first_tile: 1,
+                tiles: 2,
+                coefficient_scale: 0.25,
+            },
+        ],
+        coefficients: (0..44).map(|index| index * 1489 - 32767).collect(),
+        basis: (0..48).map(|index| (index * 5 - 127) as i8).collect(),
+    }
+}
+
+fn materials() -> Vec<Material> {
+    let slot = |texture| TextureSlot {
+        texture,
+        transform: [[2.0, 0.0, 0.5], [0.0, -1.0, 1.0]],
+    };
+    let layered = |specular| Surface::Layered {
+        diffuse: [0.75, 0.5, 0.25],
+        specular,
+    };
+    let (specular, f0) = ([0.5, 0.25, 0.125], [0.0625, 0.5, 1.0]);
+    let surfaces = [
+        Surface::MetallicRoughness {
+            base_color: [1.0, 0.5, 0.25],
+            metallic: 0.5,
+            roughness: 0.25,
+            anisotropy_strength: 0.75,
+            anisotropy_rotation: 1.5,
+        },
+        layered(Specular::None),
+        layered(Specular::BlinnPhong {
+            specular,
+            exponent: 64.0,
+        }),
+        layered(Specular::Ward {
+            specular,
+            alpha: [0.25, 0.5],
+        }),
+        layered(Specular::CookTorrance {
+            f0,
+            roughness: 0.375,
+        }),
+        layered(Specular::Ggx {
+            f0,
+            alpha: [0.125, 0.25],
+        }),
+        layered(Specular::Measured {
+            path: "metal.bsdf".to_owned(),
+            f0,
+            alpha: 0.5,
+        }),
+    ];
+    surfaces
+        .into_iter()
+        .enumerate()
+        .map(|(index, surface)| Material {
+            name: format!("material {index}"),
+            surface,
+            base_color_texture: (index == 0).then(|| slot(0)),
+            metallic_roughness_texture: (index == 0).then(|| slot(1)),
+            normal_texture: (index < 2).then(|| slot(1)),
+            normal_scale: 1.0 - 0.125 * index as f32,
+            anisotropy_texture: (index == 0).then(|| slot(0)),
+        })
+        .collect()
+}

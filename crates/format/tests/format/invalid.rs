@@ -1,0 +1,329 @@
+//! One objection per rule about content. Reader and writer share the validator, so these
+//! go through the writer; `hostile` shows that the reader calls it too.
+
+use relight_format::{
+    Camera, Environment, FieldOfView, Issue, Limits, Lobe, Scene, SectionKind, Specular, Surface,
+    TextureSlot, read_environment, read_scene, write_environment, write_scene,
+};
+
+use crate::container::File;
+use crate::generate::{Random, environment, full_scene};
+
+/// Asserts that `edit` makes a valid scene invalid, for that reason and in that section.
+fn assert_rejected(expected: Issue, section: SectionKind, edit: impl FnOnce(&mut Scene)) {
+    let mut scene = full_scene();
+    write_scene(&scene).expect("valid before the edit");
+    edit(&mut scene);
+    let error = write_scene(&scene).expect_err("the edit breaks a rule");
+    assert_eq!(error.issue(), Some(expected), "{error}");
+    assert!(
+        error.to_string().contains(&format!("section {section:?}")),
+        "{error}"
+    );
+}
+
+#[test]
+fn visibility_parameters() {
+    let reject = |edit: fn(&mut Scene)| {
+        assert_rejected(Issue::ValueOutOfRange, SectionKind::Metadata, edit);
+    };
+    reject(|scene| scene.visibility.sample_resolution = 0);
+    reject(|scene| scene.visibility.sample_resolution = 4097);
+    reject(|scene| scene.visibility.basis_resolution = 1);
+    reject(|scene| scene.visibility.basis_resolution = 1025);
+    reject(|scene| scene.visibility.distance_clamp = 0.0);
+    reject(|scene| scene.visibility.distance_clamp = 3.2);
+    reject(|scene| scene.visibility.distance_clamp = f32::NAN);
+    reject(|scene| scene.visibility.ray_offset = -1.0);
+    reject(|scene| scene.visibility.ray_offset = f32::INFINITY);
+    reject(|scene| scene.report.rms_error = f32::NAN);
+    reject(|scene| scene.report.boundary_rms_error = -1.0);
+}
+
+#[test]
+fn cameras() {
+    let valid = Camera {
+        position: [0.0; 3],
+        target: [0.0, 0.0, 1.0],
+        up: [0.0, 1.0, 0.0],
+        field_of_view: FieldOfView::X(1.0),
+    };
+    for camera in [
+        Camera {
+            position: [f32::NAN, 0.0, 0.0],
+            ..valid
+        },
+        Camera {
+            up: [f32::INFINITY, 0.0, 0.0],
+            ..valid
+        },
+        Camera {
+            field_of_view: FieldOfView::X(0.0),
+            ..valid
+        },
+        Camera {
+            field_of_view: FieldOfView::Y(3.2),
+            ..valid
+        },
+    ] {
+        assert_rejected(Issue::ValueOutOfRange, SectionKind::Metadata, |scene| {
+            scene.camera = Some(camera);
+        });
+    }
+}
+
+#[test]
+fn materials() {
+    let surface = |specular| Surface::Layered {
+        diffuse: [0.5; 3],
+        specular,
+    };
+    let metallic_roughness = |base_color, metallic, roughness| Surface::MetallicRoughness {
+        base_color,
+        metallic,
+        roughness,
+        anisotropy_strength: 0.0,
+        anisotropy_rotation: 0.0,
+    };
+    let (specular, f0) = ([0.5; 3], [0.5; 3]);
+    let negative = [0.5, -0.1, 0.5];
+    for surface in [
+        metallic_roughness([f32::NAN; 3], 0.0, 0.5),
+        metallic_roughness([0.5; 3], 1.1, 0.5),
+        metallic_roughness([0.5; 3], 0.0, -0.1),
+        Surface::Layered {
+            diffuse: negative,
+            specular: Specular::None,
+        },
+        surface(Specular::BlinnPhong {
+            specular,
+            exponent: 0.5,
+        }),
+        surface(Specular::BlinnPhong {
+            specular,
+            exponent: f32::INFINITY,
+        }),
+        surface(Specular::Ward {
+            specular: negative,
+            alpha: [0.5; 2],
+        }),
+        surface(Specular::Ward {
+            specular,
+            alpha: [0.5, 0.0],
+        }),
+        surface(Specular::CookTorrance { f0, roughness: 1.5 }),
+        surface(Specular::Ggx {
+            f0,
+            alpha: [f32::NAN, 0.5],
+        }),
+        surface(Specular::Measured {
+            path: String::new(),
+            f0,
+            alpha: 0.0,
+        }),
+    ] {
+        assert_rejected(Issue::ValueOutOfRange, SectionKind::Metadata, |scene| {
+            scene.materials[0].surface = surface;
+        });
+    }
+    assert_rejected(Issue::ValueOutOfRange, SectionKind::Metadata, |scene| {
+        scene.materials[0].normal_scale = f32::NAN;
+    });
+}
+
+#[test]
+fn textures() {
+    let transform = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+    assert_rejected(Issue::IndexOutOfRange, SectionKind::Metadata, |scene| {
+        let texture = scene.textures.len() as u32;
+        scene.materials[0].normal_texture = Some(TextureSlot { texture, transform });
+    });
+    assert_rejected(Issue::ValueOutOfRange, SectionKind::Metadata, |scene| {
+        let transform = [[f32::NAN; 3]; 2];
+        scene.materials[0].base_color_texture = Some(TextureSlot {
+            texture: 0,
+            transform,
+        });
+    });
+    let reject =
+        |edit: fn(&mut Scene)| assert_rejected(Issue::BadLength, SectionKind::Metadata, edit);
+    reject(|scene| scene.textures[0].width += 1);
+    reject(|scene| scene.textures[0].texels.push(0));
+    reject(|scene| {
+        scene.textures[0].height = 0;
+        scene.textures[0].texels.clear();
+    });
+}
+
+#[test]
+fn vertices_and_triangles() {
+    assert_rejected(Issue::ValueOutOfRange, SectionKind::Vertices, |scene| {
+        scene.vertices[0].uv[1] = f32::NEG_INFINITY;
+    });
+    let reject = |edit: fn(&mut Scene)| {
+        assert_rejected(Issue::IndexOutOfRange, SectionKind::Triangles, edit);
+    };
+    reject(|scene| scene.triangles[0].material = scene.materials.len() as u16);
+    reject(|scene| scene.triangles[0].cluster = scene.clusters.len() as u16);
+    reject(|scene| scene.triangles[0].vertices[2] = u32::MAX);
+    // A vertex that exists, in another cluster.
+    reject(|scene| {
+        let cluster = scene.clusters[scene.triangles[0].cluster as usize];
+        let range = cluster.first_vertex..cluster.first_vertex + cluster.vertex_count;
+        let other = (0..scene.vertices.len() as u32).find(|vertex| !range.contains(vertex));
+        scene.triangles[0].vertices[1] = other.expect("a vertex of another cluster");
+    });
+}
+
+#[test]
+fn clusters() {
+    let reject =
+        |edit: fn(&mut Scene)| assert_rejected(Issue::ValueOutOfRange, SectionKind::Clusters, edit);
+    reject(|scene| scene.clusters[0].first_vertex = 1);
+    reject(|scene| scene.clusters[0].first_coefficient = 4);
+    reject(|scene| scene.clusters[0].first_tile = 1);
+    reject(|scene| scene.clusters[0].tiles = 0);
+    reject(|scene| scene.clusters[0].tiles = 9);
+    reject(|scene| scene.clusters[0].coefficient_scale = -1.0);
+    reject(|scene| scene.clusters[0].coefficient_scale = f32::NAN);
+    // first_vertex + vertex_count would wrap 32 bits.
+    assert_rejected(Issue::BadLength, SectionKind::Vertices, |scene| {
+        scene.clusters.last_mut().unwrap().vertex_count = u32::MAX;
+    });
+    assert_rejected(Issue::BadLength, SectionKind::Vertices, |scene| {
+        scene.vertices.push(scene.vertices[0]);
+    });
+    assert_rejected(Issue::BadLength, SectionKind::Coefficients, |scene| {
+        scene.coefficients.pop();
+    });
+    assert_rejected(Issue::BadLength, SectionKind::Basis, |scene| {
+        scene.basis.push(0);
+    });
+    assert_rejected(Issue::ValueOutOfRange, SectionKind::Coefficients, |scene| {
+        scene.coefficients[0] = i16::MIN;
+    });
+    assert_rejected(Issue::ValueOutOfRange, SectionKind::Basis, |scene| {
+        scene.basis[0] = i8::MIN;
+    });
+    assert_rejected(Issue::OverBudget, SectionKind::Clusters, |scene| {
+        let texels = 4 * (scene.visibility.basis_resolution as usize).pow(2);
+        let last = scene.clusters[scene.clusters.len() - 1];
+        let mut empty = last;
+        empty.first_vertex += last.vertex_count;
+        empty.first_coefficient += last.vertex_count * 4 * last.tiles;
+        empty.first_tile += last.tiles;
+        empty.vertex_count = 0;
+        empty.tiles = 1;
+        while scene.clusters.len() <= 65_535 {
+            scene.clusters.push(empty);
+            empty.first_tile += 1;
+            scene.basis.extend(std::iter::repeat_n(0, texels));
+        }
+    });
+}
+
+#[test]
+fn metadata_beyond_the_limit_is_not_written() {
+    assert_rejected(Issue::OverBudget, SectionKind::Metadata, |scene| {
+        scene.report.warnings.push("w".repeat(16 << 20));
+    });
+}
+
+#[test]
+fn lobes() {
+    let valid = Lobe {
+        axis: [0.0, 1.0, 0.0],
+        sharpness: 10.0,
+        amplitude: [1.0; 3],
+        reserved: 0.0,
+    };
+    let make = |lobe| Environment {
+        lobes: vec![valid, lobe],
+        ..Environment::default()
+    };
+    write_environment(&make(valid)).expect("a valid environment");
+    for lobe in [
+        Lobe {
+            axis: [0.0, 1.1, 0.0],
+            ..valid
+        },
+        Lobe {
+            axis: [f32::NAN, 1.0, 0.0],
+            ..valid
+        },
+        Lobe {
+            sharpness: 0.0,
+            ..valid
+        },
+        Lobe {
+            sharpness: f32::INFINITY,
+            ..valid
+        },
+        Lobe {
+            amplitude: [0.0, -1.0, 0.0],
+            ..valid
+        },
+        Lobe {
+            amplitude: [0.0, f32::NAN, 0.0],
+            ..valid
+        },
+        Lobe {
+            reserved: 1.0,
+            ..valid
+        },
+        Lobe {
+            reserved: -0.0,
+            ..valid
+        },
+    ] {
+        let error = write_environment(&make(lobe)).expect_err("an invalid lobe");
+        assert_eq!(error.issue(), Some(Issue::ValueOutOfRange));
+        assert!(error.to_string().contains("lobe 1"), "{error}");
+    }
+    let mut environment = environment(&mut Random::new(1));
+    environment.report.relative_l2 = f32::NAN;
+    assert!(write_environment(&environment).is_err());
+}
+
+/// The same rules hold for what arrives as bytes.
+#[test]
+fn readers_apply_the_rules() {
+    let scene = full_scene();
+    let file = File::parse(&write_scene(&scene).unwrap());
+    let patch = |section: usize, at: usize, bytes: &[u8]| {
+        let bytes = file.with_raw(section, |raw| {
+            raw[at..at + bytes.len()].copy_from_slice(bytes);
+        });
+        read_scene(&bytes, &Limits::default())
+            .unwrap_err()
+            .issue()
+            .unwrap()
+    };
+    assert_eq!(patch(1, 0, &f32::NAN.to_le_bytes()), Issue::ValueOutOfRange);
+    assert_eq!(patch(2, 0, &u32::MAX.to_le_bytes()), Issue::IndexOutOfRange);
+    assert_eq!(
+        patch(2, 12, &u16::MAX.to_le_bytes()),
+        Issue::IndexOutOfRange
+    );
+    assert_eq!(
+        patch(2, 14, &u16::MAX.to_le_bytes()),
+        Issue::IndexOutOfRange
+    );
+    assert_eq!(patch(3, 0, &1u32.to_le_bytes()), Issue::ValueOutOfRange);
+    assert_eq!(patch(4, 0, &i16::MIN.to_le_bytes()), Issue::ValueOutOfRange);
+    assert_eq!(patch(5, 0, &i8::MIN.to_le_bytes()), Issue::ValueOutOfRange);
+    let lobe = Lobe {
+        axis: [1.0, 0.0, 0.0],
+        sharpness: 1.0,
+        amplitude: [0.0; 3],
+        reserved: 0.0,
+    };
+    let environment = Environment {
+        lobes: vec![lobe],
+        ..Environment::default()
+    };
+    let file = File::parse(&write_environment(&environment).unwrap());
+    let bytes = file.with_raw(1, |raw| raw[28] = 1);
+    let error = read_environment(&bytes, &Limits::default()).unwrap_err();
+    assert_eq!(error.issue(), Some(Issue::ValueOutOfRange));
+}

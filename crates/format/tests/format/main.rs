@@ -1,0 +1,8 @@
+//! Tests of the container and its sections: one binary.
+
+mod container;
+mod generate;
+mod golden;
+mod hostile;
+mod invalid;
+mod round_trip;

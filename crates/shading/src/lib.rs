@@ -1,9 +1,14 @@
 //! Spherical Gaussians, BRDFs, SSDF decoding and visible-region integrators: WGSL with a
 //! CPU twin of each.
 
+pub mod ambient;
 pub mod camera;
 pub mod gpu;
 pub mod octahedral;
+pub mod polar;
 pub mod reference;
+pub mod spherical_gaussian;
+pub mod ssdf;
 pub mod surface;
+pub mod tables;
 pub mod wgsl;

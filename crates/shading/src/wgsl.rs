@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use crate::gpu;
+use crate::{gpu, polar, spherical_gaussian, tables};
 
 /// What a shader module is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -20,6 +20,12 @@ impl Entry {
 const LIBRARY: &[&str] = &[
     include_str!("wgsl/bindings.wgsl"),
     include_str!("wgsl/camera.wgsl"),
+    include_str!("wgsl/octahedral.wgsl"),
+    include_str!("wgsl/spherical_gaussian.wgsl"),
+    include_str!("wgsl/tables.wgsl"),
+    include_str!("wgsl/ssdf.wgsl"),
+    include_str!("wgsl/polar.wgsl"),
+    include_str!("wgsl/ambient.wgsl"),
 ];
 
 /// The complete WGSL of one module.
@@ -52,6 +58,9 @@ fn constants() -> String {
     for (name, value) in integers {
         writeln!(text, "const {name}: u32 = {value}u;").expect("a String accepts every write");
     }
+    text += &spherical_gaussian::wgsl_constants();
+    text += &tables::wgsl_constants();
+    text += &polar::wgsl_constants();
     text
 }
 

@@ -1,0 +1,26 @@
+// Twin of octahedral.rs.
+
+fn octahedral_encode(direction: vec3<f32>) -> vec2<f32> {
+    let p = direction / (abs(direction.x) + abs(direction.y) + abs(direction.z));
+    var q = p.xz;
+    if p.y < 0.0 {
+        q = octahedral_fold(q);
+    }
+    return q * 0.5 + 0.5;
+}
+
+fn octahedral_decode(uv: vec2<f32>) -> vec3<f32> {
+    let q = uv * 2.0 - 1.0;
+    let y = 1.0 - abs(q.x) - abs(q.y);
+    var p = q;
+    if y < 0.0 {
+        p = octahedral_fold(q);
+    }
+    return normalize(vec3(p.x, y, p.y));
+}
+
+// Exchanges the inner diamond with the four outer triangles.
+fn octahedral_fold(q: vec2<f32>) -> vec2<f32> {
+    let magnitude = vec2(1.0) - abs(q.yx);
+    return select(-magnitude, magnitude, q >= vec2(0.0));
+}

@@ -3,6 +3,7 @@
 pub mod cluster;
 pub mod compress;
 pub mod hdr;
+pub mod measured;
 pub mod ray;
 pub mod ssdf;
 pub mod visibility;

@@ -66,7 +66,10 @@ pub enum Error {
 pub fn compare(candidate: &Image, truth: &Image) -> Result<Comparison, Error> {
     let sizes = [truth, candidate].map(|image| [image.width, image.height]);
     if sizes[0] != sizes[1] {
-        return Err(Error::Size { truth: sizes[0], candidate: sizes[1] });
+        return Err(Error::Size {
+            truth: sizes[0],
+            candidate: sizes[1],
+        });
     }
     let covered = |image: &Image, index: usize| image.pixels[index][3] > 0.5;
     let mut common = Vec::new();
@@ -86,7 +89,11 @@ pub fn compare(candidate: &Image, truth: &Image) -> Result<Comparison, Error> {
         for &index in &common {
             let found = image.pixels[index];
             if !found.iter().all(|value| value.is_finite()) {
-                return Err(Error::NotFinite { image: name, index, found });
+                return Err(Error::NotFinite {
+                    image: name,
+                    index,
+                    found,
+                });
             }
         }
     }
@@ -145,7 +152,11 @@ fn mean_flip(candidate: &Image, truth: &Image, common: &[usize]) -> f64 {
         nv_flip::FlipImageRgb8::with_data(image.width, image.height, pixels.as_flattened())
     });
     let errors = nv_flip::flip(truth, candidate, nv_flip::DEFAULT_PIXELS_PER_DEGREE).to_vec();
-    common.iter().map(|&index| f64::from(errors[index])).sum::<f64>() / common.len() as f64
+    common
+        .iter()
+        .map(|&index| f64::from(errors[index]))
+        .sum::<f64>()
+        / common.len() as f64
 }
 
 #[cfg(test)]
@@ -162,7 +173,10 @@ mod tests {
     }
 
     fn close(found: f64, expected: f64) {
-        assert!((found - expected).abs() < ROUNDING, "expected {expected}, found {found}");
+        assert!(
+            (found - expected).abs() < ROUNDING,
+            "expected {expected}, found {found}"
+        );
     }
 
     #[test]
@@ -231,11 +245,23 @@ mod tests {
     #[test]
     fn what_cannot_be_compared_is_an_error() {
         let image = flat([1.0; 3]);
-        assert!(matches!(compare(&Image::new(3, 3), &image), Err(Error::Size { .. })));
-        assert_eq!(compare(&Image::new(32, 16), &image), Err(Error::NoCommonPixel));
-        assert_eq!(compare(&image, &flat([0.0; 3])), Err(Error::BlackTruth(0.0)));
+        assert!(matches!(
+            compare(&Image::new(3, 3), &image),
+            Err(Error::Size { .. })
+        ));
+        assert_eq!(
+            compare(&Image::new(32, 16), &image),
+            Err(Error::NoCommonPixel)
+        );
+        assert_eq!(
+            compare(&image, &flat([0.0; 3])),
+            Err(Error::BlackTruth(0.0))
+        );
         let mut bad = image.clone();
         bad.pixels[3][1] = f32::NAN;
-        assert!(matches!(compare(&bad, &image), Err(Error::NotFinite { index: 3, .. })));
+        assert!(matches!(
+            compare(&bad, &image),
+            Err(Error::NotFinite { index: 3, .. })
+        ));
     }
 }

@@ -36,7 +36,11 @@ pub fn automatic_exposure(image: &Image) -> f32 {
     }
     // Keeps black pixels from dragging the average to zero.
     let floor = 1e-3 * mean;
-    let log = luminances.iter().map(|luminance| (luminance + floor).log2()).sum::<f64>() / count;
+    let log = luminances
+        .iter()
+        .map(|luminance| (luminance + floor).log2())
+        .sum::<f64>()
+        / count;
     (0.18f64.log2() - log) as f32
 }
 
@@ -53,7 +57,11 @@ fn tone_map(x: f32) -> f32 {
 
 /// The sRGB transfer function (IEC 61966-2-1).
 fn srgb(x: f32) -> f32 {
-    if x <= 0.003_130_8 { 12.92 * x } else { 1.055 * x.powf(1.0 / 2.4) - 0.055 }
+    if x <= 0.003_130_8 {
+        12.92 * x
+    } else {
+        1.055 * x.powf(1.0 / 2.4) - 0.055
+    }
 }
 
 #[cfg(test)]

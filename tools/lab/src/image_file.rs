@@ -4,8 +4,8 @@ use std::io::Cursor;
 use std::path::Path;
 
 use exr::prelude::{
-    AnyChannel, AnyChannels, Compression, Encoding, FlatSamples, Layer, LayerAttributes,
-    LineOrder, ReadChannels as _, ReadLayers as _, Vec2, WritableImage as _,
+    AnyChannel, AnyChannels, Compression, Encoding, FlatSamples, Layer, LayerAttributes, LineOrder,
+    ReadChannels as _, ReadLayers as _, Vec2, WritableImage as _,
 };
 
 /// Names of the EXR channels that hold the variance of the mean of R, G and B.
@@ -58,7 +58,12 @@ impl Image {
     /// A black image without coverage.
     pub fn new(width: u32, height: u32) -> Self {
         let pixels = vec![[0.0; 4]; width as usize * height as usize];
-        Self { width, height, pixels, variance: None }
+        Self {
+            width,
+            height,
+            pixels,
+            variance: None,
+        }
     }
 
     /// Root of the mean variance over the mean radiance, both over pixels with coverage
@@ -81,7 +86,10 @@ impl Image {
 /// Reads the first layer that has channels R, G and B, with A and the variance channels
 /// where it has them. Without A every pixel is covered.
 pub fn read_exr(path: &Path) -> Result<Image, Error> {
-    let error = |found: String| Error::Exr { path: path.display().to_string(), found };
+    let error = |found: String| Error::Exr {
+        path: path.display().to_string(),
+        found,
+    };
     let file = exr::prelude::read()
         .no_deep_data()
         .largest_resolution_level()
@@ -104,9 +112,14 @@ pub fn read_exr(path: &Path) -> Result<Image, Error> {
         let a = channels(layer, "A").unwrap_or_else(|| vec![1.0; count]);
         let variance = VARIANCE_CHANNELS.map(|name| channels(layer, name));
         // Subsampled channels are shorter than the image.
-        let mut all = [&r, &g, &b, &a].into_iter().chain(variance.iter().flatten());
+        let mut all = [&r, &g, &b, &a]
+            .into_iter()
+            .chain(variance.iter().flatten());
         if let Some(channel) = all.find(|channel| channel.len() != count) {
-            return Err(error(format!("{} of {count} samples in a channel", channel.len())));
+            return Err(error(format!(
+                "{} of {count} samples in a channel",
+                channel.len()
+            )));
         }
         let variance = match &variance {
             [Some(r), Some(g), Some(b)] => Some((0..count).map(|i| [r[i], g[i], b[i]]).collect()),
@@ -133,7 +146,10 @@ pub fn write_exr(path: &Path, image: &Image) -> Result<(), Error> {
         .collect();
     if let Some(variance) = &image.variance {
         for (i, name) in VARIANCE_CHANNELS.iter().enumerate() {
-            list.push(channel(name, variance.iter().map(|value| value[i]).collect()));
+            list.push(channel(
+                name,
+                variance.iter().map(|value| value[i]).collect(),
+            ));
         }
     }
     let encoding = Encoding {
@@ -148,9 +164,13 @@ pub fn write_exr(path: &Path, image: &Image) -> Result<(), Error> {
         AnyChannels::sort(list.into()),
     );
     let mut bytes = Cursor::new(Vec::new());
-    exr::prelude::Image::from_layer(layer).write().to_buffered(&mut bytes).map_err(|reason| {
-        Error::Encode { path: path.display().to_string(), reason: reason.to_string() }
-    })?;
+    exr::prelude::Image::from_layer(layer)
+        .write()
+        .to_buffered(&mut bytes)
+        .map_err(|reason| Error::Encode {
+            path: path.display().to_string(),
+            reason: reason.to_string(),
+        })?;
     Ok(relight_format::write_file(path, bytes.get_ref())?)
 }
 
@@ -160,7 +180,12 @@ pub fn write_png(path: &Path, width: u32, pixels: &[[u8; 3]]) -> Result<(), Erro
     let mut bytes = Vec::new();
     let height = pixels.len() as u32 / width.max(1);
     image::codecs::png::PngEncoder::new(&mut bytes)
-        .write_image(pixels.as_flattened(), width, height, image::ExtendedColorType::Rgb8)
+        .write_image(
+            pixels.as_flattened(),
+            width,
+            height,
+            image::ExtendedColorType::Rgb8,
+        )
         .map_err(|reason| Error::Encode {
             path: path.display().to_string(),
             reason: reason.to_string(),
@@ -175,7 +200,9 @@ pub fn write(path: &Path, image: &Image, exposure: f32) -> Result<(), Error> {
         Some(extension) if extension.eq_ignore_ascii_case("png") => {
             write_png(path, image.width, &crate::display::pixels(image, exposure))
         }
-        _ => Err(Error::Extension { path: path.display().to_string() }),
+        _ => Err(Error::Extension {
+            path: path.display().to_string(),
+        }),
     }
 }
 
@@ -186,7 +213,12 @@ mod tests {
     fn gradient(variance: bool) -> Image {
         let mut image = Image::new(7, 5);
         for (i, pixel) in image.pixels.iter_mut().enumerate() {
-            *pixel = [i as f32 * 0.37, 1e-7 * i as f32, 3e4 - i as f32, (i % 2) as f32];
+            *pixel = [
+                i as f32 * 0.37,
+                1e-7 * i as f32,
+                3e4 - i as f32,
+                (i % 2) as f32,
+            ];
         }
         image.variance = variance.then(|| (0..35).map(|i| [i as f32, 0.5, 1e-9]).collect());
         image
@@ -219,9 +251,15 @@ mod tests {
         let path = folder.path().join("image.exr");
         std::fs::write(&path, b"not an image").unwrap();
         assert!(matches!(read_exr(&path), Err(Error::Exr { .. })));
-        assert!(matches!(read_exr(&folder.path().join("absent.exr")), Err(Error::Exr { .. })));
+        assert!(matches!(
+            read_exr(&folder.path().join("absent.exr")),
+            Err(Error::Exr { .. })
+        ));
         let other = folder.path().join("image.jpeg");
-        assert!(matches!(write(&other, &gradient(false), 0.0), Err(Error::Extension { .. })));
+        assert!(matches!(
+            write(&other, &gradient(false), 0.0),
+            Err(Error::Extension { .. })
+        ));
         assert!(!other.exists());
     }
 

@@ -1,2 +1,361 @@
-//! Entry point.
-fn main() {}
+//! Repository tasks. `cargo xtask test` installs what the tests need and runs them all.
+
+use std::io::{BufRead, BufReader, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitCode, Stdio};
+use std::time::Instant;
+
+const USAGE: &str = "usage: cargo xtask test
+
+Installs what the tests need (apt, only what is missing), then checks formatting and lints,
+runs every test, and checks dependencies if cargo-deny is there.
+
+environment:
+  RELIGHT_DATA=FOLDER   test data; default ../shared/data beside the checkout
+  RELIGHT_NO_GPU=1      skip the tests that need a Vulkan adapter; without it they fail
+                        where there is none";
+
+fn main() -> ExitCode {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    match arguments.iter().map(String::as_str).collect::<Vec<_>>()[..] {
+        ["test"] => test(),
+        ["--help" | "-h" | "help"] => {
+            println!("{USAGE}");
+            ExitCode::SUCCESS
+        }
+        _ => {
+            eprintln!("{USAGE}");
+            ExitCode::from(2)
+        }
+    }
+}
+
+/// How one step of a task ended.
+enum Outcome {
+    Passed,
+    Failed(String),
+    Skipped(String),
+}
+
+impl Outcome {
+    fn of(command: &mut Command) -> Self {
+        match command.status() {
+            Ok(status) if status.success() => Self::Passed,
+            Ok(status) => Self::Failed(status.to_string()),
+            Err(error) => Self::Failed(error.to_string()),
+        }
+    }
+}
+
+fn test() -> ExitCode {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let root = root.canonicalize().unwrap_or(root);
+    let data = match data_folder(&root) {
+        Ok(data) => data,
+        Err(message) => {
+            eprintln!("xtask: {message}");
+            return ExitCode::FAILURE;
+        }
+    };
+    let cargo = |arguments: &str| {
+        let mut command = cargo(&root, arguments);
+        command.env("XDG_RUNTIME_DIR", runtime_folder(&root));
+        if let Some(data) = &data {
+            command.env("RELIGHT_DATA", data);
+        }
+        command
+    };
+    match &data {
+        Some(folder) => println!("xtask: test data in {}", folder.display()),
+        None => println!("xtask: no test data; tests on real input are skipped"),
+    }
+    let mut counts = Counts::default();
+    let steps: [(&str, &mut dyn FnMut() -> Outcome); 5] = [
+        ("install", &mut || install(&root)),
+        ("format", &mut || {
+            Outcome::of(&mut cargo("fmt --all --check"))
+        }),
+        ("lints", &mut || {
+            let arguments = "clippy --release --workspace --all-targets -- -D warnings";
+            Outcome::of(&mut cargo(arguments))
+        }),
+        ("tests", &mut || {
+            run_tests(
+                &mut cargo("test --release --workspace --no-fail-fast"),
+                &mut counts,
+            )
+        }),
+        ("dependencies", &mut || dependencies(&root)),
+    ];
+    let mut summary = Vec::new();
+    let mut failed = false;
+    for (name, step) in steps {
+        println!("xtask: {name}");
+        let start = Instant::now();
+        let outcome = step();
+        let seconds = start.elapsed().as_secs_f32();
+        summary.push(match outcome {
+            Outcome::Passed => format!("{name:<13} passed in {seconds:.1} s"),
+            Outcome::Skipped(why) => format!("{name:<13} skipped: {why}"),
+            Outcome::Failed(why) => {
+                failed = true;
+                format!("{name:<13} FAILED: {why}")
+            }
+        });
+    }
+    println!();
+    for skipped in &counts.skipped_tests {
+        println!("skipped: {skipped}");
+    }
+    for line in summary {
+        println!("{line}");
+    }
+    println!(
+        "total: {} passed, {} failed, {} skipped",
+        counts.passed, counts.failed, counts.skipped
+    );
+    if failed {
+        ExitCode::FAILURE
+    } else {
+        ExitCode::SUCCESS
+    }
+}
+
+fn cargo(root: &Path, arguments: &str) -> Command {
+    let mut command = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+    command
+        .args(arguments.split(' '))
+        .current_dir(root)
+        .stdin(Stdio::null());
+    command
+}
+
+/// `RELIGHT_DATA`, which must then exist, or `../shared/data` if that does.
+fn data_folder(root: &Path) -> Result<Option<PathBuf>, String> {
+    match std::env::var_os("RELIGHT_DATA") {
+        Some(folder) => match Path::new(&folder).canonicalize() {
+            Ok(folder) if folder.is_dir() => Ok(Some(folder)),
+            _ => Err(format!(
+                "RELIGHT_DATA is {}, which is no folder",
+                folder.display()
+            )),
+        },
+        None => Ok(root
+            .join("../shared/data")
+            .canonicalize()
+            .ok()
+            .filter(|path| path.is_dir())),
+    }
+}
+
+/// Mesa prints a line to stderr where `XDG_RUNTIME_DIR` is unset; any folder will do.
+fn runtime_folder(root: &Path) -> PathBuf {
+    std::env::var_os("XDG_RUNTIME_DIR").map_or_else(
+        || {
+            let folder = root.join("target/xdg-runtime");
+            // Should this fail, the line on stderr is all that is lost.
+            let _ = std::fs::create_dir_all(&folder);
+            folder
+        },
+        PathBuf::from,
+    )
+}
+
+/// Installs missing parts of the toolchain and missing system packages.
+fn install(root: &Path) -> Outcome {
+    if !["fmt --version", "clippy --version"]
+        .iter()
+        .all(|check| succeeds(&mut cargo(root, check)))
+        && !succeeds(Command::new("rustup").args(["component", "add", "rustfmt", "clippy"]))
+    {
+        return Outcome::Failed(
+            "rustfmt or clippy is missing, and rustup cannot add it".to_owned(),
+        );
+    }
+    let mut packages = Vec::new();
+    if !succeeds(Command::new("c++").arg("--version")) {
+        packages.push("g++");
+    }
+    let no_gpu = std::env::var_os("RELIGHT_NO_GPU").is_some_and(|value| value == "1");
+    if !no_gpu && !has_vulkan() {
+        packages.extend(["mesa-vulkan-drivers", "libvulkan1"]);
+    }
+    if packages.is_empty() {
+        return Outcome::Passed;
+    }
+    let Some(mut apt_get) = apt_get() else {
+        return Outcome::Failed(format!(
+            "install {} (or what your system calls them), or run as root where apt is",
+            packages.join(" ")
+        ));
+    };
+    println!("xtask: installing {}", packages.join(" "));
+    let mut apt = |arguments: &[&str]| {
+        apt_get()
+            .args(arguments)
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .status()
+    };
+    let _ = apt(&["update", "-qq"]);
+    let arguments = ["install", "-qq", "-y", "--no-install-recommends"];
+    match apt(&[&arguments[..], &packages].concat()) {
+        Ok(status) if status.success() => Outcome::Passed,
+        _ => Outcome::Failed(format!("apt-get cannot install {}", packages.join(" "))),
+    }
+}
+
+/// Starts `apt-get` commands with the rights to install, if there are any.
+fn apt_get() -> Option<impl FnMut() -> Command> {
+    let root = Command::new("id")
+        .arg("-u")
+        .output()
+        .is_ok_and(|id| id.stdout == b"0\n");
+    let prefix: &[&str] = if root { &[] } else { &["sudo", "-n"] };
+    let command = move || {
+        let words = [
+            prefix,
+            &["env", "DEBIAN_FRONTEND=noninteractive", "apt-get"],
+        ]
+        .concat();
+        let mut command = Command::new(words[0]);
+        command.args(&words[1..]).stdin(Stdio::null());
+        command
+    };
+    succeeds(command().arg("--version")).then_some(command)
+}
+
+/// Whether a Vulkan loader and a driver for it are installed. Other systems than Linux
+/// have neither or bring their own: there the tests find out.
+fn has_vulkan() -> bool {
+    if !cfg!(target_os = "linux") {
+        return true;
+    }
+    let entries = |folder: &str| {
+        let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+        entries.map(|entry| entry.path()).collect::<Vec<_>>()
+    };
+    let libraries = ["/usr/lib", "/usr/lib64", "/usr/local/lib", "/lib"]
+        .map(entries)
+        .concat();
+    let loader = libraries.iter().any(|path| {
+        path.file_name()
+            .is_some_and(|name| name == "libvulkan.so.1")
+            || path.join("libvulkan.so.1").exists()
+    });
+    let named = ["VK_DRIVER_FILES", "VK_ICD_FILENAMES"];
+    let folders = ["/usr/share", "/usr/local/share", "/etc"];
+    let driver = named.iter().any(|name| std::env::var_os(name).is_some())
+        || folders
+            .iter()
+            .any(|folder| !entries(&format!("{folder}/vulkan/icd.d")).is_empty());
+    loader && driver
+}
+
+fn succeeds(command: &mut Command) -> bool {
+    let quiet = command
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null());
+    quiet.status().is_ok_and(|status| status.success())
+}
+
+/// What test binaries reported, all together.
+#[derive(Default)]
+struct Counts {
+    passed: u64,
+    failed: u64,
+    skipped: u64,
+    skipped_tests: Vec<String>,
+}
+
+impl Counts {
+    /// Reads one line of a test binary's report.
+    fn read(&mut self, line: &str) {
+        if let Some((name, _)) = line
+            .strip_prefix("test ")
+            .and_then(|l| l.split_once(" ... ignored"))
+        {
+            self.skipped_tests.push(name.trim_end().to_owned());
+        }
+        let Some(result) = line.strip_prefix("test result: ") else {
+            return;
+        };
+        let count = |label: &str| -> u64 {
+            let before = result
+                .split_once(label)
+                .map_or("", |(before, _)| before.trim_end());
+            before
+                .rsplit(' ')
+                .next()
+                .and_then(|number| number.parse().ok())
+                .unwrap_or(0)
+        };
+        self.passed += count(" passed");
+        self.failed += count(" failed");
+        self.skipped += count(" ignored");
+    }
+}
+
+/// Runs `cargo test`, shows its report and counts along.
+fn run_tests(command: &mut Command, counts: &mut Counts) -> Outcome {
+    let mut child = match command.stdout(Stdio::piped()).spawn() {
+        Ok(child) => child,
+        Err(error) => return Outcome::Failed(error.to_string()),
+    };
+    if let Some(report) = child.stdout.take() {
+        for line in BufReader::new(report).split(b'\n').map_while(Result::ok) {
+            let line = String::from_utf8_lossy(&line);
+            counts.read(&line);
+            // Nobody may be listening any more; the exit status still counts.
+            let _ = writeln!(std::io::stdout(), "{line}");
+        }
+    }
+    match child.wait() {
+        Ok(status) if !status.success() => Outcome::Failed(status.to_string()),
+        Ok(_) if counts.passed == 0 => Outcome::Failed("no test ran".to_owned()),
+        Ok(_) => Outcome::Passed,
+        Err(error) => Outcome::Failed(error.to_string()),
+    }
+}
+
+/// `cargo deny`, without the advisories where their database cannot be had.
+fn dependencies(root: &Path) -> Outcome {
+    if !succeeds(&mut cargo(root, "deny --version")) {
+        return Outcome::Skipped("no cargo-deny (cargo install cargo-deny --locked)".to_owned());
+    }
+    match Outcome::of(&mut cargo(root, "deny check bans licenses sources")) {
+        Outcome::Passed if succeeds(&mut cargo(root, "deny fetch db")) => {
+            Outcome::of(&mut cargo(root, "deny check advisories"))
+        }
+        Outcome::Passed => {
+            Outcome::Skipped("advisories, for want of their database; the rest passed".to_owned())
+        }
+        failed => failed,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Counts;
+
+    #[test]
+    fn counts_add_up_over_binaries() {
+        let mut counts = Counts::default();
+        for line in [
+            "running 3 tests",
+            "test gpu::frame ... ok",
+            "test cli::real_meshes ... ignored",
+            "test ssdf::slow - should be run alone ... ignored, minutes",
+            "test result: ok. 12 passed; 0 failed; 2 ignored; 0 measured; 0 filtered out",
+            "test result: FAILED. 3 passed; 1 failed; 0 ignored; 0 measured; 0 filtered out",
+        ] {
+            counts.read(line);
+        }
+        assert_eq!((counts.passed, counts.failed, counts.skipped), (15, 1, 2));
+        assert_eq!(
+            counts.skipped_tests,
+            ["cli::real_meshes", "ssdf::slow - should be run alone"]
+        );
+    }
+}

@@ -2,11 +2,13 @@
 //! CPU twin of each.
 
 pub mod ambient;
+pub mod brdf;
 pub mod camera;
 pub mod gpu;
 pub mod octahedral;
 pub mod polar;
 pub mod reference;
+pub mod shade;
 pub mod spherical_gaussian;
 pub mod ssdf;
 pub mod surface;

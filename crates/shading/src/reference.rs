@@ -67,6 +67,18 @@ pub fn pdf(appearance: &Appearance, wi: Vec3, wo: Vec3) -> f32 {
     probability * wi.z * FRAC_1_PI + (1.0 - probability) * specular
 }
 
+/// Draws an incident direction of the specular part alone, with its weight
+/// `f(wi, wo) n·wi / pdf` for a specular colour of 1 at every angle.
+pub(crate) fn sample_specular(appearance: &Appearance, wo: Vec3, u: f32, v: f32) -> Option<(Vec3, f32)> {
+    let half = sample_half_vector(appearance, wo, u, v);
+    let wi = 2.0 * half.dot(wo) * half - wo;
+    let density = half_vector_pdf(appearance, half, wo) / (4.0 * half.dot(wo));
+    let value = appearance.half_vector_factor(half)
+        * appearance.direction_factor(wi)
+        * appearance.direction_factor(wo);
+    (wi.z > 0.0).then_some((wi, value * wi.z / density))
+}
+
 impl Appearance {
     /// Colour of the specular reflection about a half vector at `cosine = h·o`.
     fn specular_color(&self, cosine: f32) -> Vec3 {

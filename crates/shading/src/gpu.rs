@@ -7,21 +7,12 @@ use relight_format::{CHANNELS_PER_TILE, Scene, Specular, Surface, TextureEncodin
 
 use crate::camera::View;
 use crate::octahedral;
+use crate::surface::Model;
 
 /// `Material::surface`: base colour, metallic and roughness as in glTF.
 pub const SURFACE_METALLIC_ROUGHNESS: u32 = 0;
 /// `Material::surface`: a Lambertian base plus one specular model.
 pub const SURFACE_LAYERED: u32 = 1;
-/// `Material::model`: no specular reflection.
-pub const MODEL_NONE: u32 = 0;
-/// `Material::model`: Blinn-Phong.
-pub const MODEL_BLINN_PHONG: u32 = 1;
-/// `Material::model`: Ward.
-pub const MODEL_WARD: u32 = 2;
-/// `Material::model`: Cook-Torrance.
-pub const MODEL_COOK_TORRANCE: u32 = 3;
-/// `Material::model`: GGX.
-pub const MODEL_GGX: u32 = 4;
 /// `Frame::method`: one half-space per lobe.
 pub const METHOD_AMBIENT: u32 = 0;
 /// `Frame::method`: spokes about each lobe's axis.
@@ -140,7 +131,7 @@ pub struct Material {
     pub surface: u32,
     /// Layered: reflectance at normal incidence, or specular albedo.
     pub specular: [f32; 3],
-    /// Layered: [`MODEL_NONE`] to [`MODEL_GGX`].
+    /// Layered: a [`Model`].
     pub model: u32,
     /// Layered: alpha along tangent and bitangent; Blinn-Phong: exponent in x.
     pub alpha: [f32; 2],
@@ -361,22 +352,22 @@ pub fn pack_material(material: &relight_format::Material, textures: &[PackedText
         },
         Surface::Layered { diffuse, specular } => {
             let (model, specular, alpha) = match *specular {
-                Specular::None => (MODEL_NONE, [0.0; 3], [1.0; 2]),
+                Specular::None => (Model::None, [0.0; 3], [1.0; 2]),
                 Specular::BlinnPhong { specular, exponent } => {
-                    (MODEL_BLINN_PHONG, specular, [exponent, 0.0])
+                    (Model::BlinnPhong, specular, [exponent, 0.0])
                 }
-                Specular::Ward { specular, alpha } => (MODEL_WARD, specular, alpha),
+                Specular::Ward { specular, alpha } => (Model::Ward, specular, alpha),
                 Specular::CookTorrance { f0, roughness } => {
-                    (MODEL_COOK_TORRANCE, f0, [roughness; 2])
+                    (Model::CookTorrance, f0, [roughness; 2])
                 }
-                Specular::Ggx { f0, alpha } => (MODEL_GGX, f0, alpha),
-                Specular::Measured { f0, alpha, .. } => (MODEL_GGX, f0, [alpha; 2]),
+                Specular::Ggx { f0, alpha } => (Model::Ggx, f0, alpha),
+                Specular::Measured { f0, alpha, .. } => (Model::Ggx, f0, [alpha; 2]),
             };
             Material {
                 color: *diffuse,
                 surface: SURFACE_LAYERED,
                 specular,
-                model,
+                model: model as u32,
                 alpha,
                 ..packed
             }
@@ -787,7 +778,7 @@ mod tests {
         let material = packed.materials[0];
         assert_eq!(
             (material.surface, material.model),
-            (SURFACE_LAYERED, MODEL_WARD)
+            (SURFACE_LAYERED, Model::Ward as u32)
         );
         assert_eq!(
             (material.color, material.specular),

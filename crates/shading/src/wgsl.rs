@@ -2,6 +2,7 @@
 
 use std::fmt::Write as _;
 
+use crate::surface::Model;
 use crate::{gpu, polar, spherical_gaussian, tables};
 
 /// What a shader module is for.
@@ -45,11 +46,11 @@ fn constants() -> String {
             gpu::SURFACE_METALLIC_ROUGHNESS,
         ),
         ("SURFACE_LAYERED", gpu::SURFACE_LAYERED),
-        ("MODEL_NONE", gpu::MODEL_NONE),
-        ("MODEL_BLINN_PHONG", gpu::MODEL_BLINN_PHONG),
-        ("MODEL_WARD", gpu::MODEL_WARD),
-        ("MODEL_COOK_TORRANCE", gpu::MODEL_COOK_TORRANCE),
-        ("MODEL_GGX", gpu::MODEL_GGX),
+        ("MODEL_NONE", Model::None as u32),
+        ("MODEL_BLINN_PHONG", Model::BlinnPhong as u32),
+        ("MODEL_WARD", Model::Ward as u32),
+        ("MODEL_COOK_TORRANCE", Model::CookTorrance as u32),
+        ("MODEL_GGX", Model::Ggx as u32),
         ("METHOD_AMBIENT", gpu::METHOD_AMBIENT),
         ("METHOD_POLAR", gpu::METHOD_POLAR),
         ("MAX_TILES", relight_format::MAX_TILES_PER_CLUSTER),

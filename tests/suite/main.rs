@@ -1,1 +1,16 @@
-//! Suite.
+//! Tests that cross crates, run binaries, read real data or need a GPU.
+//!
+//! A module per subject exports `trials()`, listed below. A trial is a function that
+//! panics or returns an error when it fails. One that needs something a machine may lack
+//! is made by [`support::with_data`] or [`support::with_gpu`] and counts as skipped there,
+//! never as passed.
+
+mod support;
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    let trials = [support::trials()];
+    let trials = trials.into_iter().flatten().collect();
+    libtest_mimic::run(&libtest_mimic::Arguments::from_args(), trials).exit_code()
+}

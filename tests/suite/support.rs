@@ -1,0 +1,75 @@
+//! What trials share: the data folder, the binaries, skipping.
+
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::sync::OnceLock;
+
+use libtest_mimic::{Completion, Failed, Trial};
+
+/// What a trial returns; failed assertions count as well.
+pub type Outcome = Result<(), Failed>;
+
+/// A trial on real data; skipped where there is none.
+pub fn with_data(
+    name: impl Into<String>,
+    run: impl FnOnce(&Path) -> Outcome + Send + 'static,
+) -> Trial {
+    Trial::ignorable_test(name, move || match data_folder() {
+        Some(folder) => run(&folder).map(|()| Completion::Completed),
+        None => Ok(Completion::ignored_with(
+            "no RELIGHT_DATA and no ../shared/data",
+        )),
+    })
+}
+
+/// `RELIGHT_DATA`, which must then be right, or `../shared/data` if that is there.
+fn data_folder() -> Option<PathBuf> {
+    if let Some(folder) = std::env::var_os("RELIGHT_DATA") {
+        let folder = PathBuf::from(folder);
+        assert!(
+            folder.is_dir(),
+            "RELIGHT_DATA is {}, which is no folder",
+            folder.display()
+        );
+        return Some(folder);
+    }
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data");
+    folder.canonicalize().ok().filter(|folder| folder.is_dir())
+}
+
+/// A command that runs the workspace's binary `name`, built from the sources as they are.
+pub fn binary(name: &str) -> Command {
+    static FOLDER: OnceLock<PathBuf> = OnceLock::new();
+    let folder = FOLDER.get_or_init(|| {
+        // target/PROFILE/deps/suite-HASH: the binaries lie in target/PROFILE.
+        let suite = std::env::current_exe().expect("the suite knows where it is");
+        let folder = suite
+            .ancestors()
+            .nth(2)
+            .expect("two folders above")
+            .to_owned();
+        let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+        cargo.args(["build", "--quiet", "--workspace", "--bins"]);
+        if folder.file_name() == Some(OsStr::new("release")) {
+            cargo.arg("--release");
+        }
+        let built = cargo.current_dir(env!("CARGO_MANIFEST_DIR")).status();
+        assert!(
+            built.is_ok_and(|status| status.success()),
+            "the binaries do not build"
+        );
+        folder
+    });
+    Command::new(folder.join(format!("{name}{}", std::env::consts::EXE_SUFFIX)))
+}
+
+/// What a finished command did, for messages.
+pub fn describe(output: &Output) -> String {
+    format!(
+        "{}\nstdout: {}\nstderr: {}",
+        output.status,
+        String::from_utf8_lossy(&output.stdout),
+        String::from_utf8_lossy(&output.stderr)
+    )
+}

@@ -157,6 +157,16 @@ pub struct Material {
     pub anisotropy_texture: TextureSlot,
 }
 
+/// How radiance becomes display colour (uniform, 8 bytes).
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct Tonemap {
+    /// Multiplies radiance.
+    pub exposure: f32,
+    /// 1 where the target stores what it is given; 0 where the target encodes sRGB.
+    pub encode_srgb: u32,
+}
+
 /// What a packed scene looks like to [`Frame`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AtlasLayout {
@@ -210,7 +220,7 @@ pub struct PackedTexture {
 
 /// A scene needs more of something than the GPU, or this layout, offers.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("scene exceeds {limit}: needs {needed}, allowed {allowed}")]
+#[error("{limit} is {allowed}, needed {needed}")]
 pub struct LimitError {
     /// Name of the limit, that of `wgpu::Limits` where there is one.
     pub limit: &'static str,
@@ -522,7 +532,7 @@ mod tests {
                 .types
                 .iter()
                 .find(|(_, found)| found.name.as_deref() == Some(stringify!($name)))
-                .expect(concat!(stringify!($name), " is in bindings.wgsl"));
+                .expect(concat!(stringify!($name), " is in the WGSL"));
             let naga::TypeInner::Struct { members, span } = &found.inner else {
                 panic!("{} is no structure", stringify!($name));
             };

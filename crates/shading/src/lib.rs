@@ -13,4 +13,5 @@ pub mod spherical_gaussian;
 pub mod ssdf;
 pub mod surface;
 pub mod tables;
+pub mod tonemap;
 pub mod wgsl;

@@ -3,18 +3,22 @@
 use std::fmt::Write as _;
 
 use crate::surface::Model;
-use crate::{gpu, polar, spherical_gaussian, tables};
+use crate::{gpu, polar, spherical_gaussian, tables, tonemap};
 
 /// What a shader module is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Entry {
+    /// Triangle under each pixel: `visibility_buffer_vertex`, `visibility_buffer_fragment`.
+    VisibilityBuffer,
+    /// Linear radiance to display colour: `tonemap_vertex`, `tonemap_fragment`.
+    Tonemap,
     /// Functions and bindings without an entry point, to append kernels to.
     Library,
 }
 
 impl Entry {
     /// All of them.
-    pub const ALL: [Self; 1] = [Self::Library];
+    pub const ALL: [Self; 3] = [Self::VisibilityBuffer, Self::Tonemap, Self::Library];
 }
 
 /// Joined in this order; the order does not matter to WGSL.
@@ -33,6 +37,11 @@ const LIBRARY: &[&str] = &[
 pub fn source(entry: Entry) -> String {
     let mut source = constants();
     match entry {
+        Entry::VisibilityBuffer => {
+            source += include_str!("wgsl/bindings.wgsl");
+            source += include_str!("wgsl/visibility_buffer.wgsl");
+        }
+        Entry::Tonemap => source += include_str!("wgsl/tonemap.wgsl"),
         Entry::Library => source.extend(LIBRARY.iter().copied()),
     }
     source
@@ -62,6 +71,7 @@ fn constants() -> String {
     text += &spherical_gaussian::wgsl_constants();
     text += &tables::wgsl_constants();
     text += &polar::wgsl_constants();
+    text += &tonemap::wgsl_constants();
     text
 }
 

@@ -1,0 +1,88 @@
+//! Linear radiance to display colour: exposure, the Khronos PBR Neutral curve (Khronos
+//! Group 2024) and the sRGB transfer function (IEC 61966-2-1).
+
+use glam::Vec3;
+
+/// Peak above which colours are compressed.
+const START: f32 = 0.8 - 0.04;
+/// How fast compressed colours turn white.
+const DESATURATION: f32 = 0.15;
+
+/// Display colour in [0, 1], linear, of a non-negative exposed radiance. Base colours come
+/// through unchanged, highlights are compressed and desaturated.
+pub fn neutral(color: Vec3) -> Vec3 {
+    let least = color.min_element();
+    let offset = if least < 0.08 {
+        least - 6.25 * least * least
+    } else {
+        0.04
+    };
+    let shifted = color - offset;
+    let peak = shifted.max_element();
+    if peak < START {
+        return shifted;
+    }
+    let range = 1.0 - START;
+    let new_peak = 1.0 - range * range / (peak + range - START);
+    let white = 1.0 - 1.0 / (DESATURATION * (peak - new_peak) + 1.0);
+    (shifted * (new_peak / peak)).lerp(Vec3::splat(new_peak), white)
+}
+
+/// The sRGB code in [0, 1] of a linear value in [0, 1].
+pub fn encode_srgb(linear: f32) -> f32 {
+    if linear <= 0.003_130_8 {
+        12.92 * linear
+    } else {
+        1.055 * linear.powf(1.0 / 2.4) - 0.055
+    }
+}
+
+/// An RGBA8 sRGB pixel of a linear radiance and coverage.
+pub fn pixel([red, green, blue, coverage]: [f32; 4], exposure: f32) -> [u8; 4] {
+    let color = neutral((Vec3::new(red, green, blue) * exposure).max(Vec3::ZERO));
+    let quantize = |value: f32| (value * 255.0).round() as u8;
+    let [red, green, blue] = color.to_array().map(|value| quantize(encode_srgb(value)));
+    [red, green, blue, quantize(coverage)]
+}
+
+/// The constants of this module, as WGSL.
+pub fn wgsl_constants() -> String {
+    format!(
+        "const TONEMAP_START: f32 = {START:?};\n\
+         const TONEMAP_DESATURATION: f32 = {DESATURATION:?};\n"
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn base_colours_stay_and_highlights_approach_one() {
+        // A surface with 4 % reflectance added to its base colour, the curve's premise.
+        let base = Vec3::new(0.6, 0.3, 0.1);
+        assert!(neutral(base + 0.04).distance(base) < 1e-6);
+        let mut last = 0.0;
+        for exponent in -8..20 {
+            let gray = neutral(Vec3::splat(2f32.powi(exponent)));
+            assert!(gray.x > last && gray.x < 1.0, "2^{exponent} gives {gray}");
+            last = gray.x;
+        }
+        assert!(
+            neutral(Vec3::new(1000.0, 0.0, 0.0)).y > 0.8,
+            "bright red is not nearly white"
+        );
+    }
+
+    #[test]
+    fn bytes_are_srgb_codes() {
+        assert_eq!(pixel([0.0; 4], 1.0), [0; 4]);
+        // Linear 0.2140 is sRGB code 127.5; the curve subtracts 0.04 from greys.
+        assert_eq!(
+            pixel([0.215 + 0.04, 0.215 + 0.04, 0.215 + 0.04, 1.0], 1.0),
+            [128, 128, 128, 255]
+        );
+        assert_eq!(pixel([0.5, 0.5, 0.5, 1.0], 2.0), pixel([1.0; 4], 1.0));
+        assert_eq!(pixel([-1.0, -1.0, -1.0, 1.0], 1.0), [0, 0, 0, 255]);
+    }
+}

@@ -1,0 +1,20 @@
+// Twin of runtime::twin::visibility_buffer: which triangle each pixel sees. Vertices are
+// pulled by index, so that the triangle's number needs no optional GPU feature.
+
+struct Corner {
+    @builtin(position) position: vec4<f32>,
+    @location(0) @interpolate(flat, either) id: u32,
+}
+
+@vertex
+fn visibility_buffer_vertex(@builtin(vertex_index) index: u32) -> Corner {
+    let triangle = index / 3u;
+    let vertex = triangles[triangle][index % 3u];
+    let position = vec4(vertices[vertex].position, 1.0);
+    return Corner(frame.view_projection * position, triangle + 1u);
+}
+
+@fragment
+fn visibility_buffer_fragment(corner: Corner) -> @location(0) u32 {
+    return corner.id;
+}

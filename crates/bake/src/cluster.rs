@@ -14,7 +14,9 @@ type Feature = [f32; 6];
 pub fn partition(positions: &[Vec3], triangles: &[[u32; 3]], max_vertices: usize) -> Vec<Vec<u32>> {
     let extent = positions
         .iter()
-        .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), p| (low.min(*p), high.max(*p)));
+        .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), p| {
+            (low.min(*p), high.max(*p))
+        });
     let scale = 1.0 / (extent.1 - extent.0).max_element().max(f32::MIN_POSITIVE);
     let features: Vec<Feature> = triangles
         .iter()
@@ -48,7 +50,9 @@ fn split(
     let axis = widest_axis(group.iter().map(|&t| &features[t as usize]));
     // Ties are broken by index: the cut does not depend on the sort's implementation.
     group.sort_unstable_by(|&a, &b| {
-        features[a as usize][axis].total_cmp(&features[b as usize][axis]).then(a.cmp(&b))
+        features[a as usize][axis]
+            .total_cmp(&features[b as usize][axis])
+            .then(a.cmp(&b))
     });
     let upper = group.split_off(group.len() / 2);
     split(group, features, triangles, max_vertices, groups);
@@ -69,13 +73,17 @@ fn widest_axis<'a>(features: impl Iterator<Item = &'a Feature> + Clone) -> usize
             *spread += (value - mean).powi(2);
         }
     }
-    (0..6).max_by(|&a, &b| spread[a].total_cmp(&spread[b])).unwrap_or(0)
+    (0..6)
+        .max_by(|&a, &b| spread[a].total_cmp(&spread[b]))
+        .unwrap_or(0)
 }
 
 /// The vertices that the triangles use, ascending.
 pub fn vertices_of(group: &[u32], triangles: &[[u32; 3]]) -> Vec<u32> {
-    let mut vertices: Vec<u32> =
-        group.iter().flat_map(|&triangle| triangles[triangle as usize]).collect();
+    let mut vertices: Vec<u32> = group
+        .iter()
+        .flat_map(|&triangle| triangles[triangle as usize])
+        .collect();
     vertices.sort_unstable();
     vertices.dedup();
     vertices
@@ -104,14 +112,24 @@ mod tests {
         for group in &groups {
             assert!(vertices_of(group, &triangles).len() <= 100);
         }
-        let total: usize = groups.iter().map(|g| vertices_of(g, &triangles).len()).sum();
-        assert!(total < positions.len() * 3 / 2, "compact groups share few vertices: {total}");
+        let total: usize = groups
+            .iter()
+            .map(|g| vertices_of(g, &triangles).len())
+            .sum();
+        assert!(
+            total < positions.len() * 3 / 2,
+            "compact groups share few vertices: {total}"
+        );
     }
 
     #[test]
     fn equal_features_still_split() {
         let positions = vec![Vec3::ZERO; 30];
         let triangles: Vec<[u32; 3]> = (0..10).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
-        assert!(partition(&positions, &triangles, 3).iter().all(|group| group.len() == 1));
+        assert!(
+            partition(&positions, &triangles, 3)
+                .iter()
+                .all(|group| group.len() == 1)
+        );
     }
 }

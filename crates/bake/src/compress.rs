@@ -92,7 +92,9 @@ pub fn analyse(ssdfs: &DMatrix<f32>, rank: usize) -> Basis {
     let width = (rank + OVERSAMPLING).min(vertices).min(texels);
     let mut state = 0x9e37_79b9_7f4a_7c15_u64;
     let mut subspace = DMatrix::from_fn(vertices, width, |_, _| {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+        state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1);
         (state >> 40) as f32 / (1u64 << 23) as f32 - 1.0
     });
     let mut range = &centred * &subspace;
@@ -107,7 +109,11 @@ pub fn analyse(ssdfs: &DMatrix<f32>, rank: usize) -> Basis {
     let covariance = (&coordinates * coordinates.transpose()).cast::<f64>();
     let eigen = covariance.symmetric_eigen();
     let mut order: Vec<usize> = (0..eigen.eigenvalues.len()).collect();
-    order.sort_by(|&a, &b| eigen.eigenvalues[b].total_cmp(&eigen.eigenvalues[a]).then(a.cmp(&b)));
+    order.sort_by(|&a, &b| {
+        eigen.eigenvalues[b]
+            .total_cmp(&eigen.eigenvalues[a])
+            .then(a.cmp(&b))
+    });
     let rotation = DMatrix::from_fn(order.len(), rank, |row, column| {
         eigen.eigenvectors[(row, order[column])] as f32
     });
@@ -115,7 +121,10 @@ pub fn analyse(ssdfs: &DMatrix<f32>, rank: usize) -> Basis {
     let mut images = DMatrix::zeros(texels, rank + 1);
     images.column_mut(0).copy_from(&mean);
     images.columns_mut(1, rank).copy_from(&components);
-    Basis { images, projections: rotation.tr_mul(&coordinates) }
+    Basis {
+        images,
+        projections: rotation.tr_mul(&coordinates),
+    }
 }
 
 /// Quantises the first `channels` images of `basis` and fits the coefficients of every
@@ -144,7 +153,11 @@ pub fn encode(ssdfs: &DMatrix<f32>, basis: &Basis, channels: usize) -> Compresse
         .map(|column| fit_coefficients(column.as_slice(), &decoded, channels))
         .collect();
     let coefficient_scale = fitted.iter().map(|c| c.amax()).fold(0.0, f32::max);
-    let to_integer = if coefficient_scale > 0.0 { 32767.0 / coefficient_scale } else { 0.0 };
+    let to_integer = if coefficient_scale > 0.0 {
+        32767.0 / coefficient_scale
+    } else {
+        0.0
+    };
     let mut coefficients = vec![0i16; vertices * stored];
     let mut error = ErrorSums::default();
     for (vertex, fit) in fitted.iter().enumerate() {
@@ -152,9 +165,15 @@ pub fn encode(ssdfs: &DMatrix<f32>, basis: &Basis, channels: usize) -> Compresse
         for (out, value) in out.iter_mut().zip(fit.iter()) {
             *out = (value * to_integer).round() as i16;
         }
-        let values: Vec<f32> =
-            out.iter().map(|&c| f32::from(c) / 32767.0 * coefficient_scale).collect();
-        for (exact, row) in ssdfs.column(vertex).iter().zip(decoded.chunks_exact(channels)) {
+        let values: Vec<f32> = out
+            .iter()
+            .map(|&c| f32::from(c) / 32767.0 * coefficient_scale)
+            .collect();
+        for (exact, row) in ssdfs
+            .column(vertex)
+            .iter()
+            .zip(decoded.chunks_exact(channels))
+        {
             let found: f32 = row.iter().zip(&values).map(|(a, b)| a * b).sum();
             let squared = f64::from((found - exact).powi(2));
             error.all += squared;
@@ -165,7 +184,13 @@ pub fn encode(ssdfs: &DMatrix<f32>, basis: &Basis, channels: usize) -> Compresse
             }
         }
     }
-    Compressed { tiles: tiles as u32, coefficient_scale, coefficients, basis: quantised, error }
+    Compressed {
+        tiles: tiles as u32,
+        coefficient_scale,
+        coefficients,
+        basis: quantised,
+        error,
+    }
 }
 
 /// Weighted least squares of one SSDF in the basis, by normal equations.
@@ -233,18 +258,28 @@ mod tests {
         let gram = components.tr_mul(&components);
         // Single-precision orthogonalisation of a few hundred texels.
         assert!((gram - DMatrix::identity(8, 8)).amax() < 1e-4);
-        let variances: Vec<f32> =
-            basis.projections.row_iter().map(|row| row.norm_squared()).collect();
-        assert!(variances.windows(2).all(|pair| pair[0] >= pair[1]), "{variances:?}");
+        let variances: Vec<f32> = basis
+            .projections
+            .row_iter()
+            .map(|row| row.norm_squared())
+            .collect();
+        assert!(
+            variances.windows(2).all(|pair| pair[0] >= pair[1]),
+            "{variances:?}"
+        );
     }
 
     #[test]
     fn error_falls_with_rank() {
         let ssdfs = drifting_caps(60);
         let basis = analyse(&ssdfs, 15);
-        let errors: Vec<f32> =
-            [1, 4, 8, 12, 16].map(|k| encode(&ssdfs, &basis, k).error.boundary_rms()).to_vec();
-        assert!(errors.windows(2).all(|pair| pair[1] < pair[0]), "{errors:?}");
+        let errors: Vec<f32> = [1, 4, 8, 12, 16]
+            .map(|k| encode(&ssdfs, &basis, k).error.boundary_rms())
+            .to_vec();
+        assert!(
+            errors.windows(2).all(|pair| pair[1] < pair[0]),
+            "{errors:?}"
+        );
     }
 
     #[test]
@@ -255,7 +290,11 @@ mod tests {
         });
         let compressed = encode(&ssdfs, &analyse(&ssdfs, 3), 4);
         // 8-bit steps of images whose largest values are 0.2 and 0.1 rad, half a step off.
-        assert!(compressed.error.rms() < 0.3 / 127.0 / 2.0, "{}", compressed.error.rms());
+        assert!(
+            compressed.error.rms() < 0.3 / 127.0 / 2.0,
+            "{}",
+            compressed.error.rms()
+        );
     }
 
     #[test]
@@ -263,7 +302,10 @@ mod tests {
         for (vertices, value) in [(1, 0.5f32), (7, 0.5), (3, -0.5), (2, 0.0)] {
             let ssdfs = DMatrix::from_element(64, vertices, value);
             let compressed = encode(&ssdfs, &analyse(&ssdfs, 7), 8);
-            assert!(compressed.error.rms() < 1e-4, "{vertices} columns of {value}");
+            assert!(
+                compressed.error.rms() < 1e-4,
+                "{vertices} columns of {value}"
+            );
         }
     }
 

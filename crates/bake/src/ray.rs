@@ -2,7 +2,8 @@
 
 use glam::{Vec3, Vec3A};
 use obvhs::{
-    Boundable, BvhBuildParams, aabb::Aabb,
+    Boundable, BvhBuildParams,
+    aabb::Aabb,
     bvh2::{Bvh2, builder::build_bvh2},
     ray::{Ray, RayHit},
 };
@@ -45,16 +46,18 @@ impl Boundable for Padded {
 impl RayCaster {
     /// Builds the tree. Triangles may be degenerate; coordinates must be finite.
     pub fn new(triangles: &[[Vec3; 3]]) -> Self {
-        let extent = triangles
-            .iter()
-            .flatten()
-            .fold(0f32, |extent, vertex| extent.max(vertex.abs().max_element()));
+        let extent = triangles.iter().flatten().fold(0f32, |extent, vertex| {
+            extent.max(vertex.abs().max_element())
+        });
         // The box test loses up to three units in the last place of the distance to the
         // ray's origin, which lies within a few extents of the scene.
         let padding = extent * 16.0 * f32::EPSILON;
         let padded: Vec<Padded> = triangles
             .iter()
-            .map(|triangle| Padded { vertices: triangle.map(Vec3A::from), padding })
+            .map(|triangle| Padded {
+                vertices: triangle.map(Vec3A::from),
+                padding,
+            })
             .collect();
         let mut params = BvhBuildParams::medium_build();
         params.pre_split = false;
@@ -173,7 +176,10 @@ mod tests {
                 let middle = (vertex + triangle[(i + 1) % 3]) * 0.5;
                 for target in [vertex, middle] {
                     if target.x.abs() < 0.49 && target.z.abs() < 0.49 {
-                        assert!(caster.any_hit(origin, target - origin), "ray to {target} leaks");
+                        assert!(
+                            caster.any_hit(origin, target - origin),
+                            "ray to {target} leaks"
+                        );
                     }
                 }
             }

@@ -84,8 +84,16 @@ impl Transform {
         let neighbours = (0..n * n)
             .map(|i| {
                 let (x, y) = ((i % n) as i32, (i / n) as i32);
-                const STEPS: [(i32, i32); 8] =
-                    [(-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (0, 1), (1, 1)];
+                const STEPS: [(i32, i32); 8] = [
+                    (-1, -1),
+                    (0, -1),
+                    (1, -1),
+                    (-1, 0),
+                    (1, 0),
+                    (-1, 1),
+                    (0, 1),
+                    (1, 1),
+                ];
                 STEPS.map(|(dx, dy)| {
                     let (x, y) = octahedral::wrap(x + dx, y + dy, n);
                     at(x, y)
@@ -113,10 +121,19 @@ impl Transform {
                     .iter()
                     .map(|&i| centre.distance_squared(directions[i as usize]))
                     .fold(0.0, f32::max);
-                Block { texels, centre, radius: angle_of_squared_chord(radius) }
+                Block {
+                    texels,
+                    centre,
+                    radius: angle_of_squared_chord(radius),
+                }
             })
             .collect();
-        Self { directions, neighbours, half_spacing, blocks }
+        Self {
+            directions,
+            neighbours,
+            half_spacing,
+            blocks,
+        }
     }
 
     /// The SSDF of a visibility bitmap, radians per texel, clamped to ± `limit`.
@@ -125,7 +142,10 @@ impl Transform {
         // candidates[1]: blocked texels next to visible ones; they bound the visible.
         let mut candidates = [Candidates::default(), Candidates::default()];
         for (texel, neighbours) in self.neighbours.iter().enumerate() {
-            if neighbours.iter().any(|&other| class[other as usize] != class[texel]) {
+            if neighbours
+                .iter()
+                .any(|&other| class[other as usize] != class[texel])
+            {
                 let list = &mut candidates[usize::from(!class[texel])];
                 list.push(self.directions[texel], texel as u32);
             }
@@ -200,7 +220,9 @@ mod tests {
     fn patterns(directions: &Directions) -> Vec<Bitmap> {
         let mut state = 7u64;
         let mut random = move || {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
             (state >> 40) as f32 / (1u64 << 24) as f32
         };
         let texels = directions.as_slice();
@@ -219,7 +241,8 @@ mod tests {
                 })
                 .collect();
             bitmaps.push(Bitmap::from_fn(texels.len(), |i| {
-                caps.iter().all(|(axis, cosine)| axis.dot(texels[i]) < *cosine)
+                caps.iter()
+                    .all(|(axis, cosine)| axis.dot(texels[i]) < *cosine)
             }));
         }
         bitmaps
@@ -257,10 +280,12 @@ mod tests {
         for (p, &from) in directions.as_slice().iter().enumerate() {
             for (q, &to) in directions.as_slice().iter().enumerate() {
                 let distance = from.distance_squared(to);
-                let nearer = |&r: &u32| {
-                    from.distance_squared(directions.as_slice()[r as usize]) < distance
-                };
-                assert!(p == q || transform.neighbours[q].iter().any(nearer), "{p} {q}");
+                let nearer =
+                    |&r: &u32| from.distance_squared(directions.as_slice()[r as usize]) < distance;
+                assert!(
+                    p == q || transform.neighbours[q].iter().any(nearer),
+                    "{p} {q}"
+                );
             }
         }
     }
@@ -275,8 +300,11 @@ mod tests {
         let bitmap = Bitmap::from_fn(texels.len(), |i| angle(texels[i]) > radius);
         let distances = transform.apply(&bitmap, std::f32::consts::PI);
         let exact: Vec<f32> = texels.iter().map(|&d| angle(d) - radius).collect();
-        let worst =
-            exact.iter().zip(&distances).map(|(a, b)| (a - b).abs()).fold(0f32, f32::max);
+        let worst = exact
+            .iter()
+            .zip(&distances)
+            .map(|(a, b)| (a - b).abs())
+            .fold(0f32, f32::max);
         // Distances to texel centres shrink both sides alike; what shades is where the zero
         // crossing lies: the mean of both sides' errors.
         let mean_error = |side: &dyn Fn(f32) -> bool| {

@@ -18,7 +18,10 @@ impl Directions {
         let directions = (0..resolution * resolution)
             .map(|i| octahedral::texel_direction(i % resolution, i / resolution, resolution))
             .collect();
-        Self { resolution, directions }
+        Self {
+            resolution,
+            directions,
+        }
     }
 
     /// Texels per side.
@@ -44,7 +47,9 @@ impl Bitmap {
         let words = (0..texels.div_ceil(64))
             .map(|word| {
                 let bits = 64.min(texels - word * 64);
-                (0..bits).fold(0, |bits, bit| bits | u64::from(visible(word * 64 + bit)) << bit)
+                (0..bits).fold(0, |bits, bit| {
+                    bits | u64::from(visible(word * 64 + bit)) << bit
+                })
             })
             .collect();
         Self { words }
@@ -60,7 +65,9 @@ impl Bitmap {
 /// like any other: the horizon of the shading normal is applied when shading.
 pub fn sample(caster: &RayCaster, origin: Vec3, directions: &Directions) -> Bitmap {
     let directions = directions.as_slice();
-    Bitmap::from_fn(directions.len(), |index| !caster.any_hit(origin, directions[index]))
+    Bitmap::from_fn(directions.len(), |index| {
+        !caster.any_hit(origin, directions[index])
+    })
 }
 
 /// Points from which a surface's visibility is sampled: each vertex moved by `offset`
@@ -89,13 +96,16 @@ mod tests {
     #[test]
     fn a_large_plane_blocks_exactly_the_lower_hemisphere() {
         let s = 1e5;
-        let [a, b, c, d] =
-            [[-s, -s], [-s, s], [s, s], [s, -s]].map(|[x, z]| Vec3::new(x, 0.0, z));
+        let [a, b, c, d] = [[-s, -s], [-s, s], [s, s], [s, -s]].map(|[x, z]| Vec3::new(x, 0.0, z));
         let caster = RayCaster::new(&[[a, b, c], [a, c, d]]);
         let directions = Directions::new(32);
         let bitmap = sample(&caster, Vec3::new(0.3, 0.01, -0.2), &directions);
         for (index, direction) in directions.as_slice().iter().enumerate() {
-            assert_eq!(bitmap.get(index), direction.y >= 0.0, "direction {direction}");
+            assert_eq!(
+                bitmap.get(index),
+                direction.y >= 0.0,
+                "direction {direction}"
+            );
         }
     }
 

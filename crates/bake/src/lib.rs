@@ -3,9 +3,15 @@
 pub mod cluster;
 pub mod compress;
 pub mod contour;
+pub mod ground;
 pub mod hdr;
+pub mod import;
 pub mod measured;
 pub mod monitor;
 pub mod ray;
+pub mod refine;
+pub mod scene_file;
+pub mod scene_input;
 pub mod ssdf;
+pub mod tangent;
 pub mod visibility;

@@ -1,0 +1,71 @@
+//! A horizontal receiver under a mesh, fine enough to carry the mesh's shadow.
+
+use glam::Vec3;
+use relight_format::{Surface, Vertex};
+
+use crate::import::{ImportedTriangle, Mesh, plain_material};
+use crate::scene_file::Ground;
+
+/// Default side length, in longest extents of the mesh.
+const DEFAULT_EXTENTS: f32 = 3.0;
+/// Default vertex spacings per side.
+const DEFAULT_CELLS: f32 = 80.0;
+/// Most cells per side: four million vertices.
+const MAX_CELLS: f32 = 2048.0;
+
+/// Appends a square grid facing +Y and its material, named `ground`.
+///
+/// # Errors
+///
+/// Place, expected and found, when the options ask for too many vertices or the mesh has
+/// too many materials.
+pub fn append(
+    mesh: &mut Mesh,
+    options: &Ground,
+    surface: Surface,
+) -> Result<(), (&'static str, String, String)> {
+    let (low, high) = mesh.bounds().unwrap_or((Vec3::ZERO, Vec3::ZERO));
+    let size = options.size.unwrap_or((high - low).max_element() * DEFAULT_EXTENTS);
+    let height = options.height.unwrap_or(low.y);
+    let [x, z] = options.center.unwrap_or([(low.x + high.x) * 0.5, (low.z + high.z) * 0.5]);
+    let cells = options.spacing.map_or(DEFAULT_CELLS, |spacing| (size / spacing).ceil().max(1.0));
+    // Written so that a size or spacing that overflows to infinity or NaN fails too.
+    if !(cells <= MAX_CELLS && (x.abs() + z.abs() + size).is_finite()) {
+        let expected = format!("at most {MAX_CELLS} spacings per side, inside finite space");
+        return Err(("ground.spacing", expected, format!("{cells} spacings on {size} m")));
+    }
+    let Ok(material) = u16::try_from(mesh.materials.len()) else {
+        return Err(("ground", "fewer than 65536 materials".into(), "65536 in the mesh".into()));
+    };
+    mesh.materials.push(plain_material("ground", surface));
+    let base = mesh.vertices.len() as u32;
+    let cells = cells as u32;
+    let row = cells + 1;
+    for j in 0..row {
+        for i in 0..row {
+            let uv = [i, j].map(|k| k as f32 / cells as f32);
+            let [u, v] = uv.map(|t| (t - 0.5) * size);
+            mesh.vertices.push(Vertex {
+                position: [x + u, height, z + v],
+                normal: [0.0, 1.0, 0.0],
+                tangent: [1.0, 0.0, 0.0, 1.0],
+                uv,
+            });
+        }
+    }
+    for j in 0..cells {
+        for i in 0..cells {
+            let a = base + j * row + i;
+            let (b, c, d) = (a + 1, a + row, a + row + 1);
+            // Alternating diagonals keep shadow edges from following one direction.
+            let halves = if (i + j) % 2 == 0 {
+                [[a, c, d], [a, d, b]]
+            } else {
+                [[a, c, b], [b, c, d]]
+            };
+            mesh.triangles
+                .extend(halves.map(|vertices| ImportedTriangle { vertices, material }));
+        }
+    }
+    Ok(())
+}

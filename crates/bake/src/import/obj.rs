@@ -1,0 +1,561 @@
+//! Wavefront OBJ.
+//!
+//! `tobj` is not used: it keeps neither line numbers for messages nor the file's positions
+//! across objects (which smooth normals need), triangulates concave faces as fans, and
+//! gives corners without a normal the normal of the corner before.
+
+use std::collections::{BTreeMap, HashMap};
+use std::path::Path;
+
+use glam::{DVec2, DVec3, Vec3};
+use relight_format::{
+    Material, Specular, Surface, Texture, TextureEncoding, TextureSlot, Vertex,
+};
+
+use super::build::{Builder, Part, Tangents, angle_weighted_normals};
+use super::mtl::{self, Map, MtlMaterial};
+use super::{Error, Mesh, image, plain_material};
+
+/// Most corners of a face that is not convex, which bounds the time to triangulate it.
+const MAX_CONCAVE_CORNERS: usize = 1024;
+
+/// Imports the bytes of an OBJ file and what it refers to.
+pub(super) fn import(file: &Path, bytes: &[u8]) -> Result<Mesh, Error> {
+    let text = String::from_utf8_lossy(bytes);
+    let mut builder = Builder::new(file);
+    let obj = parse(file, &text)?;
+    let (triangles, skipped) = obj.triangulate(file, &mut builder)?;
+    let counted = [
+        (obj.curves, "points, lines and curves are left out"),
+        (skipped, "faces of fewer than three corners are left out"),
+    ];
+    for (count, what) in counted {
+        if count > 0 {
+            builder.warn(format!("{count} {what}"));
+        }
+    }
+    let (materials, textures) = load_materials(file, &obj, &mut builder)?;
+    let normals = corner_normals(&obj, &triangles);
+    for (index, material) in materials.iter().enumerate() {
+        push_part(&mut builder, &obj, &triangles, &normals, index, material)?;
+    }
+    builder.finish(&materials, &textures)
+}
+
+/// A corner of a face: indices into the arrays of [`Obj`].
+#[derive(Clone, Copy, Debug)]
+struct Corner {
+    position: u32,
+    uv: Option<u32>,
+    normal: Option<u32>,
+}
+
+#[derive(Debug)]
+struct Face {
+    /// First and one past the last corner.
+    corners: [usize; 2],
+    /// Index into [`Obj::materials`].
+    material: usize,
+    /// Smoothing group; 0 is flat.
+    smoothing: u32,
+    line: usize,
+}
+
+#[derive(Debug, Default)]
+struct Obj {
+    positions: Vec<Vec3>,
+    uvs: Vec<[f32; 2]>,
+    normals: Vec<Vec3>,
+    corners: Vec<Corner>,
+    faces: Vec<Face>,
+    /// Names in order of first use.
+    materials: Vec<String>,
+    /// Rest of each `mtllib` line.
+    libraries: Vec<String>,
+    curves: usize,
+}
+
+/// A triangle of corners, with the face it came from.
+struct Triangle {
+    corners: [u32; 3],
+    face: u32,
+}
+
+fn parse(file: &Path, text: &str) -> Result<Obj, Error> {
+    let mut obj = Obj::default();
+    let mut material_indices = HashMap::new();
+    let mut material = None;
+    let mut smoothing = None;
+    let mut lines = text.lines().enumerate();
+    while let Some((number, first)) = lines.next() {
+        let mut line = std::borrow::Cow::Borrowed(first.trim());
+        while line.ends_with('\\') {
+            let joined = line.trim_end_matches('\\');
+            let next = lines.next().map_or("", |(_, next)| next.trim());
+            line = format!("{joined} {next}").into();
+        }
+        let number = number + 1;
+        let (key, rest) = line.split_once(char::is_whitespace).unwrap_or((&line, ""));
+        let rest = rest.trim();
+        let wrong = |expected: &str| {
+            Error::invalid(file, format_args!("line {number}"), expected, format_args!("{line:?}"))
+        };
+        match key {
+            // A fourth number is a weight of rational curves, more are colours.
+            "v" => {
+                let position = numbers(rest).ok_or_else(|| wrong("v and three finite numbers"))?;
+                obj.positions.push(position.into());
+            }
+            "vt" => {
+                let [u] = numbers(rest).ok_or_else(|| wrong("vt and finite numbers"))?;
+                let [_, v] = match rest.split_whitespace().nth(1) {
+                    Some(_) => numbers(rest).ok_or_else(|| wrong("vt and finite numbers"))?,
+                    None => [u, 0.0],
+                };
+                obj.uvs.push([u, 1.0 - v]);
+            }
+            "vn" => {
+                let normal = numbers(rest).ok_or_else(|| wrong("vn and three finite numbers"))?;
+                obj.normals.push(normal.into());
+            }
+            "f" | "fo" => {
+                let start = obj.corners.len();
+                for word in rest.split_whitespace() {
+                    let counts = [obj.positions.len(), obj.uvs.len(), obj.normals.len()];
+                    let corner = corner(word, counts).ok_or_else(|| {
+                        wrong("f and corners v, v/vt, v//vn or v/vt/vn of existing indices")
+                    })?;
+                    obj.corners.push(corner);
+                }
+                let material = *material.get_or_insert_with(|| {
+                    material_index(&mut obj.materials, &mut material_indices, "default")
+                });
+                obj.faces.push(Face {
+                    corners: [start, obj.corners.len()],
+                    material,
+                    smoothing: smoothing.unwrap_or(1),
+                    line: number,
+                });
+            }
+            "usemtl" => {
+                material =
+                    Some(material_index(&mut obj.materials, &mut material_indices, rest));
+            }
+            "mtllib" => obj.libraries.push(rest.to_owned()),
+            "s" => {
+                // Faces before the first statement are in no group once there is one.
+                if smoothing.is_none() {
+                    obj.faces.iter_mut().for_each(|face| face.smoothing = 0);
+                }
+                smoothing = Some(rest.parse().unwrap_or(0));
+            }
+            "p" | "l" | "curv" | "curv2" | "surf" => obj.curves += 1,
+            _ => {}
+        }
+    }
+    Ok(obj)
+}
+
+/// The first N words as finite numbers.
+fn numbers<const N: usize>(text: &str) -> Option<[f32; N]> {
+    let mut words = text.split_whitespace();
+    let mut values = [0.0; N];
+    for value in &mut values {
+        *value = words.next()?.parse().ok().filter(|value: &f32| value.is_finite())?;
+    }
+    Some(values)
+}
+
+fn material_index(
+    names: &mut Vec<String>,
+    indices: &mut HashMap<String, usize>,
+    name: &str,
+) -> usize {
+    *indices.entry(name.to_owned()).or_insert_with(|| {
+        names.push(name.to_owned());
+        names.len() - 1
+    })
+}
+
+/// Parses `v`, `v/vt`, `v//vn` or `v/vt/vn`. Positive indices may refer forward, so they are
+/// checked against the whole file later.
+fn corner(word: &str, counts: [usize; 3]) -> Option<Corner> {
+    let mut fields = word.split('/');
+    let mut indices = [None; 3];
+    for (index, count) in indices.iter_mut().zip(counts) {
+        *index = match fields.next() {
+            None | Some("") => None,
+            Some(field) => match field.parse::<i64>().ok()? {
+                0 => return None,
+                // A relative index into nothing must stay out of range.
+                value @ ..0 => {
+                    let back = usize::try_from(value.unsigned_abs()).ok()?;
+                    Some(if count == 0 { u32::MAX } else { count.checked_sub(back)? as u32 })
+                }
+                value => Some(u32::try_from(value - 1).ok()?),
+            },
+        };
+    }
+    let [position, uv, normal] = indices;
+    (fields.next().is_none()).then_some(Corner { position: position?, uv, normal })
+}
+
+impl Obj {
+    /// Checks indices and cuts faces into triangles; also counts faces that have no area to
+    /// cut.
+    fn triangulate(
+        &self,
+        file: &Path,
+        builder: &mut Builder,
+    ) -> Result<(Vec<Triangle>, usize), Error> {
+        let mut triangles = Vec::new();
+        let mut skipped = 0;
+        let mut points = Vec::new();
+        for (face, &Face { corners: [start, end], line, .. }) in self.faces.iter().enumerate() {
+            let corners = &self.corners[start..end];
+            for corner in corners {
+                let checks = [
+                    ("vertices", Some(corner.position), self.positions.len()),
+                    ("texture coordinates", corner.uv, self.uvs.len()),
+                    ("normals", corner.normal, self.normals.len()),
+                ];
+                for (what, index, count) in checks {
+                    let Some(index) = index.filter(|&index| index as usize >= count) else {
+                        continue;
+                    };
+                    if count == 0 && what != "vertices" {
+                        builder.warn(format!("faces refer to {what}, but the file has none"));
+                        continue;
+                    }
+                    return Err(Error::invalid(
+                        file,
+                        format_args!("line {line}"),
+                        format_args!("an index into the file's {count} {what}"),
+                        match index {
+                            u32::MAX => "a relative one".to_owned(),
+                            _ => (u64::from(index) + 1).to_string(),
+                        },
+                    ));
+                }
+            }
+            if corners.len() < 3 {
+                skipped += 1;
+                continue;
+            }
+            points.clear();
+            points.extend(corners.iter().map(|c| self.positions[c.position as usize].as_dvec3()));
+            let cut = triangulate(&points).ok_or_else(|| {
+                Error::invalid(
+                    file,
+                    format_args!("line {line}"),
+                    format_args!("at most {MAX_CONCAVE_CORNERS} corners of a concave face"),
+                    points.len(),
+                )
+            })?;
+            triangles.extend(cut.into_iter().map(|local| Triangle {
+                corners: local.map(|index| (start + index) as u32),
+                face: face as u32,
+            }));
+        }
+        Ok((triangles, skipped))
+    }
+
+    fn position(&self, corner: u32) -> Vec3 {
+        self.positions[self.corners[corner as usize].position as usize]
+    }
+}
+
+/// Cuts a polygon into triangles of local indices: a fan if it is convex, else by ear
+/// clipping in the plane that it projects to with the largest area. `None` if it is concave
+/// and too large.
+fn triangulate(points: &[DVec3]) -> Option<Vec<[usize; 3]>> {
+    let count = points.len();
+    let fan = |corners: &[usize]| -> Vec<[usize; 3]> {
+        corners[1..].windows(2).map(|pair| [corners[0], pair[0], pair[1]]).collect()
+    };
+    let mut left: Vec<usize> = (0..count).collect();
+    if count == 3 {
+        return Some(fan(&left));
+    }
+    // Newell's normal: twice the vector area.
+    let area: DVec3 = (0..count)
+        .map(|i| (points[i] - points[0]).cross(points[(i + 1) % count] - points[0]))
+        .sum();
+    let axis = (0..3).max_by(|&i, &j| area[i].abs().total_cmp(&area[j].abs())).unwrap_or(0);
+    let (s, t) = ((axis + 1) % 3, (axis + 2) % 3);
+    let flat: Vec<DVec2> = points
+        .iter()
+        .map(|p| DVec2::new(p[s] - points[0][s], (p[t] - points[0][t]) * area[axis].signum()))
+        .collect();
+    let turn = |a: usize, b: usize, c: usize| (flat[b] - flat[a]).perp_dot(flat[c] - flat[b]);
+    let convex =
+        |left: &[usize], i: usize| {
+            let n = left.len();
+            turn(left[(i + n - 1) % n], left[i], left[(i + 1) % n]) > 0.0
+        };
+    if (0..count).all(|i| convex(&left, i)) {
+        return Some(fan(&left));
+    }
+    if count > MAX_CONCAVE_CORNERS {
+        return None;
+    }
+    let mut triangles = Vec::with_capacity(count - 2);
+    while left.len() > 3 {
+        let n = left.len();
+        let ear = (0..n).find(|&i| {
+            let [a, b, c] = [left[(i + n - 1) % n], left[i], left[(i + 1) % n]];
+            turn(a, b, c) > 0.0
+                && left.iter().all(|&p| {
+                    let corner = [a, b, c].iter().any(|&q| flat[p] == flat[q]);
+                    let inside =
+                        turn(a, b, p) >= 0.0 && turn(b, c, p) >= 0.0 && turn(c, a, p) >= 0.0;
+                    corner || !inside
+                })
+        });
+        // A polygon that crosses itself may have no ear; it has no right answer either.
+        let Some(ear) = ear else { break };
+        triangles.push([left[(ear + n - 1) % n], left[ear], left[(ear + 1) % n]]);
+        left.remove(ear);
+    }
+    triangles.extend(fan(&left));
+    Some(triangles)
+}
+
+/// The normal of each corner of each triangle: the file's, else the angle-weighted mean over
+/// the triangles that share the position and the smoothing group, else the face's.
+fn corner_normals(obj: &Obj, triangles: &[Triangle]) -> Vec<[Vec3; 3]> {
+    let given = |corner: u32| {
+        let index = obj.corners[corner as usize].normal?;
+        obj.normals.get(index as usize)?.try_normalize()
+    };
+    let mut sums: HashMap<(u32, u32), DVec3> = HashMap::new();
+    let incomplete = triangles.iter().any(|t| t.corners.iter().any(|&c| given(c).is_none()));
+    // Group 0 is never smoothed, so its normals are kept per face, under the face's number.
+    let key = |triangle: &Triangle, corner: u32| match obj.faces[triangle.face as usize].smoothing {
+        0 => (u32::MAX - triangle.face, 0),
+        group => (obj.corners[corner as usize].position, group),
+    };
+    if incomplete {
+        for triangle in triangles {
+            let points = triangle.corners.map(|corner| obj.position(corner).as_dvec3());
+            for (corner, weight) in triangle.corners.into_iter().zip(angle_weighted_normals(points))
+            {
+                *sums.entry(key(triangle, corner)).or_default() += weight;
+            }
+        }
+    }
+    let smooth = |triangle: &Triangle, corner: u32| {
+        let sum = sums.get(&key(triangle, corner)).copied().unwrap_or_default();
+        sum.try_normalize().unwrap_or_default().as_vec3()
+    };
+    triangles
+        .iter()
+        .map(|t| t.corners.map(|corner| given(corner).unwrap_or_else(|| smooth(t, corner))))
+        .collect()
+}
+
+/// Appends the triangles of one material. Corners that agree in everything become one vertex.
+fn push_part(
+    builder: &mut Builder,
+    obj: &Obj,
+    triangles: &[Triangle],
+    normals: &[[Vec3; 3]],
+    material: usize,
+    description: &Material,
+) -> Result<(), Error> {
+    let mut vertices = Vec::new();
+    let mut indices = HashMap::new();
+    let mut has_uv = true;
+    let mut part_triangles = Vec::new();
+    for (triangle, normals) in triangles.iter().zip(normals) {
+        if obj.faces[triangle.face as usize].material != material {
+            continue;
+        }
+        let mut vertex = |corner: u32, normal: Vec3| {
+            let Corner { position, uv, .. } = obj.corners[corner as usize];
+            let uv = uv.filter(|&uv| (uv as usize) < obj.uvs.len());
+            has_uv &= uv.is_some();
+            let key = (position, uv, normal.to_array().map(f32::to_bits));
+            *indices.entry(key).or_insert_with(|| {
+                vertices.push(Vertex {
+                    position: obj.positions[position as usize].into(),
+                    normal: normal.into(),
+                    tangent: [0.0; 4],
+                    uv: uv.map_or([0.0; 2], |uv| obj.uvs[uv as usize]),
+                });
+                vertices.len() as u32 - 1
+            })
+        };
+        let [a, b, c] = triangle.corners;
+        part_triangles.push([vertex(a, normals[0]), vertex(b, normals[1]), vertex(c, normals[2])]);
+    }
+    let tangents = match (has_uv, description.normal_texture) {
+        (true, Some(_)) => Tangents::MikkTSpace,
+        (true, None) => Tangents::FromUv,
+        (false, _) => Tangents::AroundAxis,
+    };
+    let part =
+        Part { vertices, triangles: part_triangles, material, tangents, double_sided: false };
+    builder.push(part)
+}
+
+/// Reads the material libraries and the textures of the materials in use.
+fn load_materials(
+    file: &Path,
+    obj: &Obj,
+    builder: &mut Builder,
+) -> Result<(Vec<Material>, Vec<Texture>), Error> {
+    let folder = file.parent().unwrap_or(Path::new(""));
+    let mut library = BTreeMap::new();
+    for names in &obj.libraries {
+        // One name with spaces, or several names.
+        let whole = folder.join(names.replace('\\', "/"));
+        let paths = if whole.is_file() {
+            vec![whole]
+        } else {
+            names.split_whitespace().map(|name| folder.join(name.replace('\\', "/"))).collect()
+        };
+        for path in paths {
+            match std::fs::read(&path) {
+                Ok(bytes) => {
+                    library.extend(mtl::parse(&path, &String::from_utf8_lossy(&bytes))?);
+                }
+                Err(error) => {
+                    let path = path.display();
+                    builder.warn(format!("material library {path} cannot be read: {error}"));
+                }
+            }
+        }
+    }
+    let mut textures = Textures { folder, images: BTreeMap::new(), list: Vec::new(), texels: 0 };
+    let mut materials = Vec::new();
+    for name in &obj.materials {
+        let described = library.get(name);
+        if described.is_none() && name != "default" {
+            builder.warn(format!("material {name:?} is not defined; a grey one stands in"));
+        }
+        let described = described.cloned().unwrap_or_default();
+        materials.push(convert(name, &described, &mut textures, builder)?);
+    }
+    Ok((materials, textures.list))
+}
+
+fn convert(
+    name: &str,
+    mtl: &MtlMaterial,
+    textures: &mut Textures,
+    builder: &mut Builder,
+) -> Result<Material, Error> {
+    let mut clamped = |color: [f32; 3]| {
+        let inside = color.map(|x| x.clamp(0.0, 1.0));
+        if inside != color {
+            builder.warn(format!("material {name:?}: colours outside [0, 1] are clamped"));
+        }
+        inside
+    };
+    // Mitsuba's default, for materials that say nothing.
+    let mut diffuse = clamped(mtl.diffuse.unwrap_or([0.5; 3]));
+    let specular = clamped(mtl.specular.unwrap_or([0.0; 3]));
+    if mtl.diffuse_map.is_some() && (mtl.diffuse.is_none() || diffuse == [0.0; 3]) {
+        // Exporters write a black Kd beside a map as often as a white one.
+        diffuse = [1.0; 3];
+    }
+    // Illumination models 0 and 1 have no highlight.
+    let shines = specular != [0.0; 3] && mtl.illumination.is_none_or(|model| model >= 2);
+    let surface = if mtl.roughness.is_some() || mtl.metallic.is_some() {
+        Surface::MetallicRoughness {
+            base_color: diffuse,
+            metallic: mtl.metallic.unwrap_or(0.0).clamp(0.0, 1.0),
+            roughness: mtl.roughness.unwrap_or(1.0).clamp(0.0, 1.0),
+            anisotropy_strength: 0.0,
+            anisotropy_rotation: 0.0,
+        }
+    } else {
+        let specular = match shines {
+            true => Specular::BlinnPhong {
+                specular,
+                exponent: mtl.exponent.unwrap_or(1.0).max(1.0),
+            },
+            false => Specular::None,
+        };
+        Surface::Layered { diffuse, specular }
+    };
+    if !mtl.ignored_maps.is_empty() {
+        let maps = mtl.ignored_maps.join(", ");
+        builder.warn(format!("material {name:?}: {maps} left out"));
+    }
+    let mut material = plain_material(name, surface);
+    if let Some(map) = &mtl.diffuse_map {
+        material.base_color_texture = textures.slot(map, TextureEncoding::Srgb, builder)?;
+    }
+    if let Some(map) = mtl.normal_map.as_ref().or(mtl.bump_map.as_ref()) {
+        let slot = textures.slot(map, TextureEncoding::Linear, builder)?;
+        let is_normal_map = |slot: &TextureSlot| {
+            mtl.normal_map.is_some() || looks_like_normals(&textures.list[slot.texture as usize])
+        };
+        if slot.as_ref().is_some_and(|slot| !is_normal_map(slot)) {
+            builder.warn(format!("material {name:?}: a height map is left out"));
+        }
+        material.normal_texture = slot.filter(is_normal_map);
+    }
+    Ok(material)
+}
+
+/// Whether an image is mostly the blue of normals that point up, where a height map is grey.
+fn looks_like_normals(texture: &Texture) -> bool {
+    let mut sums = [0u64; 4];
+    for texel in texture.texels.as_chunks::<4>().0 {
+        for (sum, &value) in sums.iter_mut().zip(texel) {
+            *sum += u64::from(value);
+        }
+    }
+    let [red, green, blue, _] = sums;
+    blue > red + red / 4 && blue > green + green / 4
+}
+
+/// Textures read so far.
+struct Textures<'a> {
+    folder: &'a Path,
+    /// Index into `list`, or none if unreadable, by file and encoding.
+    images: BTreeMap<(String, bool), Option<u32>>,
+    list: Vec<Texture>,
+    texels: u64,
+}
+
+impl Textures<'_> {
+    /// The texture of a map. OBJ files travel without their textures so often that a missing
+    /// one is a warning.
+    fn slot(
+        &mut self,
+        map: &Map,
+        encoding: TextureEncoding,
+        builder: &mut Builder,
+    ) -> Result<Option<TextureSlot>, Error> {
+        let key = (map.file.clone(), encoding == TextureEncoding::Srgb);
+        let index = match self.images.get(&key) {
+            Some(index) => *index,
+            None => {
+                let path = self.folder.join(&map.file);
+                let index = match std::fs::read(&path) {
+                    Ok(bytes) => {
+                        let image =
+                            image::decode(&path, "image", &bytes, encoding, &mut self.texels)?;
+                        self.list.push(image);
+                        Some(self.list.len() as u32 - 1)
+                    }
+                    Err(error) => {
+                        let path = path.display();
+                        builder.warn(format!("texture {path} cannot be read: {error}"));
+                        None
+                    }
+                };
+                self.images.insert(key, index);
+                index
+            }
+        };
+        let ([su, sv], [ou, ov]) = (map.scale, map.offset);
+        // OBJ's v points up: v' = 1 - ((1 - v) sv + ov).
+        let transform = [[su, 0.0, ou], [0.0, sv, 1.0 - sv - ov]];
+        Ok(index.map(|texture| TextureSlot { texture, transform }))
+    }
+}

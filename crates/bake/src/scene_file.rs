@@ -1,0 +1,419 @@
+//! `scene.toml`: what to bake, as written by hand. `SCENE.md` beside this crate shows a
+//! complete example.
+//!
+//! This module knows the file's syntax and the ranges of its values; it reads no mesh.
+//! Unknown keys are errors, because a misspelt optional key would otherwise silently keep
+//! its default.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use relight_format as format;
+use serde::{Deserialize, Serialize};
+
+pub use crate::import::Error;
+
+/// A whole scene file. Paths are relative to the folder that holds it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SceneFile {
+    /// The mesh: `.gltf`, `.glb` or `.obj`.
+    pub mesh: PathBuf,
+    /// A lat-long HDR image, `.hdr` or `.exr`. Baking does not read it; tools use it as the
+    /// scene's default light.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub environment: Option<PathBuf>,
+    /// Where the mesh is placed in the world.
+    #[serde(default)]
+    pub transform: Transform,
+    /// Replacements for the mesh's materials, textures included, by material name.
+    /// `default` replaces every material that no other entry names.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub materials: BTreeMap<String, MaterialOverride>,
+    /// A horizontal plane under the mesh that receives its shadow.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ground: Option<Ground>,
+    /// The view that tools start from.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub camera: Option<Camera>,
+    /// How finely the mesh is divided before visibility is sampled at its vertices.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub refinement: Option<Refinement>,
+}
+
+/// Scale, then rotation, then translation.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Transform {
+    /// Uniform scale, greater than 0. Default 1.
+    pub scale: f32,
+    /// Rotation axis, not zero. Default +Y.
+    pub rotation_axis: [f32; 3],
+    /// Rotation about the axis, degrees counter-clockwise seen from its tip. Default 0.
+    pub rotation_degrees: f32,
+    /// Translation, metres. Default zero.
+    pub translation: [f32; 3],
+}
+
+impl Default for Transform {
+    fn default() -> Self {
+        Self {
+            scale: 1.0,
+            rotation_axis: [0.0, 1.0, 0.0],
+            rotation_degrees: 0.0,
+            translation: [0.0; 3],
+        }
+    }
+}
+
+/// Linear Rec.709 colour: three numbers, or one for grey.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(untagged, expecting = "a number or an array of three numbers")]
+pub enum Color {
+    /// All three channels alike.
+    Grey(f32),
+    /// Red, green, blue.
+    Rgb([f32; 3]),
+}
+
+impl Color {
+    /// The three channels.
+    pub fn rgb(self) -> [f32; 3] {
+        match self {
+            Self::Grey(value) => [value; 3],
+            Self::Rgb(rgb) => rgb,
+        }
+    }
+}
+
+fn black() -> Color {
+    Color::Grey(0.0)
+}
+
+fn one() -> f32 {
+    1.0
+}
+
+/// A material, chosen by `model`. The models are those of [`format::Specular`] and
+/// [`format::Surface`]; reflectances and albedos are in [0, 1].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "model", rename_all = "kebab-case", deny_unknown_fields)]
+pub enum MaterialOverride {
+    /// Lambertian.
+    Diffuse {
+        /// Albedo.
+        diffuse: Color,
+    },
+    /// Normalised Blinn-Phong over a Lambertian base.
+    BlinnPhong {
+        /// Albedo of the base. Default black.
+        #[serde(default = "black")]
+        diffuse: Color,
+        /// Specular albedo.
+        specular: Color,
+        /// Exponent, at least 1.
+        exponent: f32,
+    },
+    /// Ward over a Lambertian base. Give `alpha`, or `alpha_x` and `alpha_y`.
+    Ward {
+        /// Albedo of the base. Default black.
+        #[serde(default = "black")]
+        diffuse: Color,
+        /// Specular albedo.
+        specular: Color,
+        /// Isotropic roughness, in (0, 1].
+        alpha: Option<f32>,
+        /// Roughness along the tangent, in (0, 1].
+        alpha_x: Option<f32>,
+        /// Roughness along the bitangent, in (0, 1].
+        alpha_y: Option<f32>,
+    },
+    /// Cook-Torrance with a Beckmann distribution over a Lambertian base.
+    CookTorrance {
+        /// Albedo of the base. Default black.
+        #[serde(default = "black")]
+        diffuse: Color,
+        /// Reflectance at normal incidence.
+        f0: Color,
+        /// Beckmann roughness m, in (0, 1].
+        roughness: f32,
+    },
+    /// GGX over a Lambertian base. Give `alpha`, or `alpha_x` and `alpha_y`.
+    Ggx {
+        /// Albedo of the base. Default black.
+        #[serde(default = "black")]
+        diffuse: Color,
+        /// Reflectance at normal incidence; 1 is a perfect conductor.
+        f0: Color,
+        /// Isotropic roughness, in (0, 1].
+        alpha: Option<f32>,
+        /// Roughness along the tangent, in (0, 1].
+        alpha_x: Option<f32>,
+        /// Roughness along the bitangent, in (0, 1].
+        alpha_y: Option<f32>,
+    },
+    /// glTF 2.0 metallic-roughness.
+    MetallicRoughness {
+        /// Base colour.
+        base_color: Color,
+        /// 0 dielectric, 1 metal. Default 1, as in glTF.
+        #[serde(default = "one")]
+        metallic: f32,
+        /// Perceptual roughness, the square root of GGX alpha, in [0, 1]. Default 1.
+        #[serde(default = "one")]
+        roughness: f32,
+        /// `KHR_materials_anisotropy` strength, in [0, 1]. Default 0.
+        #[serde(default)]
+        anisotropy_strength: f32,
+        /// Direction of anisotropy, degrees counter-clockwise from the tangent. Default 0.
+        #[serde(default)]
+        anisotropy_rotation_degrees: f32,
+    },
+    /// A measured BRDF: an RGL `.bsdf` file (Dupuy & Jakob 2018).
+    Measured {
+        /// The file.
+        file: PathBuf,
+    },
+}
+
+/// A flat square grid facing +Y.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Ground {
+    /// Length of its sides, metres. Default: three times the mesh's longest extent.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub size: Option<f32>,
+    /// Its y coordinate. Default: the mesh's lowest point.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub height: Option<f32>,
+    /// x and z of its centre. Default: under the centre of the mesh's bounding box.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub center: Option<[f32; 2]>,
+    /// Largest distance of neighbouring vertices, metres. Default: 1/80 of `size`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub spacing: Option<f32>,
+    /// Its material, named `ground`. Default: diffuse with albedo 0.5.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub material: Option<MaterialOverride>,
+}
+
+/// A pinhole camera. Give exactly one field of view.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Camera {
+    /// Centre of projection (also spelt `origin`).
+    #[serde(alias = "origin")]
+    pub position: [f32; 3],
+    /// A point on the optical axis.
+    pub target: [f32; 3],
+    /// Approximate up direction. Default +Y.
+    #[serde(default = "up")]
+    pub up: [f32; 3],
+    /// Full horizontal angle, degrees in (0, 180).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fov_x_degrees: Option<f32>,
+    /// Full vertical angle, degrees in (0, 180).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fov_y_degrees: Option<f32>,
+}
+
+fn up() -> [f32; 3] {
+    [0.0, 1.0, 0.0]
+}
+
+/// Bounds on the division of the mesh, ground included.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Refinement {
+    /// Longer edges are halved until none is left, metres.
+    pub max_edge: f32,
+    /// Division stops before the mesh has more vertices than this. Default: no bound.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_vertices: Option<usize>,
+}
+
+/// Reads and checks a scene file.
+pub fn load(path: &Path) -> Result<SceneFile, Error> {
+    let text = std::fs::read_to_string(path).map_err(|source| Error::read(path, source))?;
+    let scene: SceneFile = toml::from_str(&text)
+        .map_err(|error| Error::Syntax { file: path.into(), message: error.to_string() })?;
+    let checked = Checker { path };
+    checked.transform(&scene.transform)?;
+    for (name, material) in &scene.materials {
+        checked.material(&format!("materials.{name}"), material)?;
+    }
+    if let Some(ground) = &scene.ground {
+        checked.ground(ground)?;
+    }
+    if let Some(camera) = &scene.camera {
+        checked.camera(camera)?;
+    }
+    if let Some(refinement) = &scene.refinement {
+        checked.positive("refinement.max_edge", refinement.max_edge)?;
+    }
+    Ok(scene)
+}
+
+impl Camera {
+    /// The camera as assets store it; `None` unless exactly one field of view is given.
+    pub fn to_format(&self) -> Option<format::Camera> {
+        let field_of_view = match (self.fov_x_degrees, self.fov_y_degrees) {
+            (Some(x), None) => format::FieldOfView::X(x.to_radians()),
+            (None, Some(y)) => format::FieldOfView::Y(y.to_radians()),
+            _ => return None,
+        };
+        let Self { position, target, up, .. } = *self;
+        Some(format::Camera { position, target, up, field_of_view })
+    }
+}
+
+/// The two roughnesses that `alpha` or `alpha_x` and `alpha_y` stand for.
+pub fn alpha_pair(
+    alpha: Option<f32>,
+    alpha_x: Option<f32>,
+    alpha_y: Option<f32>,
+) -> Option<[f32; 2]> {
+    match (alpha, alpha_x, alpha_y) {
+        (Some(alpha), None, None) => Some([alpha; 2]),
+        (None, Some(x), Some(y)) => Some([x, y]),
+        _ => None,
+    }
+}
+
+/// Range checks whose errors name the file.
+struct Checker<'a> {
+    path: &'a Path,
+}
+
+impl Checker<'_> {
+    fn require(
+        &self,
+        holds: bool,
+        place: &str,
+        expected: &str,
+        found: impl std::fmt::Debug,
+    ) -> Result<(), Error> {
+        if holds {
+            Ok(())
+        } else {
+            Err(Error::invalid(self.path, place, expected, format_args!("{found:?}")))
+        }
+    }
+
+    fn positive(&self, place: &str, value: f32) -> Result<(), Error> {
+        self.require(value > 0.0 && value.is_finite(), place, "a number above 0", value)
+    }
+
+    fn finite(&self, place: &str, values: &[f32]) -> Result<(), Error> {
+        self.require(values.iter().all(|x| x.is_finite()), place, "finite numbers", values)
+    }
+
+    fn nonzero(&self, place: &str, vector: [f32; 3]) -> Result<(), Error> {
+        let normalizable = glam::Vec3::from(vector).try_normalize().is_some();
+        self.require(normalizable, place, "a vector other than zero", vector)
+    }
+
+    fn transform(&self, transform: &Transform) -> Result<(), Error> {
+        self.positive("transform.scale", transform.scale)?;
+        self.nonzero("transform.rotation_axis", transform.rotation_axis)?;
+        self.finite("transform.rotation_degrees", &[transform.rotation_degrees])?;
+        self.finite("transform.translation", &transform.translation)
+    }
+
+    fn ground(&self, ground: &Ground) -> Result<(), Error> {
+        for (place, value) in [("ground.size", ground.size), ("ground.spacing", ground.spacing)] {
+            value.map_or(Ok(()), |value| self.positive(place, value))?;
+        }
+        self.finite("ground.height", ground.height.as_slice())?;
+        self.finite("ground.center", ground.center.as_ref().map_or(&[], |center| center))?;
+        ground
+            .material
+            .as_ref()
+            .map_or(Ok(()), |material| self.material("ground.material", material))
+    }
+
+    fn camera(&self, camera: &Camera) -> Result<(), Error> {
+        let angles = [camera.fov_x_degrees, camera.fov_y_degrees];
+        self.require(
+            angles.iter().flatten().count() == 1,
+            "camera",
+            "one of fov_x_degrees and fov_y_degrees",
+            format_args!("{} of them", angles.iter().flatten().count()),
+        )?;
+        let in_range = angles.into_iter().flatten().all(|angle| angle > 0.0 && angle < 180.0);
+        self.require(in_range, "camera", "a field of view above 0 and below 180", angles)?;
+        self.finite("camera.position", &camera.position)?;
+        self.finite("camera.target", &camera.target)?;
+        let [position, target, up] =
+            [camera.position, camera.target, camera.up].map(glam::Vec3::from);
+        self.nonzero("camera.target minus camera.position", (target - position).into())?;
+        self.nonzero("camera.up", up.into())?;
+        self.nonzero(
+            "camera.up across the viewing direction",
+            (target - position).normalize().cross(up.normalize()).into(),
+        )
+    }
+
+    fn material(&self, place: &str, material: &MaterialOverride) -> Result<(), Error> {
+        let at = |key: &str| format!("{place}.{key}");
+        let unit = |key: &str, value: f32| {
+            self.require((0.0..=1.0).contains(&value), &at(key), "a number in [0, 1]", value)
+        };
+        let color = |key: &str, value: Color| {
+            let rgb = value.rgb();
+            let valid = rgb.iter().all(|x| (0.0..=1.0).contains(x));
+            self.require(valid, &at(key), "reflectances in [0, 1]", rgb)
+        };
+        let roughness = |key: &str, value: f32| {
+            let valid = value > 0.0 && value <= 1.0;
+            self.require(valid, &at(key), "a roughness in (0, 1]", value)
+        };
+        let alpha = |alpha, x, y| {
+            let pair = alpha_pair(alpha, x, y);
+            let found = (alpha, x, y);
+            let expected = "alpha, or alpha_x and alpha_y";
+            self.require(pair.is_some(), place, expected, found)?;
+            pair.into_iter().flatten().try_for_each(|value| roughness("alpha", value))
+        };
+        use MaterialOverride as M;
+        match *material {
+            M::Diffuse { diffuse } => color("diffuse", diffuse),
+            M::BlinnPhong { diffuse, specular, exponent } => {
+                color("diffuse", diffuse)?;
+                color("specular", specular)?;
+                let valid = exponent >= 1.0 && exponent.is_finite();
+                self.require(valid, &at("exponent"), "a number of at least 1", exponent)
+            }
+            M::Ward { diffuse, specular, alpha: a, alpha_x, alpha_y } => {
+                color("diffuse", diffuse)?;
+                color("specular", specular)?;
+                alpha(a, alpha_x, alpha_y)
+            }
+            M::CookTorrance { diffuse, f0, roughness: m } => {
+                color("diffuse", diffuse)?;
+                color("f0", f0)?;
+                roughness("roughness", m)
+            }
+            M::Ggx { diffuse, f0, alpha: a, alpha_x, alpha_y } => {
+                color("diffuse", diffuse)?;
+                color("f0", f0)?;
+                alpha(a, alpha_x, alpha_y)
+            }
+            M::MetallicRoughness {
+                base_color,
+                metallic,
+                roughness: perceptual,
+                anisotropy_strength,
+                anisotropy_rotation_degrees,
+            } => {
+                color("base_color", base_color)?;
+                unit("metallic", metallic)?;
+                unit("roughness", perceptual)?;
+                unit("anisotropy_strength", anisotropy_strength)?;
+                let rotation = [anisotropy_rotation_degrees];
+                self.finite(&at("anisotropy_rotation_degrees"), &rotation)
+            }
+            M::Measured { .. } => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,172 @@
+//! A scene file, or a bare mesh, to everything that baking and rendering need.
+
+use std::path::{Path, PathBuf};
+
+use glam::{Quat, Vec3};
+use relight_format as format;
+
+use crate::ground;
+use crate::import::{self, Error, Mesh};
+use crate::scene_file::{self, MaterialOverride, SceneFile, alpha_pair};
+
+/// A scene, ready to bake.
+#[derive(Clone, Debug)]
+pub struct SceneInput {
+    /// The input file's name without its extension.
+    pub name: String,
+    /// In world space, materials replaced, ground included, not refined.
+    pub mesh: Mesh,
+    /// The camera of the scene file, if any.
+    pub camera: Option<format::Camera>,
+    /// The environment of the scene file, if any, relative to the working directory.
+    pub environment: Option<PathBuf>,
+    /// Refinement asked for by the scene file, if any.
+    pub refinement: Option<scene_file::Refinement>,
+    /// Measured BRDFs: index into the mesh's materials and path of the table, relative to
+    /// the working directory. Those materials hold the stand-in.
+    pub measured: Vec<(usize, PathBuf)>,
+    /// What was left out or changed on the way, the mesh's warnings among them.
+    pub warnings: Vec<String>,
+}
+
+/// Loads a `.toml` scene file, or a mesh without one.
+pub fn load(path: &Path) -> Result<SceneInput, Error> {
+    let is_scene = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("toml"));
+    let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    if !is_scene {
+        let mesh = import::mesh(path)?;
+        return Ok(SceneInput {
+            name,
+            warnings: mesh.warnings.clone(),
+            mesh,
+            camera: None,
+            environment: None,
+            refinement: None,
+            measured: Vec::new(),
+        });
+    }
+    let file = scene_file::load(path)?;
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let mut mesh = import::mesh(&folder.join(&file.mesh))?;
+    place(&mut mesh, &file.transform);
+    let mut measured = Vec::new();
+    override_materials(path, &file, &mut mesh, &mut measured)?;
+    if let Some(options) = &file.ground {
+        let material = options.material.as_ref();
+        let default = MaterialOverride::Diffuse { diffuse: scene_file::Color::Grey(0.5) };
+        let surface = surface(material.unwrap_or(&default), folder)?;
+        if let Some(MaterialOverride::Measured { file }) = material {
+            measured.push((mesh.materials.len(), folder.join(file)));
+        }
+        ground::append(&mut mesh, options, surface).map_err(|(place, expected, found)| {
+            Error::invalid(path, place, expected, found)
+        })?;
+    }
+    Ok(SceneInput {
+        name,
+        warnings: mesh.warnings.clone(),
+        mesh,
+        camera: file.camera.as_ref().and_then(scene_file::Camera::to_format),
+        environment: file.environment.map(|environment| folder.join(environment)),
+        refinement: file.refinement,
+        measured,
+    })
+}
+
+fn place(mesh: &mut Mesh, transform: &scene_file::Transform) {
+    let axis = Vec3::from(transform.rotation_axis).normalize();
+    let rotation = Quat::from_axis_angle(axis, transform.rotation_degrees.to_radians());
+    for vertex in &mut mesh.vertices {
+        let position = rotation * (Vec3::from(vertex.position) * transform.scale);
+        vertex.position = (position + Vec3::from(transform.translation)).into();
+        vertex.normal = (rotation * Vec3::from(vertex.normal)).into();
+        let [x, y, z, sign] = vertex.tangent;
+        vertex.tangent = (rotation * Vec3::new(x, y, z)).extend(sign).into();
+    }
+}
+
+fn override_materials(
+    path: &Path,
+    file: &SceneFile,
+    mesh: &mut Mesh,
+    measured: &mut Vec<(usize, PathBuf)>,
+) -> Result<(), Error> {
+    let folder = path.parent().unwrap_or(Path::new(""));
+    for name in file.materials.keys().filter(|name| *name != "default") {
+        if mesh.materials.iter().all(|material| material.name != *name) {
+            let names: Vec<_> = mesh.materials.iter().map(|m| format!("{:?}", m.name)).collect();
+            return Err(Error::invalid(
+                path,
+                format_args!("materials.{name}"),
+                format_args!("default or a material of the mesh: {}", names.join(", ")),
+                format_args!("{name:?}"),
+            ));
+        }
+    }
+    for (index, material) in mesh.materials.iter_mut().enumerate() {
+        let replacement =
+            file.materials.get(&material.name).or_else(|| file.materials.get("default"));
+        let Some(replacement) = replacement else { continue };
+        if let MaterialOverride::Measured { file } = replacement {
+            measured.push((index, folder.join(file)));
+        }
+        *material = import::plain_material(&material.name, surface(replacement, folder)?);
+    }
+    mesh.drop_unused_textures();
+    Ok(())
+}
+
+/// The surface that a replacement describes. Its values were checked when it was read.
+fn surface(material: &MaterialOverride, folder: &Path) -> Result<format::Surface, Error> {
+    use MaterialOverride as M;
+    let layered = |diffuse: scene_file::Color, specular| format::Surface::Layered {
+        diffuse: diffuse.rgb(),
+        specular,
+    };
+    let pair = |alpha, x, y| alpha_pair(alpha, x, y).unwrap_or([1.0; 2]);
+    Ok(match *material {
+        M::Diffuse { diffuse } => layered(diffuse, format::Specular::None),
+        M::BlinnPhong { diffuse, specular, exponent } => {
+            layered(diffuse, format::Specular::BlinnPhong { specular: specular.rgb(), exponent })
+        }
+        M::Ward { diffuse, specular, alpha, alpha_x, alpha_y } => {
+            let alpha = pair(alpha, alpha_x, alpha_y);
+            layered(diffuse, format::Specular::Ward { specular: specular.rgb(), alpha })
+        }
+        M::CookTorrance { diffuse, f0, roughness } => {
+            layered(diffuse, format::Specular::CookTorrance { f0: f0.rgb(), roughness })
+        }
+        M::Ggx { diffuse, f0, alpha, alpha_x, alpha_y } => {
+            let alpha = pair(alpha, alpha_x, alpha_y);
+            layered(diffuse, format::Specular::Ggx { f0: f0.rgb(), alpha })
+        }
+        M::MetallicRoughness {
+            base_color,
+            metallic,
+            roughness,
+            anisotropy_strength,
+            anisotropy_rotation_degrees,
+        } => format::Surface::MetallicRoughness {
+            base_color: base_color.rgb(),
+            metallic,
+            roughness,
+            anisotropy_strength,
+            anisotropy_rotation: anisotropy_rotation_degrees.to_radians(),
+        },
+        M::Measured { ref file } => measured_stand_in(file, folder)?,
+    })
+}
+
+/// Until a table is fitted: a grey plastic, in the middle of what measured BRDFs look like.
+fn measured_stand_in(file: &Path, folder: &Path) -> Result<format::Surface, Error> {
+    let path = folder.join(file);
+    std::fs::metadata(&path).map_err(|source| Error::read(&path, source))?;
+    Ok(format::Surface::Layered {
+        diffuse: [0.4; 3],
+        specular: format::Specular::Measured {
+            path: file.to_string_lossy().into_owned(),
+            f0: [0.04; 3],
+            alpha: 0.3,
+        },
+    })
+}

@@ -1,4 +1,4 @@
-//! World to clip space, and pixels to rays.
+//! World to clip space, pixels to rays, and rays to barycentric coordinates.
 
 use glam::{Mat4, Vec2, Vec3, Vec4};
 use relight_format::{Camera, FieldOfView};
@@ -64,6 +64,24 @@ impl View {
         let centre = Vec2::new(x as f32, y as f32) + 0.5;
         self.corner + centre.x * self.right + centre.y * self.down
     }
+
+    /// Barycentric coordinates of the point where a ray from the eye meets the plane of a
+    /// triangle, clamped to the triangle: a pixel centre may lie a rounding error outside.
+    pub fn barycentrics(&self, [a, b, c]: [Vec3; 3], direction: Vec3) -> Vec3 {
+        let ab = b - a;
+        let ac = c - a;
+        let from_a = self.eye - a;
+        let p = direction.cross(ac);
+        let q = from_a.cross(ab);
+        let determinant = ab.dot(p);
+        if determinant == 0.0 {
+            return Vec3::splat(1.0 / 3.0);
+        }
+        let v = (from_a.dot(p) / determinant).max(0.0);
+        let w = (direction.dot(q) / determinant).max(0.0);
+        let excess = (v + w).max(1.0);
+        Vec3::new(1.0 - (v + w) / excess, v / excess, w / excess)
+    }
 }
 
 #[cfg(test)]
@@ -112,6 +130,22 @@ mod tests {
         let top = view.corner + 200.0 * view.right;
         let bottom = top + 100.0 * view.down;
         assert!((top.angle_between(bottom) - 1.0).abs() < 1e-5);
+    }
+
+    #[test]
+    fn barycentrics_rebuild_the_point_hit() {
+        let view = View::new(&camera(FieldOfView::X(1.0)), 64, 64, 0.01);
+        let triangle = [
+            Vec3::ZERO,
+            Vec3::new(1.0, 0.0, 0.0),
+            Vec3::new(0.0, 0.5, 1.0),
+        ];
+        let expected = Vec3::new(0.2, 0.5, 0.3);
+        let point = expected.x * triangle[0] + expected.y * triangle[1] + expected.z * triangle[2];
+        let found = view.barycentrics(triangle, 7.0 * (point - view.eye));
+        assert!(found.distance(expected) < 1e-5, "{found}");
+        let outside = view.barycentrics(triangle, Vec3::new(2.0, 0.1, 0.0) - view.eye);
+        assert!(outside.min_element() >= 0.0 && (outside.element_sum() - 1.0).abs() < 1e-6);
     }
 
     #[test]

@@ -4,27 +4,33 @@
 //! §4). Half a texel is subtracted so that the zero crossing lies midway between a visible
 //! texel and its blocked neighbour. The transform is exact: the texel nearest to ω among
 //! those of the other class always has a neighbour of ω's class, so only such boundary
-//! texels are candidates, and blocks of 8 × 8 texels share a short list of the candidates
-//! that can be nearest to any of them.
+//! texels are candidates, and blocks of texels share a short list of the candidates that
+//! can be nearest to any of them.
 
 use glam::{Vec2, Vec3};
+use pulp::Arch;
 use relight_shading::octahedral;
 
 use crate::visibility::{Bitmap, Directions};
 
-/// Texels per side of a block that shares candidates.
-const BLOCK: u32 = 8;
+/// Texels per side of the blocks that share candidates, coarse to fine. Each level picks
+/// from the list of the level above.
+const BLOCKS: [u32; 2] = [16, 4];
 /// Smallest magnitude: keeps the sign of a texel whose half spacing exceeds its distance,
 /// radians.
 const MIN_DISTANCE: f32 = 1e-4;
 /// Slack of the candidate test against rounding, radians.
 const ANGLE_SLACK: f32 = 1e-4;
+/// Distances computed side by side.
+const LANES: usize = 16;
 
+/// Texels that share candidates, and the finer blocks they consist of.
 struct Block {
     texels: Vec<u32>,
     centre: Vec3,
     /// Largest angle from the centre to a texel, radians.
     radius: f32,
+    children: Vec<Block>,
 }
 
 /// Tables for the transform at one resolution.
@@ -37,40 +43,76 @@ pub struct Transform {
     blocks: Vec<Block>,
 }
 
-/// Structure of arrays, so that the distance loops vectorise.
+/// Directions as a structure of arrays in groups of [`LANES`], so that the distance loops
+/// vectorise. The last group is filled with points far from the sphere.
 #[derive(Default)]
 struct Candidates {
-    x: Vec<f32>,
-    y: Vec<f32>,
-    z: Vec<f32>,
-    texel: Vec<u32>,
+    groups: Vec<[[f32; LANES]; 3]>,
+    count: usize,
 }
 
 impl Candidates {
     fn clear(&mut self) {
-        self.x.clear();
-        self.y.clear();
-        self.z.clear();
-        self.texel.clear();
+        self.groups.clear();
+        self.count = 0;
     }
 
-    fn push(&mut self, direction: Vec3, texel: u32) {
-        self.x.push(direction.x);
-        self.y.push(direction.y);
-        self.z.push(direction.z);
-        self.texel.push(texel);
+    #[inline(always)]
+    fn push(&mut self, direction: [f32; 3]) {
+        let lane = self.count % LANES;
+        if lane == 0 {
+            self.groups.push([[1e3; LANES]; 3]);
+        }
+        if let Some(group) = self.groups.last_mut() {
+            for (axis, value) in group.iter_mut().zip(direction) {
+                axis[lane] = value;
+            }
+        }
+        self.count += 1;
     }
 
-    /// Squared chord from `direction` to each candidate.
-    fn chords(&self, direction: Vec3, chords: &mut Vec<f32>) {
-        chords.clear();
-        chords.extend(self.x.iter().zip(&self.y).zip(&self.z).map(|((x, y), z)| {
-            let (dx, dy, dz) = (x - direction.x, y - direction.y, z - direction.z);
-            dx * dx + dy * dy + dz * dz
-        }));
+    /// Smallest squared chord from `direction` to a candidate; infinite if there is none.
+    #[inline(always)]
+    fn nearest(&self, direction: Vec3) -> f32 {
+        let mut least = [f32::INFINITY; LANES];
+        for group in &self.groups {
+            for (least, squared) in least.iter_mut().zip(squared_chords(group, direction)) {
+                *least = if squared < *least { squared } else { *least };
+            }
+        }
+        least.into_iter().fold(f32::INFINITY, f32::min)
+    }
+
+    /// The candidates that can be nearest to some direction of a block, into `out`, and the
+    /// squared chord from the block's centre to the nearest one.
+    #[inline(always)]
+    fn select(&self, block: &Block, out: &mut Self) -> f32 {
+        out.clear();
+        let nearest = self.nearest(block.centre);
+        let reach = angle_of_squared_chord(nearest) + ANGLE_SLACK + 2.0 * block.radius;
+        let widest = (2.0 * (0.5 * reach.min(std::f32::consts::PI)).sin()).powi(2);
+        for group in &self.groups {
+            for (lane, squared) in squared_chords(group, block.centre).into_iter().enumerate() {
+                if squared <= widest {
+                    out.push([group[0][lane], group[1][lane], group[2][lane]]);
+                }
+            }
+        }
+        nearest
     }
 }
 
+#[inline(always)]
+fn squared_chords([x, y, z]: &[[f32; LANES]; 3], direction: Vec3) -> [f32; LANES] {
+    let mut squared = [0.0; LANES];
+    for (lane, squared) in squared.iter_mut().enumerate() {
+        let (x, y, z) = (x[lane] - direction.x, y[lane] - direction.y, z[lane] - direction.z);
+        *squared = x * x + y * y + z * z;
+    }
+    squared
+}
+
+#[inline(always)]
 fn angle_of_squared_chord(squared: f32) -> f32 {
     2.0 * (0.5 * squared.sqrt()).min(1.0).asin()
 }
@@ -78,25 +120,16 @@ fn angle_of_squared_chord(squared: f32) -> f32 {
 impl Transform {
     /// Tables for maps of the directions' resolution.
     pub fn new(directions: &Directions) -> Self {
+        const STEPS: [(i32, i32); 8] =
+            [(-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (0, 1), (1, 1)];
         let n = directions.resolution();
-        let at = |x: u32, y: u32| y * n + x;
-        let directions = directions.as_slice().to_vec();
+        let directions = directions.as_slice();
         let neighbours = (0..n * n)
             .map(|i| {
-                let (x, y) = ((i % n) as i32, (i / n) as i32);
-                const STEPS: [(i32, i32); 8] = [
-                    (-1, -1),
-                    (0, -1),
-                    (1, -1),
-                    (-1, 0),
-                    (1, 0),
-                    (-1, 1),
-                    (0, 1),
-                    (1, 1),
-                ];
                 STEPS.map(|(dx, dy)| {
-                    let (x, y) = octahedral::wrap(x + dx, y + dy, n);
-                    at(x, y)
+                    let (x, y) = ((i % n) as i32 + dx, (i / n) as i32 + dy);
+                    let (x, y) = octahedral::wrap(x, y, n);
+                    y * n + x
                 })
             })
             .collect();
@@ -104,94 +137,107 @@ impl Transform {
             .map(|i| {
                 // Solid angle of a texel: its area on the octahedron over distance cubed.
                 let uv = (Vec2::new((i % n) as f32, (i / n) as f32) + 0.5) / n as f32;
-                let direction = octahedral::decode(uv);
-                let radius = 1.0 / direction.abs().element_sum();
+                let radius = 1.0 / octahedral::decode(uv).abs().element_sum();
                 (1.0 / n as f32) / radius.powf(1.5)
             })
             .collect();
-        let blocks = (0..n.div_ceil(BLOCK))
-            .flat_map(|by| (0..n.div_ceil(BLOCK)).map(move |bx| (bx * BLOCK, by * BLOCK)))
-            .map(|(x0, y0)| {
-                let texels: Vec<u32> = (y0..(y0 + BLOCK).min(n))
-                    .flat_map(|y| (x0..(x0 + BLOCK).min(n)).map(move |x| at(x, y)))
-                    .collect();
-                let sum: Vec3 = texels.iter().map(|&i| directions[i as usize]).sum();
-                let centre = sum.normalize();
-                let radius = texels
-                    .iter()
-                    .map(|&i| centre.distance_squared(directions[i as usize]))
-                    .fold(0.0, f32::max);
-                Block {
-                    texels,
-                    centre,
-                    radius: angle_of_squared_chord(radius),
-                }
-            })
-            .collect();
         Self {
-            directions,
+            directions: directions.to_vec(),
             neighbours,
             half_spacing,
-            blocks,
+            blocks: blocks(directions, n, (0, 0, n), &BLOCKS),
         }
     }
 
     /// The SSDF of a visibility bitmap, radians per texel, clamped to ± `limit`.
     pub fn apply(&self, visible: &Bitmap, limit: f32) -> Vec<f32> {
         let class: Vec<bool> = (0..self.directions.len()).map(|i| visible.get(i)).collect();
-        // candidates[1]: blocked texels next to visible ones; they bound the visible.
+        // The first are visible texels next to blocked ones, which bound the blocked.
         let mut candidates = [Candidates::default(), Candidates::default()];
         for (texel, neighbours) in self.neighbours.iter().enumerate() {
-            if neighbours
-                .iter()
-                .any(|&other| class[other as usize] != class[texel])
-            {
+            if neighbours.iter().any(|&other| class[other as usize] != class[texel]) {
                 let list = &mut candidates[usize::from(!class[texel])];
-                list.push(self.directions[texel], texel as u32);
+                list.push(self.directions[texel].to_array());
             }
         }
         let mut distances = vec![0.0; self.directions.len()];
-        let (mut near, mut chords) = (Candidates::default(), Vec::new());
-        for block in &self.blocks {
-            for (sign, side) in [(-1.0, false), (1.0, true)] {
-                let members = || block.texels.iter().filter(|&&i| class[i as usize] == side);
-                if members().next().is_none() {
-                    continue;
-                }
-                let all = &candidates[usize::from(side)];
-                all.chords(block.centre, &mut chords);
-                let nearest = chords.iter().copied().fold(f32::INFINITY, f32::min);
-                let reach = angle_of_squared_chord(nearest.min(4.0)) + ANGLE_SLACK;
-                // Half a spacing is subtracted below, at most a texel's diameter.
-                if nearest == f32::INFINITY || reach - 2.0 * block.radius > limit + 0.1 {
-                    members().for_each(|&i| distances[i as usize] = sign * limit);
-                    continue;
-                }
-                let widest = (reach + 2.0 * block.radius).min(std::f32::consts::PI);
-                let widest_chord = (2.0 * (0.5 * widest).sin()).powi(2);
-                near.clear();
-                for (index, &chord) in chords.iter().enumerate() {
-                    if chord <= widest_chord {
-                        let texel = all.texel[index];
-                        near.push(self.directions[texel as usize], texel);
-                    }
-                }
-                for &texel in members() {
-                    near.chords(self.directions[texel as usize], &mut chords);
-                    let (mut best, mut chord) = (0, f32::INFINITY);
-                    for (index, &candidate) in chords.iter().enumerate() {
-                        if candidate < chord {
-                            (best, chord) = (index, candidate);
+        Arch::new().dispatch(
+            #[inline(always)]
+            || {
+                let mut lists = [Candidates::default(), Candidates::default()];
+                for (side, candidates) in candidates.iter().enumerate() {
+                    for block in &self.blocks {
+                        if !block.texels.iter().any(|&i| class[i as usize] == (side == 1)) {
+                            continue;
+                        }
+                        let [coarse, fine] = &mut lists;
+                        candidates.select(block, coarse);
+                        for block in &block.children {
+                            self.apply_block(block, side == 1, &class, coarse, fine, limit, &mut distances);
                         }
                     }
-                    let half = self.half_spacing[near.texel[best] as usize];
-                    let distance = angle_of_squared_chord(chord) - half;
-                    distances[texel as usize] = sign * distance.clamp(MIN_DISTANCE, limit);
                 }
-            }
-        }
+            },
+        );
         distances
     }
+
+    #[inline(always)]
+    fn apply_block(
+        &self,
+        block: &Block,
+        side: bool,
+        class: &[bool],
+        candidates: &Candidates,
+        near: &mut Candidates,
+        limit: f32,
+        distances: &mut [f32],
+    ) {
+        let members = || block.texels.iter().filter(|&&i| class[i as usize] == side);
+        if members().next().is_none() {
+            return;
+        }
+        let sign = if side { 1.0 } else { -1.0 };
+        let nearest = angle_of_squared_chord(candidates.select(block, near));
+        // Half a spacing, at most a block's radius, is subtracted from what is compared.
+        if near.count == 0 || nearest - 2.0 * block.radius > limit {
+            members().for_each(|&i| distances[i as usize] = sign * limit);
+            return;
+        }
+        for &texel in members() {
+            let squared = near.nearest(self.directions[texel as usize]);
+            let distance = angle_of_squared_chord(squared) - self.half_spacing[texel as usize];
+            distances[texel as usize] = sign * distance.clamp(MIN_DISTANCE, limit);
+        }
+    }
+}
+
+/// Divides the square region (x, y, side) of an `n` × `n` map into blocks of `sizes[0]`
+/// texels per side, and those into finer ones.
+fn blocks(directions: &[Vec3], n: u32, (x0, y0, side): (u32, u32, u32), sizes: &[u32]) -> Vec<Block> {
+    let Some((&size, finer)) = sizes.split_first() else { return Vec::new() };
+    let starts = || (0..side.div_ceil(size)).map(|i| i * size);
+    starts()
+        .flat_map(|y| starts().map(move |x| (x0 + x, y0 + y)))
+        .filter(|&(x, y)| x < n && y < n)
+        .map(|(x0, y0)| {
+            let texels: Vec<u32> = (y0..(y0 + size).min(n))
+                .flat_map(|y| (x0..(x0 + size).min(n)).map(move |x| y * n + x))
+                .collect();
+            let sum: Vec3 = texels.iter().map(|&i| directions[i as usize]).sum();
+            let centre = sum.normalize();
+            let radius = texels
+                .iter()
+                .map(|&i| centre.distance_squared(directions[i as usize]))
+                .fold(0.0, f32::max);
+            Block {
+                texels,
+                centre,
+                radius: angle_of_squared_chord(radius),
+                children: blocks(directions, n, (x0, y0, size), finer),
+            }
+        })
+        .collect()
 }
 
 #[cfg(test)]
@@ -205,10 +251,10 @@ mod tests {
                 let sign = if visible.get(i) { 1.0 } else { -1.0 };
                 let nearest = (0..directions.len())
                     .filter(|&j| visible.get(j) != visible.get(i))
-                    .map(|j| (directions[i].distance_squared(directions[j]), j))
-                    .min_by(|a, b| a.0.total_cmp(&b.0));
-                let distance = nearest.map_or(limit, |(chord, j)| {
-                    (angle_of_squared_chord(chord) - transform.half_spacing[j])
+                    .map(|j| directions[i].distance_squared(directions[j]))
+                    .min_by(f32::total_cmp);
+                let distance = nearest.map_or(limit, |squared| {
+                    (angle_of_squared_chord(squared) - transform.half_spacing[i])
                         .clamp(MIN_DISTANCE, limit)
                 });
                 sign * distance
@@ -248,9 +294,9 @@ mod tests {
         bitmaps
     }
 
-    /// Both sides use the same formula; only the choice among candidates at equal distance
-    /// up to rounding may differ, which moves the half spacing by less than this, radians.
-    const TIE_TOLERANCE: f32 = 2e-3;
+    /// Both sides evaluate the same formula on the same nearest texel; wider registers may
+    /// round its last bits otherwise, radians.
+    const ROUNDING: f32 = 1e-6;
 
     #[test]
     fn equals_brute_force() {
@@ -263,7 +309,7 @@ mod tests {
                     let exact = brute_force(&transform, bitmap, limit);
                     for (i, (a, b)) in fast.iter().zip(&exact).enumerate() {
                         assert!(
-                            (a - b).abs() < TIE_TOLERANCE,
+                            (a - b).abs() < ROUNDING,
                             "pattern {number}, {resolution}², limit {limit}, texel {i}: {a} instead of {b}"
                         );
                     }

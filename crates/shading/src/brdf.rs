@@ -1,17 +1,18 @@
 //! Reflection models as spherical Gaussians over incident directions.
 //!
 //! Every model here is, up to slowly varying factors, a radial profile of the half
-//! vector: with (x, y) the half vector's tangent coordinates divided by the model's two
-//! widths and r² = x² + y², GGX is exactly 1/(1 + r²)² and the others are close to
-//! exp(−r²). Reflecting the view direction about the half vector maps the profile to
-//! incident directions, stretched by 2 in the plane of incidence and by 2 n·o across it
-//! (Wang et al. 2009, section 4, take the geometric mean of the two and thereby keep the
-//! lobe round). The singular values of "widths, then reflection" give the ratio ρ by
-//! which the profile is stretched on the sphere, be it by an anisotropic material, by
-//! grazing view or by both, and a small mixture of round Gaussians along the long axis,
-//! fitted once for every ρ, follows it. Masking is taken at the centre of each Gaussian.
-//! At last the sum is scaled to the model's exact albedo, Fresnel included, which is
-//! tabulated over roughness and angle.
+//! vector: with (x, y) the half vector's tangent coordinates divided by two widths and
+//! r² = x² + y², GGX is exactly 1/(1 + r²)² and the others are close to exp(−r²).
+//! Reflecting the view about the half vector maps the profile to incident directions and
+//! stretches it by 2 in the plane of incidence and by 2 h·o across (Wang et al. 2009,
+//! section 4, keep the lobe round with the geometric mean of the two). The singular values
+//! of "widths, then reflection" give the ratio by which the profile ends up stretched on
+//! the sphere, be it by an anisotropic material, by grazing view or by both. A small
+//! mixture of round Gaussians along the long axis, fitted once for every ratio, follows
+//! it; each is reflected at its own half vector. Masking varies over a Gaussian nearly as
+//! exp(k n·ω), and a Gaussian times that is a Gaussian again: rough lobes bend away from
+//! the mirror direction as they should. Last, the sum is scaled to the model's exact
+//! albedo, Fresnel included, which is tabulated over roughness and angle.
 
 use std::sync::OnceLock;
 
@@ -23,59 +24,68 @@ use crate::surface::{Appearance, MAX_EXPONENT, MIN_ALPHA, Model, SurfacePoint};
 use crate::tables::Tables;
 
 /// Most spherical Gaussians that a specular model becomes: those of an anisotropic one.
-pub const MAX_SPECULAR_LOBES: usize = 1 + 2 * MAX_PAIRS;
+/// An isotropic one takes at most three.
+pub const MAX_SPECULAR_LOBES: usize = 1 + 2 * ANISOTROPIC_PAIRS;
 
-/// Pairs of Gaussians beside the central one: isotropic and anisotropic materials.
-const PAIRS: [usize; 2] = [1, MAX_PAIRS];
-const MAX_PAIRS: usize = 3;
+/// Pairs of Gaussians beside the central one.
+const ISOTROPIC_PAIRS: usize = 1;
+const ANISOTROPIC_PAIRS: usize = 3;
 /// Materials whose roughnesses differ by less than this factor count as isotropic.
 const ISOTROPIC_RATIO: f32 = 1.01;
 /// Stretch below which the Gaussians of a pair lie so close that one does for both.
 const ROUND_RATIO: f32 = 1.02;
-/// Smallest n·o: closer to the horizon the lobe keeps the shape it has here.
+/// Smallest cosine with the normal: closer to the horizon lobes keep the shape they have
+/// here.
 const MIN_COSINE: f32 = 0.05;
-/// Smallest 1 − α² of a GGX lobe: a rougher one is as good as constant.
-const MIN_GGX_COMPLEMENT: f32 = 0.04;
+/// Smallest 1/width² of a profile: a wider one is as good as constant.
+const MIN_INVERSE_SQUARE: f32 = 0.2;
+/// Smallest half-width of the interval of n·ω over which masking is measured: shorter
+/// ones lose the difference in rounding.
+const MIN_DEVIATION: f32 = 0.01;
+/// Most that masking may take from a Gaussian's sharpness, so that some is left.
+const MAX_TILT: f32 = 0.9;
 
-/// Mixtures are tabulated at ρ = 2^(i / MIXTURES_PER_OCTAVE).
+/// Mixtures are tabulated at ratios 2^(i / MIXTURES_PER_OCTAVE).
 const MIXTURES: usize = 16;
 const MIXTURES_PER_OCTAVE: f32 = 3.0;
-/// ln s₀, ln w₀, then ln s, ln w, t of each pair, padded.
+/// Of the central Gaussian ln s and ln w, then of each pair ln s, ln w and t, padded: the
+/// mixture is Σ w exp(−s ((x − d)² + y²)) with d = ± t √(ratio² − 1), the short axis
+/// having length 1.
 const MIXTURE_STRIDE: usize = 12;
-/// Entries of the albedo table per axis: √alpha from √MIN_ALPHA to 1 and √(n·o) from 0 to 1.
-const ALBEDOS: usize = 16;
-/// First value of the albedo table.
-const ALBEDO_OFFSET: usize = 2 * PAIRS.len() * MIXTURES * MIXTURE_STRIDE;
-const VALUES: usize = ALBEDO_OFFSET + 4 * ALBEDOS * ALBEDOS * 2;
+/// Roughnesses in the albedo tables: √alpha from √MIN_ALPHA to 1 in equal steps.
+const ALBEDO_ALPHAS: usize = 10;
+/// Angles in the albedo tables: √(1 − n·o) from 0 to 1 in equal steps.
+const ALBEDO_ANGLES: usize = 16;
+/// First value of the albedo tables: behind the mixtures for exp(−r²) and 1/(1 + r²)²,
+/// each for isotropic and anisotropic materials.
+const ALBEDO_OFFSET: usize = 4 * MIXTURES * MIXTURE_STRIDE;
+/// Entries of an albedo table that has one roughness.
+const ALBEDO_LENGTH: usize = ALBEDO_ALPHAS * ALBEDO_ANGLES;
 
 /// The Gaussians of one specular model seen from one direction.
 #[derive(Clone, Copy, Debug)]
 pub struct SpecularLobes {
     /// How many of `lobes` are in use.
     pub count: usize,
-    /// Lobes over incident directions, world space, 1/sr, without the cosine.
+    /// Lobes over incident directions, 1/sr, without the cosine.
     pub lobes: [SphericalGaussian; MAX_SPECULAR_LOBES],
 }
 
 impl SpecularLobes {
     const EMPTY: Self = Self {
         count: 0,
-        lobes: [SphericalGaussian { axis: Vec3::Z, sharpness: 0.0, amplitude: Vec3::ZERO }; MAX_SPECULAR_LOBES],
+        lobes: [SphericalGaussian { axis: Vec3::Z, sharpness: 0.0, amplitude: Vec3::ZERO };
+            MAX_SPECULAR_LOBES],
     };
 
     /// The lobes in use.
     pub fn as_slice(&self) -> &[SphericalGaussian] {
         &self.lobes[..self.count]
     }
-
-    fn push(&mut self, axis: Vec3, sharpness: f32, amplitude: f32) {
-        self.lobes[self.count] = SphericalGaussian { axis, sharpness, amplitude: Vec3::splat(amplitude) };
-        self.count += 1;
-    }
 }
 
-/// The specular reflection at `point` towards its `view` as lobes over incident
-/// directions, world space. None where the view is below the shading horizon.
+/// The specular reflection at `point` towards its `view` as lobes in world space. None
+/// where the view is below the shading horizon.
 pub fn specular_lobes(point: &SurfacePoint) -> SpecularLobes {
     let wo = point.to_local(point.view);
     let appearance = &point.appearance;
@@ -84,145 +94,245 @@ pub fn specular_lobes(point: &SurfacePoint) -> SpecularLobes {
     }
     let values = table_values();
     let mut lobes = shape(values, appearance, wo);
-    let scale = albedo_scale(values, appearance, wo.z);
-    let color = appearance.specular * scale.x + Vec3::splat(scale.y);
-    for lobe in &mut lobes.lobes[..lobes.count] {
+    let used = &mut lobes.lobes[..lobes.count];
+    let mut unscaled = 0.0;
+    for lobe in used.iter() {
+        unscaled +=
+            lobe.amplitude.x * Tables::get().cosine_integral(lobe.sharpness, lobe.axis.z);
+    }
+    let albedo = albedo(values, appearance, wo);
+    let color = (appearance.specular * albedo.x + albedo.y) / unscaled.max(f32::MIN_POSITIVE);
+    for lobe in used {
         lobe.axis = point.to_world(lobe.axis);
         lobe.amplitude *= color;
     }
     lobes
 }
 
-/// The lobes in the local frame for a Fresnel factor of 1, before the albedo is matched.
+/// The lobes in the local frame, grey and correct up to a common factor.
 fn shape(values: &[f32], appearance: &Appearance, wo: Vec3) -> SpecularLobes {
-    let width = profile_width(appearance);
-    let cosine = wo.z.max(MIN_COSINE);
+    let model = appearance.model;
+    let width = Vec2::new(
+        profile_width(model, appearance.alpha.x),
+        profile_width(model, appearance.alpha.y),
+    );
     let horizontal = wo.truncate().length();
-    let e = if horizontal > 0.0 { wo.truncate() / horizontal } else { Vec2::X };
-    // AᵀA of the map A from profile to incident directions: 4 W (e eᵀ + cos² f fᵀ) W.
-    let c2 = cosine * cosine;
-    let xx = 4.0 * width.x * width.x * (e.x * e.x + c2 * e.y * e.y);
-    let yy = 4.0 * width.y * width.y * (e.y * e.y + c2 * e.x * e.x);
-    let xy = 4.0 * width.x * width.y * (1.0 - c2) * e.x * e.y;
-    let half_difference = 0.5 * (xx - yy);
-    let root = (half_difference * half_difference + xy * xy).sqrt();
-    let major = 0.5 * (xx + yy) + root;
-    // The product of the singular values is known, so that the small one is exact.
-    let minor = 16.0 * (width.x * width.y).powi(2) * c2 / major;
-    let long_axis = if root > 0.0 {
-        // Of the two proportional forms of the eigenvector, the one that does not cancel.
-        if half_difference >= 0.0 {
-            Vec2::new(half_difference + root, xy).normalize()
-        } else {
-            Vec2::new(xy, root - half_difference).normalize()
-        }
-    } else {
-        Vec2::X
-    };
-    let ratio = (major / minor).sqrt();
+    let incidence = if horizontal > 0.0 { wo.truncate() / horizontal } else { Vec2::X };
+    let cosine = wo.z.max(MIN_COSINE);
+    let stretched = Stretch::new(width, incidence, cosine);
     let limit = 2f32.powf((MIXTURES - 1) as f32 / MIXTURES_PER_OCTAVE);
-    // Beyond the table the lobe is kept as long and made wider.
-    let minor = minor.max(major / (limit * limit));
-    let ratio = ratio.min(limit);
+    let full_ratio = (stretched.long / stretched.short).sqrt();
+    let ratio = full_ratio.min(limit);
+    // Beyond the table a lobe keeps its length and is made wider.
+    let widening = full_ratio / ratio;
 
-    let profile = usize::from(appearance.model == Model::Ggx);
-    let isotropic = appearance.alpha.max_element() < ISOTROPIC_RATIO * appearance.alpha.min_element();
-    let family = usize::from(!isotropic);
-    let position = ratio.log2() * MIXTURES_PER_OCTAVE;
+    let round = ratio < ROUND_RATIO;
+    let isotropic =
+        appearance.alpha.max_element() < ISOTROPIC_RATIO * appearance.alpha.min_element();
+    let pairs = if isotropic { ISOTROPIC_PAIRS } else { ANISOTROPIC_PAIRS };
+    let table = 2 * usize::from(model == Model::Ggx) + usize::from(!isotropic);
+    let position = ratio.max(1.0).log2() * MIXTURES_PER_OCTAVE;
     let node = (position as usize).min(MIXTURES - 2);
-    let first = ((profile * PAIRS.len() + family) * MIXTURES + node) * MIXTURE_STRIDE;
-    let mix = |i: usize| {
+    let first = (table * MIXTURES + node) * MIXTURE_STRIDE;
+    let mixture = |i: usize| {
         let (a, b) = (values[first + i], values[first + MIXTURE_STRIDE + i]);
         a + (b - a) * (position - node as f32)
     };
 
-    let peak = appearance.half_vector_factor(Vec3::Z) * appearance.direction_factor(wo);
-    let step = long_axis * width / ratio;
     let mut lobes = SpecularLobes::EMPTY;
-    let mut push = |offset: Vec2, sharpness: f32, weight: f32| {
+    let mut push = |offset: Vec2, scale: f32, weight: f32| {
         let h = offset.extend(1.0).normalize();
         let axis = 2.0 * h.dot(wo) * h - wo;
-        // The mean of the clamped cosine over the lobe.
-        let spread = 0.64 * (1.0 - axis.z * axis.z).max(0.0) / (sharpness + 1.0);
-        let cosine = 0.5 * (axis.z + (axis.z * axis.z + spread).sqrt());
-        let masking = appearance.direction_factor(axis.truncate().extend(cosine.max(MIN_COSINE)));
-        lobes.push(axis, sharpness, peak * weight * masking);
+        let short = Stretch::new(width, incidence, h.dot(wo).max(MIN_COSINE)).short;
+        let sharpness = 2.0 * scale / (short * widening * widening);
+        // Where lobes are wider than at the centre they overlap more along the long axis.
+        let weight = weight * (stretched.short / short).sqrt();
+        lobes.lobes[lobes.count] = tilt(appearance, axis, sharpness, weight);
+        lobes.count += 1;
     };
-    let to_sharpness = 2.0 / minor;
-    if ratio < ROUND_RATIO && profile == 0 {
-        push(Vec2::ZERO, to_sharpness, 1.0);
+    if round && model != Model::Ggx {
+        push(Vec2::ZERO, 1.0, 1.0);
         return lobes;
     }
-    push(Vec2::ZERO, to_sharpness * mix(0).exp(), mix(1).exp());
-    let spacing = (ratio * ratio - 1.0).max(0.0).sqrt();
-    for pair in 0..PAIRS[family] {
-        let sharpness = to_sharpness * mix(2 + 3 * pair).exp();
-        let weight = mix(3 + 3 * pair).exp();
-        if ratio < ROUND_RATIO {
-            push(Vec2::ZERO, sharpness, 2.0 * weight);
+    push(Vec2::ZERO, mixture(0).exp(), mixture(1).exp());
+    let step = stretched.long_axis * width * ((ratio * ratio - 1.0).max(0.0).sqrt() / ratio);
+    for pair in 0..pairs {
+        let scale = mixture(2 + 3 * pair).exp();
+        let weight = mixture(3 + 3 * pair).exp();
+        if round {
+            push(Vec2::ZERO, scale, 2.0 * weight);
         } else {
-            let offset = step * (spacing * mix(4 + 3 * pair));
-            push(offset, sharpness, weight);
-            push(-offset, sharpness, weight);
+            let offset = step * mixture(4 + 3 * pair);
+            push(offset, scale, weight);
+            push(-offset, scale, weight);
         }
     }
     lobes
 }
 
-/// Half-vector coordinates at which the profile's argument r is 1.
-fn profile_width(appearance: &Appearance) -> Vec2 {
-    let squared = appearance.alpha * appearance.alpha;
-    match appearance.model {
-        Model::None => Vec2::ONE,
-        Model::BlinnPhong => Vec2::splat((2.0 / appearance.alpha.x).sqrt()),
-        Model::Ward | Model::CookTorrance => appearance.alpha,
+/// How the profile's unit circle lies on the sphere of incident directions.
+struct Stretch {
+    /// Square of the long half-axis, radians².
+    long: f32,
+    /// Square of the short half-axis, radians².
+    short: f32,
+    /// The unit vector of the profile that becomes the long half-axis.
+    long_axis: Vec2,
+}
+
+impl Stretch {
+    /// For a profile of `width`, a unit vector `incidence` towards the view, and `cosine`
+    /// between view and half vector: the singular values of A = 2 (e eᵀ + cosine f fᵀ) W
+    /// with e = incidence, f across it and W the diagonal of the widths.
+    fn new(width: Vec2, incidence: Vec2, cosine: f32) -> Self {
+        let c2 = cosine * cosine;
+        let e2 = incidence * incidence;
+        let diagonal = 4.0 * width * width * (e2 + c2 * Vec2::new(e2.y, e2.x));
+        let off_diagonal =
+            4.0 * width.x * width.y * (1.0 - c2) * incidence.x * incidence.y;
+        let half = 0.5 * (diagonal.x - diagonal.y);
+        let root = (half * half + off_diagonal * off_diagonal).sqrt();
+        let long = 0.5 * (diagonal.x + diagonal.y) + root;
+        // The product of the singular values is known: no cancellation in the short one.
+        let area = 4.0 * width.x * width.y * cosine;
+        // Of the two proportional forms of the eigenvector, the one that does not cancel.
+        let eigenvector = if half >= 0.0 {
+            Vec2::new(half + root, off_diagonal)
+        } else {
+            Vec2::new(off_diagonal, root - half)
+        };
+        let length = eigenvector.length();
+        let long_axis = if length > 0.0 { eigenvector / length } else { Vec2::X };
+        Self { long, short: area * area / long, long_axis }
+    }
+}
+
+/// A grey Gaussian times the masking towards incident directions, fitted by exp(k n·ω)
+/// over the part of the Gaussian above the horizon.
+fn tilt(appearance: &Appearance, axis: Vec3, sharpness: f32, weight: f32) -> SphericalGaussian {
+    let sine_squared = (1.0 - axis.z * axis.z).max(0.0);
+    // Standard deviation of n·ω: linear in the angle off the pole, quadratic at the pole.
+    let variance = sine_squared / (sharpness + 1.0) + 1.0 / (sharpness * sharpness + 4.0);
+    let deviation = variance.sqrt().max(MIN_DEVIATION);
+    // Near the mean of max(n·ω, 0).
+    let middle = 0.5 * (axis.z + (axis.z * axis.z + 0.64 * variance).sqrt());
+    let low = (middle - deviation).max(MIN_COSINE);
+    let high = (middle + deviation).clamp(2.0 * MIN_COSINE, 1.0);
+    let sine = sine_squared.sqrt();
+    // At the pole neither axis of an anisotropic material is preferred.
+    let azimuth = if sine > 0.0 { axis.truncate() / sine } else { Vec2::splat(0.5f32.sqrt()) };
+    let low_masking = masking(appearance, azimuth, low);
+    let slope = (masking(appearance, azimuth, high) / low_masking).ln() / (high - low);
+    let k = slope.max(-MAX_TILT * sharpness);
+    let sum = sharpness * axis + Vec3::new(0.0, 0.0, k);
+    let tilted = sum.length();
+    // tilted − sharpness − k low, without the difference of the first two.
+    let exponent = k * (2.0 * sharpness * axis.z + k) / (tilted + sharpness) - k * low;
+    let amplitude = Vec3::splat(weight * low_masking * exponent.exp());
+    SphericalGaussian { axis: sum / tilted, sharpness: tilted, amplitude }
+}
+
+/// The factor of the model that depends on the incident direction alone, at `azimuth`
+/// (unit vector) and `cosine` with the normal.
+fn masking(appearance: &Appearance, azimuth: Vec2, cosine: f32) -> f32 {
+    let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
+    appearance.direction_factor((azimuth * sine).extend(cosine))
+}
+
+/// Half-vector coordinate at which the profile's r is 1. For GGX this is exact, for the
+/// others it fits the logarithm of the profile where the profile is large.
+fn profile_width(model: Model, alpha: f32) -> f32 {
+    let inverse_square = match model {
+        Model::None => 1.0,
+        Model::BlinnPhong => 0.5 * alpha + 1.0 - 1.0 / alpha,
+        Model::Ward => 1.0 / (alpha * alpha) + 2.0 - alpha,
+        Model::CookTorrance => 1.0 / (alpha * alpha) - 1.4 * alpha * alpha,
+        Model::Ggx => 1.0 / (alpha * alpha) - 1.0,
+    };
+    1.0 / inverse_square.max(MIN_INVERSE_SQUARE).sqrt()
+}
+
+/// Albedo of the model seen from `wo` (local), as the factors of its specular colour and
+/// of white.
+fn albedo(values: &[f32], appearance: &Appearance, wo: Vec3) -> Vec2 {
+    let alpha = if appearance.model == Model::BlinnPhong {
+        Vec2::splat((2.0 / appearance.alpha.x).sqrt())
+    } else {
+        appearance.alpha
+    };
+    let low = MIN_ALPHA.sqrt();
+    let last = (ALBEDO_ALPHAS - 1) as f32;
+    let coordinate = |alpha: f32| ((alpha.sqrt() - low) / (1.0 - low)).clamp(0.0, 1.0) * last;
+    let (x, y) = (coordinate(alpha.x), coordinate(alpha.y));
+    let angle = (1.0 - wo.z).clamp(0.0, 1.0).sqrt() * (ALBEDO_ANGLES - 1) as f32;
+    // Tabulated for a view in the plane of the first roughness.
+    let along_x = albedo_lookup(values, appearance.model, x, y, angle);
+    let along_y = albedo_lookup(values, appearance.model, y, x, angle);
+    let squares = wo.truncate() * wo.truncate() / (1.0 - wo.z * wo.z).max(1e-12);
+    // Between the planes it goes as the fourth power of the cosine to the narrow axis.
+    if x < y {
+        along_y.lerp(along_x, squares.x * squares.x)
+    } else {
+        along_x.lerp(along_y, squares.y * squares.y)
+    }
+}
+
+/// Trilinear interpolation at fractional indices.
+fn albedo_lookup(values: &[f32], model: Model, x: f32, y: f32, angle: f32) -> Vec2 {
+    let (first, stride) = albedo_table(model);
+    let i = (x as usize).min(ALBEDO_ALPHAS - 2);
+    let j = (y as usize).min(ALBEDO_ALPHAS - 2);
+    let k = (angle as usize).min(ALBEDO_ANGLES - 2);
+    let (u, v, w) = (x - i as f32, y - j as f32, angle - k as f32);
+    let at = |i: usize, j: usize| {
+        let index = first + (j * stride + i * ALBEDO_ANGLES + k) * 2;
+        Vec2::new(values[index], values[index + 1])
+            .lerp(Vec2::new(values[index + 2], values[index + 3]), w)
+    };
+    at(i, j).lerp(at(i + 1, j), u).lerp(at(i, j + 1).lerp(at(i + 1, j + 1), u), v)
+}
+
+/// First value of a model's albedo table, and the entries from one second roughness to
+/// the next: none for models that have but one.
+fn albedo_table(model: Model) -> (usize, usize) {
+    match model {
+        Model::None | Model::BlinnPhong => (ALBEDO_OFFSET, 0),
+        Model::CookTorrance => (ALBEDO_OFFSET + 2 * ALBEDO_LENGTH, 0),
+        Model::Ward => (ALBEDO_OFFSET + 4 * ALBEDO_LENGTH, ALBEDO_LENGTH),
         Model::Ggx => {
-            let complement = (Vec2::ONE - squared).max(Vec2::splat(MIN_GGX_COMPLEMENT));
-            Vec2::new((squared.x / complement.x).sqrt(), (squared.y / complement.y).sqrt())
+            (ALBEDO_OFFSET + (4 + 2 * ALBEDO_ALPHAS) * ALBEDO_LENGTH, ALBEDO_LENGTH)
         }
     }
 }
 
-/// Factors of the specular colour and of white that give the lobes of [`shape`] the
-/// albedo of the model.
-fn albedo_scale(values: &[f32], appearance: &Appearance, cosine: f32) -> Vec2 {
-    let alpha = match appearance.model {
-        Model::BlinnPhong => (2.0 / appearance.alpha.x).sqrt(),
-        _ => (appearance.alpha.x * appearance.alpha.y).sqrt(),
-    };
-    let low = MIN_ALPHA.sqrt();
-    let last = (ALBEDOS - 1) as f32;
-    let row = ((alpha.sqrt() - low) / (1.0 - low)).clamp(0.0, 1.0) * last;
-    let column = cosine.clamp(0.0, 1.0).sqrt() * last;
-    let i = (row as usize).min(ALBEDOS - 2);
-    let j = (column as usize).min(ALBEDOS - 2);
-    let model = appearance.model as usize - 1;
-    let at = |i: usize, j: usize| {
-        let index = ALBEDO_OFFSET + ((model * ALBEDOS + i) * ALBEDOS + j) * 2;
-        Vec2::new(values[index], values[index + 1])
-    };
-    let (u, v) = (row - i as f32, column - j as f32);
-    at(i, j).lerp(at(i, j + 1), v).lerp(at(i + 1, j).lerp(at(i + 1, j + 1), v), u)
-}
-
-/// The fitted mixtures and the albedo factors, computed at the first call: what follows
+/// The fitted mixtures and the albedo tables, computed at the first call: what follows
 /// [`Tables::values`] in the GPU buffer `tables`.
 pub fn table_values() -> &'static [f32] {
-    static VALUES_ONCE: OnceLock<Vec<f32>> = OnceLock::new();
-    VALUES_ONCE.get_or_init(|| {
-        let mut values = Vec::with_capacity(VALUES);
+    static VALUES: OnceLock<Vec<f32>> = OnceLock::new();
+    VALUES.get_or_init(|| {
+        let mut values = Vec::new();
         for profile in [fit::gaussian, fit::ggx] {
-            for pairs in PAIRS {
-                for mixture in fit::mixtures(profile, pairs) {
-                    values.extend(mixture);
-                }
+            for pairs in [ISOTROPIC_PAIRS, ANISOTROPIC_PAIRS] {
+                values.extend(fit::mixtures(profile, pairs).into_iter().flatten());
             }
         }
-        for model in [Model::BlinnPhong, Model::Ward, Model::CookTorrance, Model::Ggx] {
-            for i in 0..ALBEDOS {
-                for j in 0..ALBEDOS {
-                    let scale = fit_albedo(&values, model, i, j);
-                    values.extend([scale.x, scale.y]);
+        let low = MIN_ALPHA.sqrt();
+        let alphas: [f32; ALBEDO_ALPHAS] = std::array::from_fn(|i| {
+            (low + (1.0 - low) * i as f32 / (ALBEDO_ALPHAS - 1) as f32).powi(2)
+        });
+        for model in [Model::BlinnPhong, Model::CookTorrance, Model::Ward, Model::Ggx] {
+            let anisotropic = albedo_table(model).1 > 0;
+            for second in if anisotropic { &alphas[..] } else { &alphas[..1] } {
+                for first in alphas {
+                    let alpha = match model {
+                        Model::BlinnPhong => {
+                            Vec2::splat((2.0 / (first * first)).min(MAX_EXPONENT))
+                        }
+                        _ => Vec2::new(first, if anisotropic { *second } else { first }),
+                    };
+                    for angle in 0..ALBEDO_ANGLES {
+                        values.extend(tabulated_albedo(model, alpha, angle));
+                    }
                 }
             }
         }
@@ -230,48 +340,74 @@ pub fn table_values() -> &'static [f32] {
     })
 }
 
-/// One entry of the albedo table: exact albedo over the albedo of the lobes.
-fn fit_albedo(values: &[f32], model: Model, i: usize, j: usize) -> Vec2 {
-    let last = (ALBEDOS - 1) as f32;
-    let low = MIN_ALPHA.sqrt();
-    let alpha = (low + (1.0 - low) * i as f32 / last).powi(2);
-    let alpha = match model {
-        Model::BlinnPhong => (2.0 / (alpha * alpha)).min(MAX_EXPONENT),
-        _ => alpha,
-    };
-    // At the horizon itself some models diverge: the first column stands a little above.
-    let cosine = (j as f32 / last).max(0.25 / last).powi(2);
+/// The constants of this module, as WGSL.
+pub fn wgsl_constants() -> String {
+    let start = Tables::get().values().len();
+    let mut text = String::new();
+    for (name, value) in [
+        ("MAX_SPECULAR_LOBES", MAX_SPECULAR_LOBES),
+        ("BRDF_ISOTROPIC_PAIRS", ISOTROPIC_PAIRS),
+        ("BRDF_ANISOTROPIC_PAIRS", ANISOTROPIC_PAIRS),
+        ("BRDF_MIXTURES", MIXTURES),
+        ("BRDF_MIXTURE_STRIDE", MIXTURE_STRIDE),
+        ("BRDF_MIXTURE_START", start),
+        ("BRDF_ALBEDO_ALPHAS", ALBEDO_ALPHAS),
+        ("BRDF_ALBEDO_ANGLES", ALBEDO_ANGLES),
+        ("BRDF_ALBEDO_LENGTH", ALBEDO_LENGTH),
+    ] {
+        text += &format!("const {name}: u32 = {value}u;\n");
+    }
+    for (name, model) in [
+        ("BLINN_PHONG", Model::BlinnPhong),
+        ("COOK_TORRANCE", Model::CookTorrance),
+        ("WARD", Model::Ward),
+        ("GGX", Model::Ggx),
+    ] {
+        let first = start + albedo_table(model).0;
+        text += &format!("const BRDF_ALBEDO_{name}: u32 = {first}u;\n");
+    }
+    for (name, value) in [
+        ("BRDF_ISOTROPIC_RATIO", ISOTROPIC_RATIO),
+        ("BRDF_ROUND_RATIO", ROUND_RATIO),
+        ("BRDF_MIN_COSINE", MIN_COSINE),
+        ("BRDF_MIN_INVERSE_SQUARE", MIN_INVERSE_SQUARE),
+        ("BRDF_MIN_DEVIATION", MIN_DEVIATION),
+        ("BRDF_MAX_TILT", MAX_TILT),
+        ("BRDF_MIXTURES_PER_OCTAVE", MIXTURES_PER_OCTAVE),
+    ] {
+        text += &format!("const {name}: f32 = {value:?};\n");
+    }
+    text
+}
+
+/// One entry of an albedo table.
+fn tabulated_albedo(model: Model, alpha: Vec2, angle: usize) -> [f32; 2] {
+    // At the horizon itself Ward's model diverges: the last column stands a little above.
+    let cosine = (1.0 - (angle as f32 / (ALBEDO_ANGLES - 1) as f32).powi(2)).max(0.02);
     let wo = Vec3::new((1.0 - cosine * cosine).sqrt(), 0.0, cosine);
-    let appearance = Appearance { diffuse: Vec3::ZERO, specular: Vec3::ONE, model, alpha: Vec2::splat(alpha) };
-    let [all, grazing] = reference_albedo(&appearance, wo);
-    let tables = Tables::get();
-    let lobes: f32 = shape(values, &appearance, wo)
-        .as_slice()
-        .iter()
-        .map(|lobe| lobe.amplitude.x * tables.cosine_integral(lobe.sharpness, lobe.axis.z))
-        .sum();
-    Vec2::new((all - grazing) as f32, grazing as f32) / lobes
+    let appearance = Appearance { diffuse: Vec3::ZERO, specular: Vec3::ONE, model, alpha };
+    let [all, white] = reference_albedo(&appearance, wo);
+    [(all - white) as f32, white as f32]
 }
 
 /// ∫ f(wi, wo) n·wi dwi of the specular part for a colour of 1, and the same weighted by
 /// Schlick's (1 − h·o)⁵ (zero for models without Fresnel).
 fn reference_albedo(appearance: &Appearance, wo: Vec3) -> [f64; 2] {
-    const RADII: usize = 64;
-    const ANGLES: usize = 32;
+    const RADII: usize = 32;
+    const ANGLES: usize = 24;
     let fresnel = matches!(appearance.model, Model::CookTorrance | Model::Ggx);
     let mut sum = [0.0; 2];
     for radius in 0..RADII {
         for angle in 0..ANGLES {
-            // Squared: more samples where few half vectors carry much of a long tail.
             let u = (radius as f32 + 0.5) / RADII as f32;
             let v = (angle as f32 + 0.5) / ANGLES as f32;
             let Some((wi, weight)) = reference::sample_specular(appearance, wo, u, v) else {
                 continue;
             };
             let half = (wi + wo).normalize();
-            let fresnel = if fresnel { reference::schlick(half.dot(wo)) } else { 0.0 };
+            let white = if fresnel { reference::schlick(half.dot(wo)) } else { 0.0 };
             sum[0] += f64::from(weight);
-            sum[1] += f64::from(weight * fresnel);
+            sum[1] += f64::from(weight * white);
         }
     }
     sum.map(|sum| sum / (RADII * ANGLES) as f64)
@@ -279,7 +415,7 @@ fn reference_albedo(appearance: &Appearance, wo: Vec3) -> [f64; 2] {
 
 /// Least-squares fits of round Gaussians to a stretched radial profile.
 mod fit {
-    use super::{MAX_PAIRS, MIXTURES, MIXTURES_PER_OCTAVE, MIXTURE_STRIDE};
+    use super::{ANISOTROPIC_PAIRS, MIXTURE_STRIDE, MIXTURES, MIXTURES_PER_OCTAVE};
 
     /// exp(−r²).
     pub fn gaussian(r_squared: f64) -> f64 {
@@ -291,20 +427,24 @@ mod fit {
         1.0 / (1.0 + r_squared).powi(2)
     }
 
-    const MAX_PARAMETERS: usize = 2 + 3 * MAX_PAIRS;
+    const MAX_PARAMETERS: usize = 2 + 3 * ANISOTROPIC_PAIRS;
+    /// One row of the mixture table, in `f64`.
     type Parameters = [f64; MAX_PARAMETERS];
-    type Normal = [[f64; MAX_PARAMETERS]; MAX_PARAMETERS];
+    type Matrix = [[f64; MAX_PARAMETERS]; MAX_PARAMETERS];
 
     /// Points per axis of the quarter plane.
     const POINTS: usize = 32;
-    const ITERATIONS: usize = 60;
-    /// Weight of the squared relative error of the integral beside that of the profile.
-    const ENERGY_WEIGHT: f64 = 1.0;
+    const MAX_ITERATIONS: usize = 60;
+    /// Relative decrease of the cost that ends the iteration.
+    const CONVERGED: f64 = 1e-6;
+    /// Largest step of a parameter in one iteration.
+    const MAX_STEP: f64 = 0.5;
 
-    /// The mixture for every tabulated ratio, each started from the one before.
+    /// The mixture for every tabulated ratio, each started from the one before so that
+    /// neighbouring rows can be interpolated.
     pub fn mixtures(profile: fn(f64) -> f64, pairs: usize) -> Vec<[f32; MIXTURE_STRIDE]> {
+        // From near to far, from narrow to wide.
         let mut parameters = [0.0; MAX_PARAMETERS];
-        // Widths from narrow to wide, positions from near to far, equal energies.
         parameters[1] = -1.0;
         for pair in 0..pairs {
             let rank = (pair + 1) as f64;
@@ -325,79 +465,82 @@ mod fit {
             .collect()
     }
 
-    /// Sum of squares and, into `normal` and `gradient`, JᵀJ and Jᵀr.
-    fn accumulate(
+    /// Sum of squared residuals with JᵀJ (lower triangle) and Jᵀr.
+    struct Normal {
+        cost: f64,
+        matrix: Matrix,
+        gradient: Parameters,
+    }
+
+    impl Normal {
+        fn add(&mut self, n: usize, row: &Parameters, residual: f64, weight: f64) {
+            self.cost += weight * residual * residual;
+            for i in 0..n {
+                self.gradient[i] += weight * row[i] * residual;
+                for j in 0..=i {
+                    self.matrix[i][j] += weight * row[i] * row[j];
+                }
+            }
+        }
+    }
+
+    /// Residuals of the profile over a quarter of the plane, relative to its norm, and of
+    /// its integral.
+    fn normal_equations(
         profile: fn(f64) -> f64,
         ratio: f64,
         pairs: usize,
         p: &Parameters,
-        normal: &mut Normal,
-        gradient: &mut Parameters,
-    ) -> f64 {
+    ) -> Normal {
         let n = 2 + 3 * pairs;
         let spacing = (ratio * ratio - 1.0).sqrt();
-        let mut cost = 0.0;
-        let mut add = |row: &Parameters, residual: f64, weight: f64| {
-            cost += weight * residual * residual;
-            for i in 0..n {
-                gradient[i] += weight * row[i] * residual;
-                for j in 0..=i {
-                    normal[i][j] += weight * row[i] * row[j];
-                }
-            }
+        let mut normal = Normal {
+            cost: 0.0,
+            matrix: [[0.0; MAX_PARAMETERS]; MAX_PARAMETERS],
+            gradient: [0.0; MAX_PARAMETERS],
         };
         // Dense near the centre, reaching far into the tail.
-        let coordinate = |i: usize| {
+        let nodes: [(f64, f64); POINTS] = std::array::from_fn(|i| {
             let u = (i as f64 + 0.5) / POINTS as f64;
             (1.2 * u / (1.0 - u), 1.2 / ((1.0 - u).powi(2) * POINTS as f64))
-        };
-        // ∫ profile² dA, so that the cost is relative.
-        let mut norm = 0.0;
-        for i in 0..POINTS {
-            for j in 0..POINTS {
-                let ((x, dx), (y, dy)) = (coordinate(i), coordinate(j));
-                norm += profile(x * x + y * y).powi(2) * dx * dy;
-            }
-        }
-        for i in 0..POINTS {
-            for j in 0..POINTS {
-                let ((x, dx), (y, dy)) = (coordinate(i), coordinate(j));
-                let target = profile(x * x + y * y);
-                let x = x * ratio;
-                let mut row = [0.0; MAX_PARAMETERS];
-                let s = p[0].exp();
-                let value = p[1].exp() * (-s * (x * x + y * y)).exp();
-                row[0] = -s * (x * x + y * y) * value;
-                row[1] = value;
-                let mut sum = value;
-                for pair in 0..pairs {
-                    let k = 2 + 3 * pair;
-                    let (s, w, d) = (p[k].exp(), p[k + 1].exp(), spacing * p[k + 2]);
-                    for d in [d, -d] {
-                        let r2 = (x - d) * (x - d) + y * y;
-                        let value = w * (-s * r2).exp();
-                        row[k] -= s * r2 * value;
-                        row[k + 1] += value;
-                        row[k + 2] += 2.0 * s * (x - d) * value * d / p[k + 2];
-                        sum += value;
-                    }
+        });
+        let points = || nodes.iter().flat_map(|x| nodes.iter().map(move |y| (x, y)));
+        let norm: f64 =
+            points().map(|((x, dx), (y, dy))| profile(x * x + y * y).powi(2) * dx * dy).sum();
+        for ((x, dx), (y, dy)) in points() {
+            let target = profile(x * x + y * y);
+            let x = x * ratio;
+            let mut row = [0.0; MAX_PARAMETERS];
+            let mut sum = 0.0;
+            let mut gaussian = |k: usize, d: f64, derivative: f64| {
+                let s = p[k].exp();
+                let r_squared = (x - d) * (x - d) + y * y;
+                let value = (p[k + 1] - s * r_squared).exp();
+                row[k] -= s * r_squared * value;
+                row[k + 1] += value;
+                if derivative != 0.0 {
+                    row[k + 2] += 2.0 * s * (x - d) * value * derivative;
                 }
-                add(&row, sum - target, dx * dy / norm);
+                sum += value;
+            };
+            gaussian(0, 0.0, 0.0);
+            for k in (2..n).step_by(3) {
+                gaussian(k, spacing * p[k + 2], spacing);
+                gaussian(k, -spacing * p[k + 2], -spacing);
             }
+            normal.add(n, &row, sum - target, dx * dy / norm);
         }
-        // Integral over the plane in units of π ρ, which both profiles have.
+        // Over the whole plane both profiles integrate to π ratio.
         let mut row = [0.0; MAX_PARAMETERS];
-        let energy = (p[1] - p[0]).exp() / ratio;
-        (row[0], row[1]) = (-energy, energy);
-        let mut sum = energy;
-        for pair in 0..pairs {
-            let k = 2 + 3 * pair;
-            let energy = 2.0 * (p[k + 1] - p[k]).exp() / ratio;
-            (row[k], row[k + 1]) = (-energy, energy);
+        let mut sum = 0.0;
+        for (k, count) in std::iter::once((0, 1.0)).chain((2..n).step_by(3).map(|k| (k, 2.0))) {
+            let energy = count * (p[k + 1] - p[k]).exp() / ratio;
+            row[k] = -energy;
+            row[k + 1] = energy;
             sum += energy;
         }
-        add(&row, sum - 1.0, ENERGY_WEIGHT);
-        cost
+        normal.add(n, &row, sum - 1.0, 1.0);
+        normal
     }
 
     fn levenberg_marquardt(
@@ -408,27 +551,26 @@ mod fit {
     ) -> Parameters {
         let n = 2 + 3 * pairs;
         let mut damping = 1e-3;
-        let evaluate = |p: &Parameters| {
-            let (mut normal, mut gradient) = ([[0.0; MAX_PARAMETERS]; MAX_PARAMETERS], [0.0; MAX_PARAMETERS]);
-            let cost = accumulate(profile, ratio, pairs, p, &mut normal, &mut gradient);
-            (cost, normal, gradient)
-        };
-        let (mut cost, mut normal, mut gradient) = evaluate(&p);
-        for _ in 0..ITERATIONS {
-            let mut damped = normal;
+        let mut normal = normal_equations(profile, ratio, pairs, &p);
+        for _ in 0..MAX_ITERATIONS {
+            let mut damped = normal.matrix;
             for (i, row) in damped.iter_mut().enumerate().take(n) {
+                // The constant holds on to parameters that nothing determines.
                 row[i] += damping * (row[i] + 1e-6);
             }
-            let step = solve(damped, gradient, n);
+            let step = solve(damped, normal.gradient, n);
             let mut candidate = p;
             for i in 0..n {
-                candidate[i] -= step[i].clamp(-0.5, 0.5);
+                candidate[i] -= step[i].clamp(-MAX_STEP, MAX_STEP);
             }
-            let next = evaluate(&candidate);
-            if next.0 < cost {
-                p = candidate;
-                (cost, normal, gradient) = next;
+            let next = normal_equations(profile, ratio, pairs, &candidate);
+            if next.cost < normal.cost {
+                let converged = next.cost > normal.cost * (1.0 - CONVERGED);
+                (p, normal) = (candidate, next);
                 damping = (damping * 0.3).max(1e-9);
+                if converged {
+                    break;
+                }
             } else {
                 damping *= 4.0;
             }
@@ -437,7 +579,7 @@ mod fit {
     }
 
     /// Solves the symmetric positive definite system whose lower triangle is `a` (Cholesky).
-    fn solve(mut a: Normal, mut b: Parameters, n: usize) -> Parameters {
+    fn solve(mut a: Matrix, mut b: Parameters, n: usize) -> Parameters {
         for i in 0..n {
             for j in 0..=i {
                 let mut sum = a[i][j];

@@ -5,12 +5,12 @@ use std::f32::consts::FRAC_1_PI;
 
 use glam::Vec3;
 
-use crate::brdf::specular_lobes;
 use crate::polar::PolarOptions;
 use crate::spherical_gaussian::SphericalGaussian;
 use crate::ssdf::SignedDistance;
 use crate::surface::SurfacePoint;
-use crate::{ambient, polar};
+use crate::tables::Tables;
+use crate::{ambient, brdf, polar};
 
 /// A product lobe whose whole energy is below this fraction of the radiance gathered so
 /// far, in every channel, is not integrated.
@@ -37,7 +37,7 @@ pub fn product_lobes(
         return;
     }
     let diffuse = point.appearance.diffuse * FRAC_1_PI;
-    let specular = specular_lobes(point);
+    let specular = brdf::specular_lobes(point);
     for light in lights {
         if diffuse != Vec3::ZERO {
             visit(SphericalGaussian { amplitude: light.amplitude * diffuse, ..*light });
@@ -69,4 +69,14 @@ pub fn shade(
         radiance += lobe.amplitude * visible;
     });
     radiance
+}
+
+/// The constants of this module, as WGSL.
+pub fn wgsl_constants() -> String {
+    format!("const SHADE_NEGLIGIBLE: f32 = {NEGLIGIBLE:?};\n")
+}
+
+/// Contents of the GPU buffer `tables`.
+pub fn gpu_tables() -> Vec<f32> {
+    [Tables::get().values(), brdf::table_values()].concat()
 }

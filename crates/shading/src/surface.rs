@@ -83,32 +83,6 @@ impl SurfacePoint {
     }
 }
 
-/// Barycentric coordinates of where the ray from `eye` along `direction` (any length)
-/// meets the plane of triangle `abc`, pulled into the triangle: pixel centres on an edge
-/// miss it by rounding. This is perspective-correct interpolation.
-pub fn barycentrics(a: Vec3, b: Vec3, c: Vec3, eye: Vec3, direction: Vec3) -> Vec3 {
-    // Signed volumes of the ray with each edge (Möller & Trumbore 1997), relative to the
-    // eye so that large world coordinates cancel first.
-    let (a, b, c) = (a - eye, b - eye, c - eye);
-    let weights = Vec3::new(
-        direction.dot(b.cross(c)),
-        direction.dot(c.cross(a)),
-        direction.dot(a.cross(b)),
-    );
-    let sign = if weights.element_sum() < 0.0 {
-        -1.0
-    } else {
-        1.0
-    };
-    let inside = (weights * sign).max(Vec3::ZERO);
-    let sum = inside.element_sum();
-    if sum > 0.0 {
-        inside / sum
-    } else {
-        Vec3::splat(1.0 / 3.0)
-    }
-}
-
 /// The surface at `barycentrics` of triangle `triangle`, seen from `eye`.
 ///
 /// # Panics
@@ -301,5 +275,15 @@ fn orthogonal_unit(vector: Vec3, normal: Vec3) -> Vec3 {
         1.0 + sign * normal.x * normal.x * a,
         sign * normal.x * normal.y * a,
         -sign * normal.x,
+    )
+}
+
+/// The constants of this module, as WGSL.
+pub fn wgsl_constants() -> String {
+    format!(
+        "const SURFACE_MIN_ALPHA: f32 = {MIN_ALPHA:?};\n\
+         const SURFACE_MAX_EXPONENT: f32 = {MAX_EXPONENT:?};\n\
+         const SURFACE_DIELECTRIC_F0: f32 = {DIELECTRIC_F0:?};\n\
+         const SURFACE_DEGENERATE_LENGTH_SQUARED: f32 = {DEGENERATE_LENGTH_SQUARED:?};\n"
     )
 }

@@ -3,13 +3,15 @@
 use std::fmt::Write as _;
 
 use crate::surface::Model;
-use crate::{gpu, polar, spherical_gaussian, tables, tonemap};
+use crate::{brdf, gpu, polar, shade, spherical_gaussian, surface, tables, tonemap};
 
 /// What a shader module is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Entry {
     /// Triangle under each pixel: `visibility_buffer_vertex`, `visibility_buffer_fragment`.
     VisibilityBuffer,
+    /// Visibility buffer to linear radiance: `shade_main`, workgroups of 8 × 8 pixels.
+    Shade,
     /// Linear radiance to display colour: `tonemap_vertex`, `tonemap_fragment`.
     Tonemap,
     /// Functions and bindings without an entry point, to append kernels to.
@@ -18,7 +20,7 @@ pub enum Entry {
 
 impl Entry {
     /// All of them.
-    pub const ALL: [Self; 3] = [Self::VisibilityBuffer, Self::Tonemap, Self::Library];
+    pub const ALL: [Self; 4] = [Self::VisibilityBuffer, Self::Shade, Self::Tonemap, Self::Library];
 }
 
 /// Joined in this order; the order does not matter to WGSL.
@@ -31,6 +33,8 @@ const LIBRARY: &[&str] = &[
     include_str!("wgsl/ssdf.wgsl"),
     include_str!("wgsl/polar.wgsl"),
     include_str!("wgsl/ambient.wgsl"),
+    include_str!("wgsl/surface.wgsl"),
+    include_str!("wgsl/brdf.wgsl"),
 ];
 
 /// The complete WGSL of one module.
@@ -40,6 +44,10 @@ pub fn source(entry: Entry) -> String {
         Entry::VisibilityBuffer => {
             source += include_str!("wgsl/bindings.wgsl");
             source += include_str!("wgsl/visibility_buffer.wgsl");
+        }
+        Entry::Shade => {
+            source.extend(LIBRARY.iter().copied());
+            source += include_str!("wgsl/shade.wgsl");
         }
         Entry::Tonemap => source += include_str!("wgsl/tonemap.wgsl"),
         Entry::Library => source.extend(LIBRARY.iter().copied()),
@@ -71,6 +79,9 @@ fn constants() -> String {
     text += &spherical_gaussian::wgsl_constants();
     text += &tables::wgsl_constants();
     text += &polar::wgsl_constants();
+    text += &surface::wgsl_constants();
+    text += &brdf::wgsl_constants();
+    text += &shade::wgsl_constants();
     text += &tonemap::wgsl_constants();
     text
 }

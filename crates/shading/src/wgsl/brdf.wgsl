@@ -1,0 +1,260 @@
+// Twin of brdf.rs, and of Appearance::direction_factor in reference.rs. The specular lobes
+// of the invocation's surface point live in private variables: call brdf_specular_lobes
+// first.
+
+var<private> specular_count: u32;
+var<private> specular_lobes: array<SphericalGaussian, MAX_SPECULAR_LOBES>;
+
+fn brdf_specular_lobes(point: SurfacePoint) {
+    specular_count = 0u;
+    let wo = surface_to_local(point, point.view);
+    let appearance = point.appearance;
+    if appearance.model == MODEL_NONE || wo.z <= 0.0 {
+        return;
+    }
+    brdf_shape(appearance, wo);
+    var unscaled = 0.0;
+    for (var i = 0u; i < specular_count; i++) {
+        let lobe = specular_lobes[i];
+        unscaled += lobe.amplitude.x * tables_cosine_integral(lobe.sharpness, lobe.axis.z);
+    }
+    let albedo = brdf_albedo(appearance, wo);
+    let color = (appearance.specular * albedo.x + albedo.y) / max(unscaled, 1.17549435e-38);
+    for (var i = 0u; i < specular_count; i++) {
+        specular_lobes[i].axis = surface_to_world(point, specular_lobes[i].axis);
+        specular_lobes[i].amplitude *= color;
+    }
+}
+
+fn brdf_shape(appearance: Appearance, wo: vec3<f32>) {
+    let model = appearance.model;
+    let width = vec2(
+        brdf_profile_width(model, appearance.alpha.x),
+        brdf_profile_width(model, appearance.alpha.y),
+    );
+    let horizontal = length(wo.xy);
+    var incidence = vec2(1.0, 0.0);
+    if horizontal > 0.0 {
+        incidence = wo.xy / horizontal;
+    }
+    let cosine = max(wo.z, BRDF_MIN_COSINE);
+    let stretched = brdf_stretch(width, incidence, cosine);
+    let limit = exp2(f32(BRDF_MIXTURES - 1u) / BRDF_MIXTURES_PER_OCTAVE);
+    let full_ratio = sqrt(stretched.long / stretched.short);
+    let ratio = min(full_ratio, limit);
+    // Beyond the table a lobe keeps its length and is made wider.
+    let widening = full_ratio / ratio;
+
+    let round = ratio < BRDF_ROUND_RATIO;
+    let alpha = appearance.alpha;
+    let isotropic = max(alpha.x, alpha.y) < BRDF_ISOTROPIC_RATIO * min(alpha.x, alpha.y);
+    let pairs = select(BRDF_ANISOTROPIC_PAIRS, BRDF_ISOTROPIC_PAIRS, isotropic);
+    let table = 2u * u32(model == MODEL_GGX) + u32(!isotropic);
+    let position = log2(max(ratio, 1.0)) * BRDF_MIXTURES_PER_OCTAVE;
+    let node = min(u32(position), BRDF_MIXTURES - 2u);
+    let first = BRDF_MIXTURE_START + (table * BRDF_MIXTURES + node) * BRDF_MIXTURE_STRIDE;
+    let fraction = position - f32(node);
+
+    if round && model != MODEL_GGX {
+        brdf_push(appearance, wo, width, incidence, stretched.short, widening, vec2(0.0), 1.0, 1.0);
+        return;
+    }
+    let central_scale = exp(brdf_mixture(first, fraction));
+    let central_weight = exp(brdf_mixture(first + 1u, fraction));
+    brdf_push(appearance, wo, width, incidence, stretched.short, widening, vec2(0.0), central_scale, central_weight);
+    let step = stretched.long_axis * width * (sqrt(max(ratio * ratio - 1.0, 0.0)) / ratio);
+    for (var pair = 0u; pair < pairs; pair++) {
+        let scale = exp(brdf_mixture(first + 2u + 3u * pair, fraction));
+        let weight = exp(brdf_mixture(first + 3u + 3u * pair, fraction));
+        if round {
+            brdf_push(appearance, wo, width, incidence, stretched.short, widening, vec2(0.0), scale, 2.0 * weight);
+        } else {
+            let offset = step * brdf_mixture(first + 4u + 3u * pair, fraction);
+            brdf_push(appearance, wo, width, incidence, stretched.short, widening, offset, scale, weight);
+            brdf_push(appearance, wo, width, incidence, stretched.short, widening, -offset, scale, weight);
+        }
+    }
+}
+
+fn brdf_mixture(index: u32, fraction: f32) -> f32 {
+    return mix(tables[index], tables[index + BRDF_MIXTURE_STRIDE], fraction);
+}
+
+fn brdf_push(
+    appearance: Appearance,
+    wo: vec3<f32>,
+    width: vec2<f32>,
+    incidence: vec2<f32>,
+    central_short: f32,
+    widening: f32,
+    offset: vec2<f32>,
+    scale: f32,
+    weight: f32,
+) {
+    let h = normalize(vec3(offset, 1.0));
+    let axis = 2.0 * dot(h, wo) * h - wo;
+    let short = brdf_stretch(width, incidence, max(dot(h, wo), BRDF_MIN_COSINE)).short;
+    let sharpness = 2.0 * scale / (short * widening * widening);
+    // Where lobes are wider than at the centre they overlap more along the long axis.
+    let adjusted = weight * sqrt(central_short / short);
+    specular_lobes[specular_count] = brdf_tilt(appearance, axis, sharpness, adjusted);
+    specular_count++;
+}
+
+struct Stretch {
+    long: f32,
+    short: f32,
+    long_axis: vec2<f32>,
+}
+
+fn brdf_stretch(width: vec2<f32>, incidence: vec2<f32>, cosine: f32) -> Stretch {
+    let c2 = cosine * cosine;
+    let e2 = incidence * incidence;
+    let diagonal = 4.0 * width * width * (e2 + c2 * e2.yx);
+    let off_diagonal = 4.0 * width.x * width.y * (1.0 - c2) * incidence.x * incidence.y;
+    let half = 0.5 * (diagonal.x - diagonal.y);
+    let root = sqrt(half * half + off_diagonal * off_diagonal);
+    let long = 0.5 * (diagonal.x + diagonal.y) + root;
+    // The product of the singular values is known: no cancellation in the short one.
+    let area = 4.0 * width.x * width.y * cosine;
+    // Of the two proportional forms of the eigenvector, the one that does not cancel.
+    let eigenvector = select(
+        vec2(off_diagonal, root - half),
+        vec2(half + root, off_diagonal),
+        half >= 0.0,
+    );
+    let eigenvector_length = length(eigenvector);
+    var long_axis = vec2(1.0, 0.0);
+    if eigenvector_length > 0.0 {
+        long_axis = eigenvector / eigenvector_length;
+    }
+    return Stretch(long, area * area / long, long_axis);
+}
+
+fn brdf_tilt(appearance: Appearance, axis: vec3<f32>, sharpness: f32, weight: f32) -> SphericalGaussian {
+    let sine_squared = max(1.0 - axis.z * axis.z, 0.0);
+    // Standard deviation of n.w: linear in the angle off the pole, quadratic at the pole.
+    let variance = sine_squared / (sharpness + 1.0) + 1.0 / (sharpness * sharpness + 4.0);
+    let deviation = max(sqrt(variance), BRDF_MIN_DEVIATION);
+    // Near the mean of max(n.w, 0).
+    let middle = 0.5 * (axis.z + sqrt(axis.z * axis.z + 0.64 * variance));
+    let low = max(middle - deviation, BRDF_MIN_COSINE);
+    let high = clamp(middle + deviation, 2.0 * BRDF_MIN_COSINE, 1.0);
+    let sine = sqrt(sine_squared);
+    // At the pole neither axis of an anisotropic material is preferred.
+    var azimuth = vec2(sqrt(0.5));
+    if sine > 0.0 {
+        azimuth = axis.xy / sine;
+    }
+    let low_masking = brdf_masking(appearance, azimuth, low);
+    let slope = log(brdf_masking(appearance, azimuth, high) / low_masking) / (high - low);
+    let k = max(slope, -BRDF_MAX_TILT * sharpness);
+    let sum = sharpness * axis + vec3(0.0, 0.0, k);
+    let tilted = length(sum);
+    // tilted - sharpness - k low, without the difference of the first two.
+    let exponent = k * (2.0 * sharpness * axis.z + k) / (tilted + sharpness) - k * low;
+    let amplitude = vec3(weight * low_masking * exp(exponent));
+    return SphericalGaussian(sum / tilted, tilted, amplitude);
+}
+
+// The factor of the model that depends on the incident direction alone.
+fn brdf_masking(appearance: Appearance, azimuth: vec2<f32>, cosine: f32) -> f32 {
+    let sine = sqrt(max(1.0 - cosine * cosine, 0.0));
+    let projected = length(azimuth * sine * appearance.alpha);
+    switch appearance.model {
+        case MODEL_WARD: {
+            return 1.0 / cosine;
+        }
+        case MODEL_COOK_TORRANCE: {
+            if cosine >= 1.6 * projected {
+                return 0.5 / cosine;
+            }
+            let a = cosine / projected;
+            return 0.5 * (3.535 + 2.181 * a) / ((1.0 + (2.276 + 2.577 * a) * a) * projected);
+        }
+        case MODEL_GGX: {
+            return 1.0 / (cosine + sqrt(cosine * cosine + projected * projected));
+        }
+        default: {
+            return 1.0;
+        }
+    }
+}
+
+fn brdf_profile_width(model: u32, alpha: f32) -> f32 {
+    var inverse_square = 1.0;
+    switch model {
+        case MODEL_BLINN_PHONG: {
+            inverse_square = 0.5 * alpha + 1.0 - 1.0 / alpha;
+        }
+        case MODEL_WARD: {
+            inverse_square = 1.0 / (alpha * alpha) + 2.0 - alpha;
+        }
+        case MODEL_COOK_TORRANCE: {
+            inverse_square = 1.0 / (alpha * alpha) - 1.4 * alpha * alpha;
+        }
+        case MODEL_GGX: {
+            inverse_square = 1.0 / (alpha * alpha) - 1.0;
+        }
+        default: {}
+    }
+    return 1.0 / sqrt(max(inverse_square, BRDF_MIN_INVERSE_SQUARE));
+}
+
+// Factors of the specular colour and of white.
+fn brdf_albedo(appearance: Appearance, wo: vec3<f32>) -> vec2<f32> {
+    var alpha = appearance.alpha;
+    if appearance.model == MODEL_BLINN_PHONG {
+        alpha = sqrt(2.0 / alpha);
+    }
+    let low = sqrt(SURFACE_MIN_ALPHA);
+    let last = f32(BRDF_ALBEDO_ALPHAS - 1u);
+    let position = clamp((sqrt(alpha) - low) / (1.0 - low), vec2(0.0), vec2(1.0)) * last;
+    let angle = sqrt(clamp(1.0 - wo.z, 0.0, 1.0)) * f32(BRDF_ALBEDO_ANGLES - 1u);
+    // Tabulated for a view in the plane of the first roughness.
+    let along_x = brdf_albedo_lookup(appearance.model, position.x, position.y, angle);
+    let along_y = brdf_albedo_lookup(appearance.model, position.y, position.x, angle);
+    let squares = wo.xy * wo.xy / max(1.0 - wo.z * wo.z, 1e-12);
+    // Between the planes it goes as the fourth power of the cosine to the narrow axis.
+    if position.x < position.y {
+        return mix(along_y, along_x, squares.x * squares.x);
+    }
+    return mix(along_x, along_y, squares.y * squares.y);
+}
+
+fn brdf_albedo_lookup(model: u32, x: f32, y: f32, angle: f32) -> vec2<f32> {
+    var first = BRDF_ALBEDO_BLINN_PHONG;
+    var stride = 0u;
+    switch model {
+        case MODEL_COOK_TORRANCE: {
+            first = BRDF_ALBEDO_COOK_TORRANCE;
+        }
+        case MODEL_WARD: {
+            first = BRDF_ALBEDO_WARD;
+            stride = BRDF_ALBEDO_LENGTH;
+        }
+        case MODEL_GGX: {
+            first = BRDF_ALBEDO_GGX;
+            stride = BRDF_ALBEDO_LENGTH;
+        }
+        default: {}
+    }
+    let i = min(u32(x), BRDF_ALBEDO_ALPHAS - 2u);
+    let j = min(u32(y), BRDF_ALBEDO_ALPHAS - 2u);
+    let k = min(u32(angle), BRDF_ALBEDO_ANGLES - 2u);
+    let near = first + (j * stride + i * BRDF_ALBEDO_ANGLES + k) * 2u;
+    let far = near + stride * 2u;
+    let u = x - f32(i);
+    let w = angle - f32(k);
+    let near_value = mix(brdf_albedo_at(near, w), brdf_albedo_at(near + BRDF_ALBEDO_ANGLES * 2u, w), u);
+    let far_value = mix(brdf_albedo_at(far, w), brdf_albedo_at(far + BRDF_ALBEDO_ANGLES * 2u, w), u);
+    return mix(near_value, far_value, y - f32(j));
+}
+
+fn brdf_albedo_at(index: u32, w: f32) -> vec2<f32> {
+    return mix(
+        vec2(tables[index], tables[index + 1u]),
+        vec2(tables[index + 2u], tables[index + 3u]),
+        w,
+    );
+}

@@ -18,3 +18,84 @@ pub fn integrate(field: &impl SignedDistance, sharpness: f32, axis: Vec3, normal
     let rest = tables.hemisphere_fraction(sharpness, -limit);
     unoccluded * ((fraction - rest) / (1.0 - 2.0 * rest)).clamp(0.0, 1.0)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Largest error as a fraction of the whole integral: that of two table lookups.
+    const TOLERANCE: f32 = 1e-3;
+
+    /// Visible on one side of a great circle.
+    struct HalfSpace(Vec3);
+
+    impl SignedDistance for HalfSpace {
+        fn distance(&self, direction: Vec3) -> f32 {
+            self.0.dot(direction).clamp(-1.0, 1.0).asin()
+        }
+    }
+
+    #[test]
+    fn half_a_lobe_behind_its_plane_of_symmetry() {
+        let field = HalfSpace(Vec3::X);
+        for sharpness in [0.01, 0.5, 3.0, 20.0, 1e3, 1e5] {
+            for degrees in 0i16..180 {
+                let angle = f32::from(degrees).to_radians();
+                let axis = Vec3::new(0.0, angle.cos(), angle.sin());
+                let whole = Tables::get().cosine_integral(sharpness, axis.y);
+                let found = integrate(&field, sharpness, axis, Vec3::Y);
+                assert!(
+                    (found - 0.5 * whole).abs() <= TOLERANCE * whole,
+                    "λ {sharpness}, {degrees}°"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn a_constant_cosine_leaves_the_fraction_of_the_normal_distribution() {
+        // A lobe this narrow about the normal is a planar Gaussian of deviation 1/√λ.
+        let sharpness = 1e5f32;
+        let whole = Tables::get().cosine_integral(sharpness, 1.0);
+        // The standard normal distribution function.
+        for (deviations, fraction) in [
+            (-3.0, 0.001_350),
+            (-1.0, 0.158_655),
+            (0.0, 0.5),
+            (0.5, 0.691_462),
+            (2.0, 0.977_250),
+        ] {
+            let distance = deviations / sharpness.sqrt();
+            let field = HalfSpace(Vec3::new(distance.cos(), distance.sin(), 0.0));
+            let found = integrate(&field, sharpness, Vec3::Y, Vec3::Y) / whole;
+            assert!(
+                (found - fraction).abs() < TOLERANCE,
+                "{deviations}: {found}"
+            );
+        }
+    }
+
+    /// A field that is saturated everywhere.
+    struct Saturated(f32);
+
+    impl SignedDistance for Saturated {
+        fn distance(&self, _: Vec3) -> f32 {
+            self.0
+        }
+
+        fn limit(&self) -> f32 {
+            self.0.abs()
+        }
+    }
+
+    #[test]
+    fn a_saturated_field_is_wholly_visible_or_blocked() {
+        for sharpness in [0.1, 2.0, 30.0] {
+            let whole = Tables::get().cosine_integral(sharpness, 1.0);
+            let found = integrate(&Saturated(0.5), sharpness, Vec3::Y, Vec3::Y);
+            assert!((found - whole).abs() <= TOLERANCE * whole);
+            let found = integrate(&Saturated(-0.5), sharpness, Vec3::Y, Vec3::Y);
+            assert!(found <= TOLERANCE * whole);
+        }
+    }
+}

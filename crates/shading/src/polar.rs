@@ -1,9 +1,14 @@
 //! The default integrator: spokes about the lobe's own axis.
 //!
 //! With the axis as pole a lobe depends on the polar angle θ alone, so that along a spoke of
-//! constant azimuth φ the integral over any visible interval of θ is exact for every
-//! sharpness. The intervals are found by sphere tracing the SSDF and the integral over φ
-//! is the periodic trapezoid rule.
+//! constant azimuth φ the integral over any interval of θ is exact for every sharpness.
+//! Where the spoke is visible is found by sphere tracing the SSDF (Hart 1996), and the
+//! integral over φ is the periodic trapezoid rule.
+//!
+//! A spoke stands for a wedge of azimuths. Where the visibility boundary runs along the
+//! spoke rather than across it, a hard test would give the whole wedge to one side;
+//! the distance and its slope along the spoke tell how far aside the boundary lies, hence
+//! which part of the wedge is visible.
 
 use std::f32::consts::PI;
 
@@ -13,19 +18,29 @@ use crate::spherical_gaussian::cosine_moment;
 use crate::ssdf::SignedDistance;
 use crate::tables::Tables;
 
-/// A lobe ends where it falls to this fraction of its peak.
-pub const CUT: f32 = 1e-3;
-/// Shortest step along a spoke, in units of the support radius: visibility that changes
-/// twice within it may be missed.
-pub const SHORTEST_STEP: f32 = 0.05;
-/// Steps are this fraction of the distance: interpolation and compression leave the field
-/// not quite 1-Lipschitz.
-pub const SAFETY: f32 = 0.9;
+/// A lobe ends where it falls to this fraction of its peak. What lies outside is taken to be
+/// visible in the same share as what lies inside; nothing is inside if the horizon is not.
+pub const CUT: f32 = 1e-2;
+/// Steps along a spoke are this multiple of the distance: over-relaxed (Keinert et al.
+/// 2014), because what a step of 1 would find and this misses is too small to matter.
+pub const RELAXATION: f32 = 1.2;
+/// Shortest step, as a fraction of the lobe's radius.
+pub const SHORTEST_STEP: f32 = 0.1;
+/// Upper bound of the shortest step, radians: wide lobes see features of this size.
+pub const SHORTEST_STEP_LIMIT: f32 = 0.1;
+/// Azimuth of the first spoke from the projected normal, in spokes. The integrand is often
+/// symmetric about that plane: a quarter puts no spoke on another's mirror image.
+pub const PHASE: f32 = 0.25;
+/// Part of a spoke's wedge over which the boundary is spread.
+pub const WEDGE: f32 = 0.65;
+/// Upper bound of the half-width of that part, radians: beyond it, the nearest boundary
+/// says little about the wedge, and thin occluders would darken too much.
+pub const WEDGE_LIMIT: f32 = 0.06;
 
 /// How finely to integrate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PolarOptions {
-    /// Directions about the lobe's axis along which visibility is traced, at least 1.
+    /// Azimuths about the lobe's axis along which visibility is traced, at least 1.
     pub spokes: u32,
 }
 
@@ -47,13 +62,16 @@ pub fn integrate(
     options: &PolarOptions,
 ) -> f32 {
     let cosine = normal.dot(axis);
+    let radius = support_radius(sharpness);
+    if cosine <= -radius.min(0.5 * PI).sin() {
+        return 0.0;
+    }
     let unoccluded = Tables::get().cosine_integral(sharpness, cosine);
-    let support = support_radius(sharpness);
     let distance = field.distance(axis);
-    if distance >= support {
+    if distance >= radius {
         return unoccluded;
     }
-    if distance <= -support {
+    if distance <= -radius {
         return 0.0;
     }
     let projected = normal - cosine * axis;
@@ -64,56 +82,82 @@ pub fn integrate(
         any_orthogonal(axis)
     };
     let bitangent = axis.cross(tangent);
+    let shortest = (SHORTEST_STEP * radius).min(SHORTEST_STEP_LIMIT);
+    let wedge = WEDGE * PI / options.spokes as f32;
     let mut visible = 0.0;
     let mut whole = 0.0;
-    for k in 0..options.spokes {
-        let azimuth = 2.0 * PI * (k as f32 + 0.5) / options.spokes as f32;
+    for spoke in 0..options.spokes {
+        let azimuth = 2.0 * PI * (spoke as f32 + PHASE) / options.spokes as f32;
         let outward = azimuth.cos() * tangent + azimuth.sin() * bitangent;
         // Along the spoke n·ω = cosine cos θ + slope sin θ, which changes sign once.
         let slope = sine * azimuth.cos();
-        let horizon = cosine
-            .abs()
-            .atan2(if cosine < 0.0 { slope } else { -slope });
-        let start = if cosine < 0.0 {
-            horizon.min(support)
+        let mut start = 0.0;
+        let mut end = radius;
+        if cosine >= 0.0 {
+            end = end.min(cosine.atan2(-slope));
         } else {
-            0.0
-        };
-        let end = if cosine < 0.0 {
-            support
-        } else {
-            horizon.min(support)
-        };
+            start = (-cosine).atan2(slope);
+        }
+        if start >= end {
+            continue;
+        }
         let mut theta = start;
-        let mut here = if start > 0.0 {
-            field.distance(axis * start.cos() + outward * start.sin())
-        } else {
-            distance
-        };
-        let first = moment(sharpness, cosine, slope, start);
-        let mut entered = first;
-        while theta < end {
-            let next = (theta + (SAFETY * here.abs()).max(SHORTEST_STEP * support)).min(end);
+        let mut here = distance;
+        let mut first = 0.0;
+        if start > 0.0 {
+            here = field.distance(axis * start.cos() + outward * start.sin());
+            first = moment(sharpness, cosine, slope, start);
+        }
+        let last = moment(sharpness, cosine, slope, end);
+        // ∫ c dM over the spoke, c the covered fraction of the wedge and M the moment, is by
+        // parts the last c M less ∫ M dc, and c seldom changes.
+        let mut covered = if here > 0.0 { 1.0 } else { 0.0 };
+        let mut sum = -covered * first;
+        while theta + RELAXATION * here.abs() < end {
+            let next = (theta + (RELAXATION * here.abs()).max(shortest)).min(end);
             let there = field.distance(axis * next.cos() + outward * next.sin());
-            if (here > 0.0) != (there > 0.0) {
-                let crossing = theta + (next - theta) * here / (here - there);
-                let value = moment(sharpness, cosine, slope, crossing);
-                if here > 0.0 {
-                    visible += value - entered;
-                }
-                entered = value;
+            let rise = (there - here) / (next - theta);
+            let aside = (1.0 - rise * rise).max(0.0).sqrt();
+            let width_here = aside * (wedge * theta.sin()).min(WEDGE_LIMIT);
+            let width_there = aside * (wedge * next.sin()).min(WEDGE_LIMIT);
+            let covered_here = coverage(here, width_here);
+            let covered_there = coverage(there, width_there);
+            if covered_here != covered {
+                sum -= (covered_here - covered) * moment(sharpness, cosine, slope, theta);
             }
+            if covered_there != covered_here {
+                let falls = covered_there < covered_here;
+                let full = root(here - width_here, there - width_there, !falls);
+                let empty = root(here + width_here, there + width_there, falls);
+                let middle = theta + 0.5 * (full + empty) * (next - theta);
+                sum -= (covered_there - covered_here) * moment(sharpness, cosine, slope, middle);
+            }
+            covered = covered_there;
             theta = next;
             here = there;
         }
-        let last = moment(sharpness, cosine, slope, end);
-        if here > 0.0 {
-            visible += last - entered;
-        }
+        visible += sum + covered * last;
         whole += last - first;
     }
     if whole > 0.0 {
         unoccluded * (visible / whole).clamp(0.0, 1.0)
+    } else {
+        0.0
+    }
+}
+
+/// Visible fraction of an arc of half-width `width` whose middle is at the signed distance
+/// `distance` from a straight boundary.
+fn coverage(distance: f32, width: f32) -> f32 {
+    (0.5 + 0.5 * distance / width.max(1e-9)).clamp(0.0, 1.0)
+}
+
+/// Where the line from `a` at 0 to `b` at 1 is zero; the 0 or 1 of `otherwise` if nowhere.
+fn root(a: f32, b: f32, otherwise: bool) -> f32 {
+    if (a > 0.0) != (b > 0.0) {
+        a / (a - b)
+    } else if otherwise {
+        1.0
     } else {
         0.0
     }
@@ -148,7 +192,229 @@ pub fn wgsl_constants() -> String {
     let cut_exponent = cut_exponent();
     format!(
         "const POLAR_CUT_EXPONENT: f32 = {cut_exponent:?};\n\
+         const POLAR_RELAXATION: f32 = {RELAXATION:?};\n\
          const POLAR_SHORTEST_STEP: f32 = {SHORTEST_STEP:?};\n\
-         const POLAR_SAFETY: f32 = {SAFETY:?};\n"
+         const POLAR_SHORTEST_STEP_LIMIT: f32 = {SHORTEST_STEP_LIMIT:?};\n\
+         const POLAR_PHASE: f32 = {PHASE:?};\n\
+         const POLAR_WEDGE: f32 = {WEDGE:?};\n\
+         const POLAR_WEDGE_LIMIT: f32 = {WEDGE_LIMIT:?};\n"
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::PI;
+
+    use glam::DVec3;
+
+    use super::*;
+    use crate::spherical_gaussian::energy;
+
+    /// Root mean square error over random lobes across rims, as a fraction of the root mean
+    /// square truth: measured 3.7, 1.6 and 0.4 %, and a third more for other compilers.
+    const TOLERANCES: [(u32, f64); 3] = [(4, 0.05), (8, 0.021), (16, 0.006)];
+    /// The share of a field without boundary is 1 up to rounding of a sum over spokes.
+    const ROUNDING: f32 = 1e-5;
+    /// What a lobe cut at [`CUT`] can leave above a horizon that it does not reach, as a
+    /// fraction of its integral over the sphere.
+    const BELOW_HORIZON: f32 = 5e-4;
+
+    /// A region bounded by circles: visible where every (all) or any (not all) of the caps,
+    /// centre and signed distance of its rim from the centre, is.
+    struct Caps {
+        circles: Vec<(DVec3, f64)>,
+        all: bool,
+        limit: f64,
+    }
+
+    impl Caps {
+        fn exact(&self, direction: DVec3) -> f64 {
+            let distances = self.circles.iter().map(|&(center, radius)| {
+                2.0 * (0.5 * (direction - center).length()).min(1.0).asin() - radius
+            });
+            if self.all {
+                distances.fold(f64::INFINITY, f64::min)
+            } else {
+                distances.fold(f64::NEG_INFINITY, f64::max)
+            }
+        }
+    }
+
+    impl SignedDistance for Caps {
+        fn distance(&self, direction: Vec3) -> f32 {
+            self.exact(direction.as_dvec3())
+                .clamp(-self.limit, self.limit) as f32
+        }
+    }
+
+    /// Uniform in 0..1 (Steele et al. 2014, SplitMix).
+    struct Random(u64);
+
+    impl Random {
+        fn uniform(&mut self) -> f64 {
+            self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+            let mut z = self.0;
+            z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+            z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+            ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+        }
+
+        fn direction(&mut self) -> DVec3 {
+            let y = 2.0 * self.uniform() - 1.0;
+            let azimuth = 2.0 * PI * self.uniform();
+            let radius = (1.0 - y * y).sqrt();
+            DVec3::new(radius * azimuth.cos(), y, radius * azimuth.sin())
+        }
+    }
+
+    struct Case {
+        field: Caps,
+        sharpness: f64,
+        axis: DVec3,
+        normal: DVec3,
+        truth: f64,
+    }
+
+    /// Lobes near the rims of one to four caps, as fractions of their own integral.
+    fn cases() -> Vec<Case> {
+        let mut random = Random(1);
+        (0..100)
+            .map(|index| {
+                let normal = random.direction();
+                let circles: Vec<_> = (0..=index % 4)
+                    .map(|_| (random.direction(), 0.2 + 1.2 * random.uniform()))
+                    .collect();
+                // λ from 0.5 to 3e4; the axis within three widths of a rim.
+                let sharpness = 0.5 * 6e4f64.powf(random.uniform());
+                let (center, radius) = circles[0];
+                let aside = center.cross(random.direction()).normalize();
+                let angle = radius + 3.0 * (2.0 * random.uniform() - 1.0) / sharpness.sqrt();
+                let axis = center * angle.cos() + aside * angle.sin();
+                let field = Caps {
+                    circles,
+                    all: index % 8 < 4,
+                    limit: 0.5,
+                };
+                let truth = truth(&field, sharpness, axis, normal);
+                Case {
+                    field,
+                    sharpness,
+                    axis,
+                    normal,
+                    truth,
+                }
+            })
+            .collect()
+    }
+
+    /// Midpoint rule over equal shares of the lobe's energy and over azimuth.
+    fn truth(field: &Caps, sharpness: f64, axis: DVec3, normal: DVec3) -> f64 {
+        let n = 150;
+        let shares = 1.0 - (-2.0 * sharpness).exp();
+        let tangent = axis.any_orthonormal_vector();
+        let bitangent = axis.cross(tangent);
+        let mut sum = 0.0;
+        for i in 0..n {
+            let share = (f64::from(i) + 0.5) / f64::from(n) * shares;
+            let cosine = 1.0 + (1.0 - share).ln() / sharpness;
+            let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
+            for j in 0..n {
+                let azimuth = 2.0 * PI * (f64::from(j) + 0.5) / f64::from(n);
+                let outward = tangent * azimuth.cos() + bitangent * azimuth.sin();
+                let direction = axis * cosine + outward * sine;
+                let weight = normal.dot(direction);
+                if weight > 0.0 && field.exact(direction) > 0.0 {
+                    sum += weight;
+                }
+            }
+        }
+        sum * 2.0 * PI * shares / sharpness / f64::from(n * n)
+    }
+
+    fn estimate(case: &Case, spokes: u32) -> f64 {
+        f64::from(integrate(
+            &case.field,
+            case.sharpness as f32,
+            case.axis.as_vec3(),
+            case.normal.as_vec3(),
+            &PolarOptions { spokes },
+        ))
+    }
+
+    #[test]
+    fn matches_quadrature_better_with_more_spokes() {
+        let cases = cases();
+        let mut previous = f64::INFINITY;
+        for (spokes, tolerance) in TOLERANCES {
+            let (mut error, mut total) = (0.0, 0.0);
+            for case in &cases {
+                // Every lobe counts alike, whatever its sharpness.
+                let energy = 2.0 * PI * (1.0 - (-2.0 * case.sharpness).exp()) / case.sharpness;
+                error += ((estimate(case, spokes) - case.truth) / energy).powi(2);
+                total += (case.truth / energy).powi(2);
+            }
+            let relative = (error / total).sqrt();
+            println!("{spokes} spokes: {:.2} %", 100.0 * relative);
+            assert!(relative < tolerance, "{spokes} spokes: {relative}");
+            assert!(
+                relative < previous,
+                "{spokes} spokes are no better than fewer"
+            );
+            previous = relative;
+        }
+    }
+
+    #[test]
+    fn nothing_in_the_way_gives_the_whole_integral() {
+        let mut random = Random(2);
+        for index in 0..200 {
+            let sharpness = 1e-3 * 1e8f64.powf(random.uniform()) as f32;
+            let axis = random.direction().as_vec3();
+            let normal = random.direction().as_vec3();
+            let sign = if index % 2 == 0 { 1.0 } else { -1.0 };
+            // All visible, or all blocked, as far as a clamped field can say.
+            let field = Caps {
+                circles: vec![(DVec3::Y, -sign * 10.0)],
+                all: true,
+                limit: 0.5,
+            };
+            let found = integrate(&field, sharpness, axis, normal, &PolarOptions::default());
+            let whole = Tables::get().cosine_integral(sharpness, normal.dot(axis));
+            let expected = if sign > 0.0 { whole } else { 0.0 };
+            let bound = if normal.dot(axis) > 0.0 {
+                ROUNDING * whole
+            } else {
+                BELOW_HORIZON * energy(sharpness)
+            };
+            assert!(
+                (found - expected).abs() <= bound,
+                "λ {sharpness}: {found}, {expected}"
+            );
+        }
+    }
+
+    #[test]
+    fn extremes_stay_finite_and_within_bounds() {
+        let field = Caps {
+            circles: vec![(DVec3::X, 1.0)],
+            all: true,
+            limit: 0.5,
+        };
+        let directions = [Vec3::X, Vec3::NEG_X, Vec3::Y, Vec3::new(0.6, 0.8, 0.0)];
+        for sharpness in [0.0, 1e-30, 1e-6, 0.1, 10.0, 1e5, 1e9, 1e30] {
+            for axis in directions {
+                for normal in directions {
+                    for spokes in [1, 7, 64] {
+                        let options = PolarOptions { spokes };
+                        let found = integrate(&field, sharpness, axis, normal, &options);
+                        let whole = Tables::get().cosine_integral(sharpness, normal.dot(axis));
+                        assert!(
+                            (0.0..=whole).contains(&found),
+                            "λ {sharpness}, {axis}, {normal}: {found} of {whole}"
+                        );
+                    }
+                }
+            }
+        }
+    }
 }

@@ -39,6 +39,7 @@ impl SphericalGaussian {
     }
 
     /// The product with `other`, again a spherical Gaussian.
+    #[must_use]
     pub fn product(&self, other: &Self) -> Self {
         let sum = self.sharpness * self.axis + other.sharpness * other.axis;
         let sharpness = sum.length();
@@ -64,6 +65,7 @@ impl SphericalGaussian {
     }
 
     /// The same lobe after `rotation`, which must be orthonormal.
+    #[must_use]
     pub fn rotate(&self, rotation: &Mat3) -> Self {
         Self {
             axis: *rotation * self.axis,
@@ -117,4 +119,91 @@ pub fn wgsl_constants() -> String {
     format!(
         "const PI: f32 = {PI:?};\nconst SPHERICAL_GAUSSIAN_SERIES_LIMIT: f32 = {SERIES_LIMIT:?};\n"
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Relative error of f32 expressions of a few terms, with exponentials of arguments up
+    /// to ten.
+    const TOLERANCE: f32 = 1e-5;
+
+    #[test]
+    fn moments_match_quadrature() {
+        for exponent in -30..=20 {
+            let sharpness = 2f64.powi(exponent);
+            for share in [1e-3, 0.1, 0.5, 1.0] {
+                let q = share * (10.0 / sharpness).min(2.0);
+                // Both integrands in u = 1 − cos t, where they are smooth.
+                let n = 4000;
+                let (mut sine, mut cosine) = (0.0, 0.0);
+                for i in 0..n {
+                    let u = (f64::from(i) + 0.5) / f64::from(n) * q;
+                    let weight = (-sharpness * u).exp() * q / f64::from(n);
+                    sine += weight;
+                    cosine += weight * (1.0 - u);
+                }
+                let found = sine_moment(sharpness as f32, q as f32);
+                let error = (found - sine as f32).abs() / sine as f32;
+                assert!(
+                    error < TOLERANCE,
+                    "sine_moment({sharpness}, {q}) is off by {error}"
+                );
+                // The cosine changes sign on the way: measured against the sine.
+                let found = cosine_moment(sharpness as f32, q as f32);
+                let error = (found - cosine as f32).abs() / sine as f32;
+                assert!(
+                    error < TOLERANCE,
+                    "cosine_moment({sharpness}, {q}) is off by {error}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn product_is_pointwise() {
+        let lobe = |axis: Vec3, sharpness, amplitude| SphericalGaussian {
+            axis: axis.normalize(),
+            sharpness,
+            amplitude,
+        };
+        let lobes = [
+            lobe(Vec3::new(1.0, 2.0, 3.0), 5.0, Vec3::new(1.0, 2.0, 3.0)),
+            lobe(Vec3::new(-1.0, 0.5, 2.0), 0.3, Vec3::splat(2.0)),
+            lobe(Vec3::new(1.1, 2.0, 3.0), 300.0, Vec3::X),
+            lobe(Vec3::new(-1.0, -2.0, -3.0), 5.0, Vec3::ONE),
+        ];
+        for a in &lobes {
+            for b in &lobes {
+                let product = a.product(b);
+                for direction in lobes.map(|lobe| lobe.axis).into_iter().chain([Vec3::Y]) {
+                    let expected = a.evaluate(direction) * b.evaluate(direction);
+                    let found = product.evaluate(direction);
+                    // Exponents of some hundreds carry that many roundings.
+                    let exponent = a.sharpness + b.sharpness;
+                    let bound = TOLERANCE * (1.0 + 0.1 * exponent) * expected.max_element();
+                    assert!(
+                        found.abs_diff_eq(expected, bound + f32::MIN_POSITIVE),
+                        "{a:?} × {b:?} at {direction}: {found}, expected {expected}"
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn rotation_moves_the_axis_alone() {
+        let lobe = SphericalGaussian {
+            axis: Vec3::X,
+            sharpness: 4.0,
+            amplitude: Vec3::ONE,
+        };
+        let turned = lobe.rotate(&Mat3::from_rotation_y(0.5 * PI));
+        assert!(turned.axis.abs_diff_eq(Vec3::NEG_Z, TOLERANCE));
+        assert_eq!(
+            (turned.sharpness, turned.amplitude),
+            (lobe.sharpness, lobe.amplitude)
+        );
+    }
 }

@@ -104,3 +104,118 @@ fn snorm16(value: i16) -> f32 {
 fn snorm8(value: i8) -> f32 {
     (f32::from(value) / 127.0).max(-1.0)
 }
+
+#[cfg(test)]
+mod tests {
+    use relight_format::{
+        BakeReport, Cluster, Representation, Triangle, Vertex, VisibilityParameters,
+    };
+
+    use super::*;
+
+    const RESOLUTION: u32 = 8;
+    /// Sums of eight products in f32, radians.
+    const TOLERANCE: f32 = 1e-5;
+
+    /// Two clusters of one triangle each, with one and two tiles of irregular contents.
+    fn scene() -> Scene {
+        let texels = (RESOLUTION * RESOLUTION) as usize * CHANNELS_PER_TILE;
+        let cluster = |index: u32, tiles: u32| Cluster {
+            first_vertex: 3 * index,
+            vertex_count: 3,
+            first_coefficient: 12 * index,
+            first_tile: index,
+            tiles,
+            coefficient_scale: 0.7,
+        };
+        let triangle = |index: u16| Triangle {
+            vertices: [2, 0, 1].map(|corner| u32::from(3 * index) + corner),
+            material: 0,
+            cluster: index,
+        };
+        let vertex = Vertex {
+            position: [0.0; 3],
+            normal: [0.0, 1.0, 0.0],
+            tangent: [1.0, 0.0, 0.0, 1.0],
+            uv: [0.0; 2],
+        };
+        Scene {
+            name: String::new(),
+            visibility: VisibilityParameters {
+                representation: Representation::ClusteredPca,
+                sample_resolution: 128,
+                basis_resolution: RESOLUTION,
+                distance_clamp: 0.5,
+                ray_offset: 0.0,
+            },
+            camera: None,
+            materials: Vec::new(),
+            textures: Vec::new(),
+            report: BakeReport::default(),
+            vertices: vec![vertex; 6],
+            triangles: vec![triangle(0), triangle(1)],
+            clusters: vec![cluster(0, 1), cluster(1, 2)],
+            coefficients: (0..36)
+                .map(|i| (i * i * 997 % 65_535 - 32_767) as i16)
+                .collect(),
+            basis: (0..3 * texels)
+                .map(|i| (i * i * 31 % 255) as u8 as i8)
+                .collect(),
+        }
+    }
+
+    /// The format's definition, in f64: vertex `vertex` of cluster 1 at texel (x, y).
+    fn defined(scene: &Scene, vertex: usize, x: u32, y: u32) -> f64 {
+        let texel = (y * RESOLUTION + x) as usize;
+        let tile_length = (RESOLUTION * RESOLUTION) as usize * 4;
+        (0..8)
+            .map(|channel| {
+                let coefficient = scene.coefficients[12 + vertex * 8 + channel];
+                let tile = 1 + channel / 4;
+                let basis = scene.basis[tile * tile_length + texel * 4 + channel % 4];
+                f64::from(coefficient.max(-32_767)) / 32_767.0 * f64::from(basis.max(-127)) / 127.0
+            })
+            .sum::<f64>()
+            * f64::from(scene.clusters[1].coefficient_scale)
+    }
+
+    #[test]
+    fn texel_centres_hold_the_interpolated_definition() {
+        let scene = scene();
+        let weights = Vec3::new(0.2, 0.3, 0.5);
+        let ssdf = Ssdf::interpolate(&scene, 1, weights);
+        assert_eq!(ssdf.limit(), 0.5);
+        for y in 0..RESOLUTION {
+            for x in 0..RESOLUTION {
+                // The triangle's corners are vertices 2, 0 and 1 of its cluster.
+                let expected = 0.2 * defined(&scene, 2, x, y)
+                    + 0.3 * defined(&scene, 0, x, y)
+                    + 0.5 * defined(&scene, 1, x, y);
+                let found = ssdf.distance(octahedral::texel_direction(x, y, RESOLUTION));
+                assert!(
+                    (found - expected as f32).abs() < TOLERANCE,
+                    "({x}, {y}): {found}, {expected}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn the_seam_is_continuous() {
+        let scene = scene();
+        let ssdf = Ssdf::interpolate(&scene, 0, Vec3::new(0.1, 0.1, 0.8));
+        // The border of the map is where the lower half's great circles x = 0 and z = 0 lie.
+        let step = 1e-5;
+        for i in 1..100 {
+            let angle = -PI * i as f32 / 100.0;
+            for sides in [
+                [-1.0, 1.0].map(|side| Vec3::new(angle.cos(), angle.sin(), side * step)),
+                [-1.0, 1.0].map(|side| Vec3::new(side * step, angle.sin(), angle.cos())),
+            ] {
+                let [a, b] = sides.map(|direction| ssdf.distance(direction));
+                // The field spans a radian within a texel of 0.2 rad: slopes stay below 100.
+                assert!((a - b).abs() < 100.0 * step, "at {angle}: {a} and {b}");
+            }
+        }
+    }
+}

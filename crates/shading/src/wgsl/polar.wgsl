@@ -2,13 +2,16 @@
 
 fn polar_integrate(sharpness: f32, axis: vec3<f32>, normal: vec3<f32>, spokes: u32) -> f32 {
     let cosine = dot(normal, axis);
+    let radius = polar_support_radius(sharpness);
+    if cosine <= -sin(min(radius, 0.5 * PI)) {
+        return 0.0;
+    }
     let unoccluded = tables_cosine_integral(sharpness, cosine);
-    let support = polar_support_radius(sharpness);
     let distance = ssdf_distance(axis);
-    if distance >= support {
+    if distance >= radius {
         return unoccluded;
     }
-    if distance <= -support {
+    if distance <= -radius {
         return 0.0;
     }
     let projected = normal - cosine * axis;
@@ -18,44 +21,81 @@ fn polar_integrate(sharpness: f32, axis: vec3<f32>, normal: vec3<f32>, spokes: u
         tangent = projected / sine;
     }
     let bitangent = cross(axis, tangent);
+    let shortest = min(POLAR_SHORTEST_STEP * radius, POLAR_SHORTEST_STEP_LIMIT);
+    let wedge = POLAR_WEDGE * PI / f32(spokes);
     var visible = 0.0;
     var whole = 0.0;
-    for (var k = 0u; k < spokes; k++) {
-        let azimuth = 2.0 * PI * (f32(k) + 0.5) / f32(spokes);
+    for (var spoke = 0u; spoke < spokes; spoke++) {
+        let azimuth = 2.0 * PI * (f32(spoke) + POLAR_PHASE) / f32(spokes);
         let outward = cos(azimuth) * tangent + sin(azimuth) * bitangent;
         // Along the spoke n·ω = cosine cos θ + slope sin θ, which changes sign once.
         let slope = sine * cos(azimuth);
-        let horizon = atan2(abs(cosine), select(-slope, slope, cosine < 0.0));
-        let start = select(0.0, min(horizon, support), cosine < 0.0);
-        let end = select(min(horizon, support), support, cosine < 0.0);
+        var start = 0.0;
+        var end = radius;
+        if cosine >= 0.0 {
+            end = min(end, atan2(cosine, -slope));
+        } else {
+            start = atan2(-cosine, slope);
+        }
+        if start >= end {
+            continue;
+        }
         var theta = start;
         var here = distance;
+        var first = 0.0;
         if start > 0.0 {
             here = ssdf_distance(axis * cos(start) + outward * sin(start));
+            first = polar_moment(sharpness, cosine, slope, start);
         }
-        let first = polar_moment(sharpness, cosine, slope, start);
-        var entered = first;
-        while theta < end {
-            let next = min(theta + max(POLAR_SAFETY * abs(here), POLAR_SHORTEST_STEP * support), end);
+        let last = polar_moment(sharpness, cosine, slope, end);
+        // ∫ c dM over the spoke, c the covered fraction of the wedge and M the moment, is by
+        // parts the last c M less ∫ M dc, and c seldom changes.
+        var covered = select(0.0, 1.0, here > 0.0);
+        var sum = -covered * first;
+        while theta + POLAR_RELAXATION * abs(here) < end {
+            let next = min(theta + max(POLAR_RELAXATION * abs(here), shortest), end);
             let there = ssdf_distance(axis * cos(next) + outward * sin(next));
-            if (here > 0.0) != (there > 0.0) {
-                let crossing = theta + (next - theta) * here / (here - there);
-                let value = polar_moment(sharpness, cosine, slope, crossing);
-                if here > 0.0 {
-                    visible += value - entered;
-                }
-                entered = value;
+            let rise = (there - here) / (next - theta);
+            let aside = sqrt(max(1.0 - rise * rise, 0.0));
+            let width_here = aside * min(wedge * sin(theta), POLAR_WEDGE_LIMIT);
+            let width_there = aside * min(wedge * sin(next), POLAR_WEDGE_LIMIT);
+            let covered_here = polar_coverage(here, width_here);
+            let covered_there = polar_coverage(there, width_there);
+            if covered_here != covered {
+                sum -= (covered_here - covered) * polar_moment(sharpness, cosine, slope, theta);
             }
+            if covered_there != covered_here {
+                let falls = covered_there < covered_here;
+                let full = polar_root(here - width_here, there - width_there, !falls);
+                let empty = polar_root(here + width_here, there + width_there, falls);
+                let middle = theta + 0.5 * (full + empty) * (next - theta);
+                sum -= (covered_there - covered_here) * polar_moment(sharpness, cosine, slope, middle);
+            }
+            covered = covered_there;
             theta = next;
             here = there;
         }
-        let last = polar_moment(sharpness, cosine, slope, end);
-        if here > 0.0 {
-            visible += last - entered;
-        }
+        visible += sum + covered * last;
         whole += last - first;
     }
-    return select(0.0, unoccluded * clamp(visible / whole, 0.0, 1.0), whole > 0.0);
+    if whole > 0.0 {
+        return unoccluded * clamp(visible / whole, 0.0, 1.0);
+    }
+    return 0.0;
+}
+
+// Visible fraction of an arc of half-width `width` whose middle is at the signed distance
+// `distance` from a straight boundary.
+fn polar_coverage(distance: f32, width: f32) -> f32 {
+    return clamp(0.5 + 0.5 * distance / max(width, 1e-9), 0.0, 1.0);
+}
+
+// Where the line from `a` at 0 to `b` at 1 is zero; the 0 or 1 of `otherwise` if nowhere.
+fn polar_root(a: f32, b: f32, otherwise: bool) -> f32 {
+    if (a > 0.0) != (b > 0.0) {
+        return a / (a - b);
+    }
+    return select(0.0, 1.0, otherwise);
 }
 
 fn polar_support_radius(sharpness: f32) -> f32 {

@@ -40,7 +40,10 @@ pub fn product_lobes(
     let specular = brdf::specular_lobes(point);
     for light in lights {
         if diffuse != Vec3::ZERO {
-            visit(SphericalGaussian { amplitude: light.amplitude * diffuse, ..*light });
+            visit(SphericalGaussian {
+                amplitude: light.amplitude * diffuse,
+                ..*light
+            });
         }
         for lobe in specular.as_slice() {
             visit(light.product(lobe));

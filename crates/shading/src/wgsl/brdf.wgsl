@@ -97,7 +97,7 @@ fn brdf_push(
     let sharpness = 2.0 * scale / (short * widening * widening);
     // Where lobes are wider than at the centre they overlap more along the long axis.
     let adjusted = weight * sqrt(central_short / short);
-    specular_lobes[specular_count] = brdf_tilt(appearance, axis, sharpness, adjusted);
+    specular_lobes[specular_count] = brdf_tilt(appearance, wo, axis, sharpness, adjusted);
     specular_count++;
 }
 
@@ -131,7 +131,13 @@ fn brdf_stretch(width: vec2<f32>, incidence: vec2<f32>, cosine: f32) -> Stretch 
     return Stretch(long, area * area / long, long_axis);
 }
 
-fn brdf_tilt(appearance: Appearance, axis: vec3<f32>, sharpness: f32, weight: f32) -> SphericalGaussian {
+fn brdf_tilt(
+    appearance: Appearance,
+    wo: vec3<f32>,
+    axis: vec3<f32>,
+    sharpness: f32,
+    weight: f32,
+) -> SphericalGaussian {
     let sine_squared = max(1.0 - axis.z * axis.z, 0.0);
     // Standard deviation of n.w: linear in the angle off the pole, quadratic at the pole.
     let variance = sine_squared / (sharpness + 1.0) + 1.0 / (sharpness * sharpness + 4.0);
@@ -146,21 +152,32 @@ fn brdf_tilt(appearance: Appearance, axis: vec3<f32>, sharpness: f32, weight: f3
     if sine > 0.0 {
         azimuth = axis.xy / sine;
     }
-    let low_masking = brdf_masking(appearance, azimuth, low);
-    let slope = log(brdf_masking(appearance, azimuth, high) / low_masking) / (high - low);
+    let at_low = brdf_modulation(appearance, wo, azimuth, low);
+    let slope = log(brdf_modulation(appearance, wo, azimuth, high) / at_low) / (high - low);
     let k = max(slope, -BRDF_MAX_TILT * sharpness);
     let sum = sharpness * axis + vec3(0.0, 0.0, k);
     let tilted = length(sum);
     // tilted - sharpness - k low, without the difference of the first two.
     let exponent = k * (2.0 * sharpness * axis.z + k) / (tilted + sharpness) - k * low;
-    let amplitude = vec3(weight * low_masking * exp(exponent));
+    let amplitude = vec3(weight * at_low * exp(exponent));
     return SphericalGaussian(sum / tilted, tilted, amplitude);
 }
 
-// The factor of the model that depends on the incident direction alone.
-fn brdf_masking(appearance: Appearance, azimuth: vec2<f32>, cosine: f32) -> f32 {
+fn brdf_modulation(appearance: Appearance, wo: vec3<f32>, azimuth: vec2<f32>, cosine: f32) -> f32 {
     let sine = sqrt(max(1.0 - cosine * cosine, 0.0));
-    let projected = length(azimuth * sine * appearance.alpha);
+    let wi = vec3(azimuth * sine, cosine);
+    let masking = brdf_direction_factor(appearance, wi);
+    if appearance.model != MODEL_COOK_TORRANCE && appearance.model != MODEL_GGX {
+        return masking;
+    }
+    let half_cosine = sqrt(max(0.5 + 0.5 * dot(wi, wo), 0.0));
+    let f0 = (appearance.specular.x + appearance.specular.y + appearance.specular.z) / 3.0;
+    return masking * (f0 + (1.0 - f0) * pow(clamp(1.0 - half_cosine, 0.0, 1.0), 5.0));
+}
+
+fn brdf_direction_factor(appearance: Appearance, w: vec3<f32>) -> f32 {
+    let projected = length(w.xy * appearance.alpha);
+    let cosine = w.z;
     switch appearance.model {
         case MODEL_WARD: {
             return 1.0 / cosine;
@@ -216,10 +233,12 @@ fn brdf_albedo(appearance: Appearance, wo: vec3<f32>) -> vec2<f32> {
     let along_y = brdf_albedo_lookup(appearance.model, position.y, position.x, angle);
     let squares = wo.xy * wo.xy / max(1.0 - wo.z * wo.z, 1e-12);
     // Between the planes it goes as the fourth power of the cosine to the narrow axis.
+    var mean = mix(along_x, along_y, squares.y * squares.y);
     if position.x < position.y {
-        return mix(along_y, along_x, squares.x * squares.x);
+        mean = mix(along_y, along_x, squares.x * squares.x);
     }
-    return mix(along_x, along_y, squares.y * squares.y);
+    let white = mean.y * mean.y;
+    return vec2(mean.x, white * white);
 }
 
 fn brdf_albedo_lookup(model: u32, x: f32, y: f32, angle: f32) -> vec2<f32> {

@@ -127,7 +127,7 @@ pub fn surface_point(
         tangent = orthogonal_unit(tangent, normal);
     }
 
-    let color_factor = sample(&material.base_color_texture).map_or(Vec3::ONE, |texel| texel.xyz());
+    let color_factor = sample(&material.base_color_texture).map_or(Vec3::ONE, Vec4::xyz);
     let appearance = match &material.surface {
         Surface::MetallicRoughness {
             base_color,

@@ -1,21 +1,27 @@
-//! Linear radiance to 8-bit sRGB, for eyes and for FLIP.
+//! Linear radiance to 8-bit sRGB, for eyes and for FLIP: as the runtime shows it.
+
+use glam::Vec3;
+use relight_shading::tonemap::{encode_srgb, neutral};
 
 use crate::image_file::Image;
 
 /// Linear grey shown where nothing covers the pixel.
 const BACKGROUND: f32 = 0.18;
 
+/// Where exposed radiance is cut off: beyond it the curve is white, and infinity is not a
+/// colour.
+const BRIGHTEST: f32 = 1e6;
+
 /// Tone-mapped sRGB pixels over a neutral background. `exposure` is in stops.
 pub fn pixels(image: &Image, exposure: f32) -> Vec<[u8; 3]> {
     let scale = exposure.exp2();
-    let show = |pixel: &[f32; 4]| {
-        [0, 1, 2].map(|i| {
-            let alpha = pixel[3].clamp(0.0, 1.0);
-            // Only radiance is exposed and tone-mapped; coverage then blends as light does.
-            let radiance = if alpha > 0.0 { pixel[i] / alpha } else { 0.0 };
-            let linear = tone_map(radiance * scale) * alpha + BACKGROUND * (1.0 - alpha);
-            (srgb(linear) * 255.0).round() as u8
-        })
+    let show = |&[r, g, b, alpha]: &[f32; 4]| {
+        let coverage = alpha.clamp(0.0, 1.0);
+        // Only radiance is exposed and tone-mapped; coverage then blends as light does.
+        let radiance = if alpha > 0.0 { Vec3::new(r, g, b) / alpha } else { Vec3::ZERO };
+        let shown = neutral((radiance * scale).max(Vec3::ZERO).min(Vec3::splat(BRIGHTEST)));
+        let linear = Vec3::splat(BACKGROUND).lerp(shown, coverage);
+        linear.to_array().map(|value| (encode_srgb(value.clamp(0.0, 1.0)) * 255.0).round() as u8)
     };
     image.pixels.iter().map(show).collect()
 }
@@ -47,21 +53,6 @@ pub fn automatic_exposure(image: &Image) -> f32 {
 /// Rec.709 luminance.
 pub fn luminance(color: [f32; 3]) -> f32 {
     0.2126 * color[0] + 0.7152 * color[1] + 0.0722 * color[2]
-}
-
-/// Filmic curve, [0, ∞) to [0, 1] (Narkowicz 2015, fit of the ACES reference transform).
-fn tone_map(x: f32) -> f32 {
-    let x = x.max(0.0).min(1e4);
-    (x * (2.51 * x + 0.03) / (x * (2.43 * x + 0.59) + 0.14)).clamp(0.0, 1.0)
-}
-
-/// The sRGB transfer function (IEC 61966-2-1).
-fn srgb(x: f32) -> f32 {
-    if x <= 0.003_130_8 {
-        12.92 * x
-    } else {
-        1.055 * x.powf(1.0 / 2.4) - 0.055
-    }
 }
 
 #[cfg(test)]

@@ -1,6 +1,10 @@
 //! Render, truth, compare, demo and experiments, as functions over data in memory. The
 //! `lab` binary puts them on a command line.
 
+pub mod camera;
 pub mod compare;
 pub mod display;
 pub mod image_file;
+#[cfg(any())]
+pub mod render;
+pub mod truth;

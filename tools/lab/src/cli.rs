@@ -1,0 +1,433 @@
+//! The command line: arguments to plain options, results to text or JSON, failures to exit
+//! codes.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::Instant;
+
+use anyhow::Context as _;
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use glam::Vec3;
+use indicatif::{ProgressBar, ProgressStyle};
+use relight_bake::{hdr, scene_input};
+use relight_format::{Camera, Environment, FieldOfView, Limits, Scene};
+use relight_lab::truth::{self, Filter, Geometry, full, lobes};
+#[cfg(any())]
+use relight_lab::render;
+use relight_lab::{camera, compare, image_file};
+use relight_shading::camera::View;
+use relight_shading::polar::PolarOptions;
+use relight_shading::shade::Method;
+use relight_shading::spherical_gaussian::SphericalGaussian;
+use serde_json::json;
+
+/// Every way a command ends. The text of the exit codes in the help is this table.
+#[derive(Debug)]
+enum Failure {
+    /// 1: the work itself failed.
+    Work(anyhow::Error),
+    /// 3: an input file cannot be read or is not valid.
+    Input(anyhow::Error),
+    /// 4: a GPU was demanded and none can do it.
+    Gpu(anyhow::Error),
+}
+
+const EXIT_CODES: &str = "\
+Exit codes:
+  0  done
+  1  the work failed: an image cannot be compared or written, a device failed
+  2  wrong command line
+  3  an input file cannot be read or is not valid
+  4  --device gpu, and no usable GPU";
+
+impl Failure {
+    fn code(&self) -> u8 {
+        match self {
+            Self::Work(_) => 1,
+            Self::Input(_) => 3,
+            Self::Gpu(_) => 4,
+        }
+    }
+}
+
+fn work<E: Into<anyhow::Error>>(error: E) -> Failure {
+    Failure::Work(error.into())
+}
+
+fn input<E: Into<anyhow::Error>>(error: E) -> Failure {
+    Failure::Input(error.into())
+}
+
+/// Renders baked scenes, ray-traces truth and compares the two.
+#[derive(Parser)]
+#[command(name = "lab", version, after_help = EXIT_CODES)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+    /// Print the result as one JSON object on standard output.
+    #[arg(long, global = true)]
+    json: bool,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Render a baked scene with the runtime.
+    #[cfg(any())]
+    Render(Render),
+    /// Ray-trace a scene: direct light, mean and variance.
+    Truth(Truth),
+    /// Measure how far an image is from the truth.
+    Compare(Compare),
+}
+
+#[derive(Args)]
+struct Render {
+    /// Baked scene.
+    scene: PathBuf,
+    /// Baked environment.
+    #[arg(long)]
+    environment: PathBuf,
+    #[command(flatten)]
+    picture: Picture,
+    /// How visible light is integrated.
+    #[arg(long, value_enum, default_value = "polar")]
+    method: MethodName,
+    /// Spokes per lobe of the polar integrator.
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=64))]
+    spokes: Option<u32>,
+    /// Where to render; `auto` takes a GPU if there is one, else the CPU.
+    #[arg(long, value_enum, default_value = "auto")]
+    device: DeviceName,
+}
+
+#[derive(Args)]
+struct Truth {
+    /// Baked scene for `lobes`; scene file or mesh for `full`.
+    scene: PathBuf,
+    /// `lobes`: the runtime's lights and lobes under exact visibility. `full`: the original
+    /// environment and reflection models.
+    #[arg(long, value_enum)]
+    kind: Kind,
+    /// Baked environment for `lobes`; lat-long .hdr or .exr for `full`, by default that of
+    /// the scene file.
+    #[arg(long)]
+    environment: Option<PathBuf>,
+    #[command(flatten)]
+    picture: Picture,
+    /// Samples per pixel; rounded up to a multiple of 8.
+    #[arg(long, default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..))]
+    samples: u32,
+    /// Where in a pixel: its centre, as the runtime shades, or all over its square.
+    #[arg(long, value_enum, default_value = "center")]
+    filter: FilterName,
+    /// Selects the random numbers.
+    #[arg(long, default_value_t = 0)]
+    seed: u32,
+}
+
+#[derive(Args)]
+struct Compare {
+    /// Candidate, .exr.
+    candidate: PathBuf,
+    /// Truth, .exr.
+    truth: PathBuf,
+}
+
+/// What render and truth share.
+#[derive(Args)]
+struct Picture {
+    #[command(flatten)]
+    camera: CameraArguments,
+    /// Width and height in pixels.
+    #[arg(long, default_value = "800x600", value_parser = parse_size)]
+    size: [u32; 2],
+    /// Turn the environment about +Y, degrees counter-clockwise seen from above.
+    #[arg(long, default_value_t = 0.0, allow_hyphen_values = true)]
+    rotate: f32,
+    /// Exposure of a PNG in stops. An EXR is not exposed.
+    #[arg(long, default_value_t = 0.0, allow_hyphen_values = true)]
+    exposure: f32,
+    /// Image to write: .exr with linear radiance and coverage, .png to look at.
+    #[arg(short, long)]
+    output: PathBuf,
+}
+
+/// By default the scene's camera or, where it has none, one that shows all of it.
+#[derive(Args)]
+struct CameraArguments {
+    /// Camera file: TOML with position, target, up and fov_x_degrees or fov_y_degrees.
+    #[arg(long)]
+    camera: Option<PathBuf>,
+    /// Replaces the camera's position, as X,Y,Z.
+    #[arg(long, value_parser = parse_point, allow_hyphen_values = true)]
+    position: Option<Point>,
+    /// Replaces the point that it looks at.
+    #[arg(long, value_parser = parse_point, allow_hyphen_values = true)]
+    target: Option<Point>,
+    /// Replaces the up direction.
+    #[arg(long, value_parser = parse_point, allow_hyphen_values = true)]
+    up: Option<Point>,
+    /// Replaces the field of view: full vertical angle in degrees.
+    #[arg(long, conflicts_with = "fov_x")]
+    fov_y: Option<f32>,
+    /// Replaces the field of view: full horizontal angle in degrees.
+    #[arg(long)]
+    fov_x: Option<f32>,
+}
+
+/// Three numbers, as one value on the command line.
+#[derive(Clone, Copy)]
+struct Point([f32; 3]);
+
+#[derive(Clone, Copy, ValueEnum)]
+enum MethodName {
+    Polar,
+    Ambient,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum DeviceName {
+    Auto,
+    Gpu,
+    Cpu,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Kind {
+    Lobes,
+    Full,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum FilterName {
+    Center,
+    Box,
+}
+
+/// Parses the command line and runs the command.
+pub fn run() -> ExitCode {
+    let cli = Cli::parse();
+    let result = match &cli.command {
+        #[cfg(any())]
+        Command::Render(arguments) => run_render(arguments),
+        Command::Truth(arguments) => run_truth(arguments),
+        Command::Compare(arguments) => run_compare(arguments),
+    };
+    match result {
+        Ok(report) => {
+            if cli.json {
+                println!("{report}");
+            } else {
+                print_plain(&report);
+            }
+            ExitCode::SUCCESS
+        }
+        Err(failure) => {
+            let (Failure::Work(error) | Failure::Input(error) | Failure::Gpu(error)) = &failure;
+            eprintln!("error: {error:#}");
+            ExitCode::from(failure.code())
+        }
+    }
+}
+
+/// One line per entry of a JSON object.
+fn print_plain(report: &serde_json::Value) {
+    for (name, value) in report.as_object().into_iter().flatten() {
+        match value {
+            serde_json::Value::Null => {}
+            serde_json::Value::String(text) => println!("{name}: {text}"),
+            other => println!("{name}: {other}"),
+        }
+    }
+}
+
+#[cfg(any())]
+fn run_render(arguments: &Render) -> Result<serde_json::Value, Failure> {
+    let scene = read_scene(&arguments.scene)?;
+    let lights = read_lights(&arguments.environment)?;
+    let picture = &arguments.picture;
+    let method = match arguments.method {
+        MethodName::Ambient => Method::Ambient,
+        MethodName::Polar => {
+            let default = PolarOptions::default();
+            Method::Polar(PolarOptions { spokes: arguments.spokes.unwrap_or(default.spokes) })
+        }
+    };
+    let device = match arguments.device {
+        DeviceName::Auto => render::Device::Auto,
+        DeviceName::Gpu => render::Device::Gpu,
+        DeviceName::Cpu => render::Device::Cpu,
+    };
+    let mut renderer = render::Renderer::open(device).map_err(|error| Failure::Gpu(error.into()))?;
+    let frame = relight_runtime::Frame {
+        camera: choose_camera(&picture.camera, scene.camera, &scene)?,
+        lights: &lights,
+        rotation: glam::Quat::from_rotation_y(picture.rotate.to_radians()),
+        method,
+        exposure: 1.0,
+    };
+    let start = Instant::now();
+    let image = renderer.render(&scene, &frame, picture.size).map_err(work)?;
+    let seconds = start.elapsed().as_secs_f64();
+    image_file::write(&picture.output, &image, picture.exposure).map_err(work)?;
+    Ok(json!({
+        "output": picture.output,
+        "width": image.width,
+        "height": image.height,
+        "device": renderer.name(),
+        "method": match method { Method::Ambient => "ambient", Method::Polar(_) => "polar" },
+        "lights": lights.len(),
+        "covered_pixels": covered(&image),
+        "seconds": seconds,
+    }))
+}
+
+fn run_truth(arguments: &Truth) -> Result<serde_json::Value, Failure> {
+    let picture = &arguments.picture;
+    let options = truth::Options {
+        samples: arguments.samples,
+        filter: match arguments.filter {
+            FilterName::Center => Filter::Center,
+            FilterName::Box => Filter::Box,
+        },
+        seed: arguments.seed,
+    };
+    let rotation = picture.rotate.to_radians();
+    let [width, height] = picture.size;
+    let bar = ProgressBar::new(height.into())
+        .with_style(ProgressStyle::with_template("{bar:40} {pos}/{len} rows, {eta} left").expect("a valid template"));
+    let row_done = || bar.inc(1);
+    let start;
+    let image = match arguments.kind {
+        Kind::Lobes => {
+            let scene = read_scene(&arguments.scene)?;
+            let environment = arguments.environment.as_deref().ok_or_else(|| {
+                input(anyhow::anyhow!("--environment: expected a baked environment, found none"))
+            })?;
+            let turn = glam::Mat3::from_rotation_y(rotation);
+            let lights: Vec<_> =
+                read_lights(environment)?.iter().map(|light| light.rotate(&turn)).collect();
+            let camera = choose_camera(&picture.camera, scene.camera, &scene)?;
+            start = Instant::now();
+            let geometry = Geometry::new(&scene, View::new(&camera, width, height, 1.0));
+            lobes::render(&geometry, &lights, picture.size, &options, &row_done)
+        }
+        Kind::Full => {
+            let loaded = scene_input::load(&arguments.scene).map_err(input)?;
+            for warning in &loaded.warnings {
+                eprintln!("warning: {warning}");
+            }
+            let path = arguments.environment.as_ref().or(loaded.environment.as_ref());
+            let path = path.ok_or_else(|| {
+                input(anyhow::anyhow!("--environment: expected a lat-long image, found none"))
+            })?;
+            let environment = hdr::load(path).map_err(input)?;
+            if environment.repaired > 0 {
+                eprintln!("warning: {}: repaired {} pixels", path.display(), environment.repaired);
+            }
+            let tables = full::tables(&loaded).map_err(input)?;
+            let scene = full::unbaked(&loaded);
+            let camera = choose_camera(&picture.camera, scene.camera, &scene)?;
+            start = Instant::now();
+            let geometry = Geometry::new(&scene, View::new(&camera, width, height, 1.0));
+            let sampler = full::EnvironmentSampler::new(&environment, rotation);
+            full::render(&geometry, &tables, &sampler, picture.size, &options, &row_done)
+        }
+    };
+    let seconds = start.elapsed().as_secs_f64();
+    bar.finish_and_clear();
+    image_file::write(&picture.output, &image, picture.exposure).map_err(work)?;
+    Ok(json!({
+        "output": picture.output,
+        "width": width,
+        "height": height,
+        "kind": if arguments.kind == Kind::Lobes { "lobes" } else { "full" },
+        "samples": arguments.samples.next_multiple_of(truth::REPLICAS),
+        "covered_pixels": covered(&image),
+        "relative_noise": image.relative_noise(),
+        "seconds": seconds,
+    }))
+}
+
+fn run_compare(arguments: &Compare) -> Result<serde_json::Value, Failure> {
+    let [candidate, truth] = [&arguments.candidate, &arguments.truth]
+        .map(|path| image_file::read_exr(path).map_err(input));
+    let comparison = compare::compare(&candidate?, &truth?).map_err(work)?;
+    serde_json::to_value(comparison).map_err(work)
+}
+
+fn read_scene(path: &Path) -> Result<Scene, Failure> {
+    let bytes = read(path)?;
+    relight_format::read_scene(&bytes, &Limits::default())
+        .with_context(|| path.display().to_string())
+        .map_err(input)
+}
+
+fn read_lights(path: &Path) -> Result<Vec<SphericalGaussian>, Failure> {
+    let bytes = read(path)?;
+    let environment: Environment = relight_format::read_environment(&bytes, &Limits::default())
+        .with_context(|| path.display().to_string())
+        .map_err(input)?;
+    Ok(environment.lobes.iter().map(Into::into).collect())
+}
+
+fn read(path: &Path) -> Result<Vec<u8>, Failure> {
+    std::fs::read(path).with_context(|| path.display().to_string()).map_err(input)
+}
+
+/// File, else the scene's own, else one that frames it; then the flags' replacements.
+fn choose_camera(
+    arguments: &CameraArguments,
+    own: Option<Camera>,
+    scene: &Scene,
+) -> Result<Camera, Failure> {
+    let mut chosen = match (&arguments.camera, own) {
+        (Some(path), _) => camera::load(path).map_err(input)?,
+        (None, Some(own)) => own,
+        (None, None) => {
+            let positions = scene.vertices.iter().map(|vertex| Vec3::from(vertex.position));
+            let bounds = positions.fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), p| {
+                (low.min(p), high.max(p))
+            });
+            camera::framing(bounds.0, bounds.1)
+        }
+    };
+    let replace = |part: &mut [f32; 3], with: Option<Point>| {
+        if let Some(Point(with)) = with {
+            *part = with;
+        }
+    };
+    replace(&mut chosen.position, arguments.position);
+    replace(&mut chosen.target, arguments.target);
+    replace(&mut chosen.up, arguments.up);
+    if let Some(degrees) = arguments.fov_y {
+        chosen.field_of_view = FieldOfView::Y(degrees.to_radians());
+    }
+    if let Some(degrees) = arguments.fov_x {
+        chosen.field_of_view = FieldOfView::X(degrees.to_radians());
+    }
+    camera::check(&chosen).map_err(|reason| input(anyhow::anyhow!("camera: {reason}")))?;
+    Ok(chosen)
+}
+
+fn covered(image: &image_file::Image) -> usize {
+    image.pixels.iter().filter(|pixel| pixel[3] > 0.5).count()
+}
+
+fn parse_size(text: &str) -> Result<[u32; 2], String> {
+    let sides = text.split_once('x').and_then(|(width, height)| {
+        Some([width.parse().ok()?, height.parse().ok()?])
+    });
+    sides
+        .filter(|sides: &[u32; 2]| sides.iter().all(|side| (1..=16384).contains(side)))
+        .ok_or_else(|| "expected WIDTHxHEIGHT, each from 1 to 16384".into())
+}
+
+fn parse_point(text: &str) -> Result<Point, String> {
+    let numbers: Vec<f32> = text.split(',').filter_map(|part| part.trim().parse().ok()).collect();
+    <[f32; 3]>::try_from(numbers)
+        .ok()
+        .filter(|numbers| numbers.iter().all(|number| number.is_finite()))
+        .map(Point)
+        .ok_or_else(|| "expected three numbers X,Y,Z".into())
+}

@@ -1,0 +1,237 @@
+//! Ray-traced truth, direct light only, in two kinds that are never mixed.
+//!
+//! [`lobes`] has the runtime's own lights and reflection lobes under exact visibility: the
+//! difference to a rendering is the error of visibility and integration alone. [`full`]
+//! has the original environment and the original reflection models: the difference is
+//! that of the whole method.
+//!
+//! In both the cosine and the horizon are those of the shading normal, and rays start at
+//! the point moved along the geometric normal, as visibility was sampled. Every pixel is
+//! estimated [`REPLICAS`] times independently, which gives the variance of the mean; its
+//! random numbers depend on the seed and the pixel alone.
+
+pub mod full;
+pub mod lobes;
+mod random;
+
+use glam::Vec3;
+use rayon::prelude::*;
+use relight_bake::ray::RayCaster;
+use relight_format::Scene;
+use relight_shading::camera::View;
+use relight_shading::surface::{SurfacePoint, surface_point};
+
+use crate::image_file::Image;
+
+/// Independent estimates per pixel. Few, so that each is well stratified; enough that
+/// their spread says something.
+pub const REPLICAS: u32 = 8;
+
+/// Where in a pixel radiance is estimated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Filter {
+    /// At its centre, as the runtime shades.
+    Center,
+    /// Averaged over its square.
+    Box,
+}
+
+/// How much work to do and where.
+#[derive(Clone, Copy, Debug)]
+pub struct Options {
+    /// Samples per pixel, rounded up to a multiple of [`REPLICAS`].
+    pub samples: u32,
+    /// Where in the pixel.
+    pub filter: Filter,
+    /// Selects the random numbers.
+    pub seed: u32,
+}
+
+/// A scene that rays can be traced in, seen by one camera.
+pub struct Geometry<'a> {
+    scene: &'a Scene,
+    view: View,
+    /// Everything, from both sides: what blocks light.
+    occluders: RayCaster,
+    /// The triangles whose front the eye is on: what a rasteriser that culls backs draws.
+    facing: RayCaster,
+    /// Their indices in the scene.
+    facing_triangles: Vec<usize>,
+}
+
+impl<'a> Geometry<'a> {
+    /// Builds the trees for `scene` as `view` sees it.
+    pub fn new(scene: &'a Scene, view: View) -> Self {
+        let corners = |index: usize| {
+            scene.triangles[index]
+                .vertices
+                .map(|vertex| Vec3::from(scene.vertices[vertex as usize].position))
+        };
+        let all: Vec<_> = (0..scene.triangles.len()).map(corners).collect();
+        let faces_eye = |[a, b, c]: [Vec3; 3]| (b - a).cross(c - a).dot(view.eye - a) > 0.0;
+        let facing_triangles: Vec<_> =
+            (0..all.len()).filter(|&index| faces_eye(all[index])).collect();
+        let facing: Vec<_> = facing_triangles.iter().map(|&index| all[index]).collect();
+        Self {
+            scene,
+            view,
+            occluders: RayCaster::new(&all),
+            facing: RayCaster::new(&facing),
+            facing_triangles,
+        }
+    }
+
+    /// The surface seen through a point of the image, in pixels from its upper left corner,
+    /// and the index of its triangle.
+    fn seen(&self, x: f32, y: f32) -> Option<(SurfacePoint, usize)> {
+        let direction = self.view.corner + x * self.view.right + y * self.view.down;
+        let hit = self.facing.closest_hit(self.view.eye, direction)?;
+        let triangle = self.facing_triangles[hit.triangle];
+        let point = surface_point(self.scene, triangle, hit.barycentrics, self.view.eye);
+        Some((point, triangle))
+    }
+
+    /// Whether distant light from `direction` reaches `point`.
+    fn visible(&self, point: &SurfacePoint, direction: Vec3) -> bool {
+        let offset = point.geometric_normal * self.scene.visibility.ray_offset;
+        !self.occluders.any_hit(point.position + offset, direction)
+    }
+}
+
+/// Radiance times coverage, and coverage, of one replica of a pixel.
+type Estimate = (Vec3, f32);
+
+/// Runs `estimate(x, y, replica)` for every replica of every pixel and sums up. `row_done`
+/// is called once per finished row, from any thread.
+fn estimate_image(
+    [width, height]: [u32; 2],
+    row_done: &(dyn Fn() + Sync),
+    estimate: impl Fn(u32, u32) -> [Estimate; REPLICAS as usize] + Sync,
+) -> Image {
+    let rows: Vec<Vec<([f32; 4], [f32; 3])>> = (0..height)
+        .into_par_iter()
+        .map(|y| {
+            let row = (0..width).map(|x| summarise(&estimate(x, y))).collect();
+            row_done();
+            row
+        })
+        .collect();
+    let (pixels, variance) = rows.into_iter().flatten().unzip();
+    Image { width, height, pixels, variance: Some(variance) }
+}
+
+/// Mean and variance of the mean of independent estimates.
+fn summarise(estimates: &[Estimate; REPLICAS as usize]) -> ([f32; 4], [f32; 3]) {
+    let count = REPLICAS as f32;
+    let mean = estimates.iter().map(|(radiance, _)| *radiance).sum::<Vec3>() / count;
+    let coverage = estimates.iter().map(|(_, coverage)| coverage).sum::<f32>() / count;
+    let squares: Vec3 = estimates.iter().map(|(radiance, _)| (*radiance - mean).powf(2.0)).sum();
+    (mean.extend(coverage).into(), (squares / (count * (count - 1.0))).into())
+}
+
+#[cfg(test)]
+pub(crate) mod test_scene {
+    use super::*;
+    use relight_format::{
+        BakeReport, Material, Representation, Specular, Surface, Triangle, Vertex,
+        VisibilityParameters,
+    };
+
+    /// Triangles with flat normals and one Lambertian material.
+    pub fn scene(albedo: [f32; 3], triangles: &[[Vec3; 3]]) -> Scene {
+        let vertices = triangles.iter().flat_map(|[a, b, c]| {
+            let normal = (*b - *a).cross(*c - *a).normalize();
+            [a, b, c].map(|position| Vertex {
+                position: (*position).into(),
+                normal: normal.into(),
+                tangent: normal.any_orthonormal_vector().extend(1.0).into(),
+                uv: [0.0; 2],
+            })
+        });
+        Scene {
+            name: "test".into(),
+            visibility: VisibilityParameters {
+                representation: Representation::ClusteredPca,
+                sample_resolution: 128,
+                basis_resolution: 64,
+                distance_clamp: 0.5,
+                ray_offset: 1e-3,
+            },
+            camera: None,
+            materials: vec![Material {
+                name: "grey".into(),
+                surface: Surface::Layered { diffuse: albedo, specular: Specular::None },
+                base_color_texture: None,
+                metallic_roughness_texture: None,
+                normal_texture: None,
+                normal_scale: 1.0,
+                anisotropy_texture: None,
+            }],
+            textures: Vec::new(),
+            report: BakeReport::default(),
+            vertices: vertices.collect(),
+            triangles: (0..triangles.len() as u32)
+                .map(|i| Triangle { vertices: [3 * i, 3 * i + 1, 3 * i + 2], material: 0, cluster: 0 })
+                .collect(),
+            clusters: Vec::new(),
+            coefficients: Vec::new(),
+            basis: Vec::new(),
+        }
+    }
+
+    /// A horizontal square of half side 10 facing up.
+    pub fn plane() -> Vec<[Vec3; 3]> {
+        let at = |x: f32, z: f32| Vec3::new(x, 0.0, z) * 10.0;
+        let [a, b, c, d] = [at(-1.0, -1.0), at(-1.0, 1.0), at(1.0, 1.0), at(1.0, -1.0)];
+        vec![[a, b, c], [a, c, d]]
+    }
+
+    /// The plane and, at x = 0, a wall that is endless by the measure of the plane.
+    pub fn plane_and_wall() -> Vec<[Vec3; 3]> {
+        let at = |y: f32, z: f32| Vec3::new(0.0, y, z) * 1e4;
+        let [a, b, c, d] = [at(-1.0, -1.0), at(-1.0, 1.0), at(1.0, 1.0), at(1.0, -1.0)];
+        let mut triangles = plane();
+        triangles.extend([[a, b, c], [a, c, d]]);
+        triangles
+    }
+
+    /// Looks straight down at a small patch of the plane just right of x = 0.
+    pub fn view(size: u32) -> View {
+        let camera = relight_format::Camera {
+            position: [0.5, 2.0, 0.0],
+            target: [0.5, 0.0, 0.0],
+            up: [0.0, 0.0, -1.0],
+            field_of_view: relight_format::FieldOfView::Y(0.1),
+        };
+        View::new(&camera, size, size, 0.01)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_summary_is_mean_and_variance_of_the_mean() {
+        let estimates = std::array::from_fn(|i| (Vec3::new(i as f32, 1.0, 0.0), 0.5));
+        let (mean, variance) = summarise(&estimates);
+        assert_eq!(mean, [3.5, 1.0, 0.0, 0.5]);
+        // Σ(i − 3.5)² = 42 over 8 · 7.
+        assert_eq!(variance, [0.75, 0.0, 0.0]);
+    }
+
+    #[test]
+    fn backs_are_not_seen_but_block() {
+        let scene = test_scene::scene([0.5; 3], &test_scene::plane_and_wall());
+        let geometry = Geometry::new(&scene, test_scene::view(4));
+        let (point, triangle) = geometry.seen(2.0, 2.0).unwrap();
+        assert!(triangle < 2, "the plane's");
+        assert!(point.position.distance(Vec3::new(0.5, 0.0, 0.0)) < 1e-5);
+        assert!(geometry.visible(&point, Vec3::new(0.1, 1.0, 0.0)));
+        assert!(!geometry.visible(&point, Vec3::new(-0.1, 0.1, 0.0)));
+        let mut below = test_scene::view(4);
+        below.eye.y = -2.0;
+        below.corner.y = 1.0;
+        assert!(Geometry::new(&scene, below).seen(2.0, 2.0).is_none());
+    }
+}

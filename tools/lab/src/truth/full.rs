@@ -1,0 +1,469 @@
+//! Truth of the whole method: the original environment image and the original reflection
+//! models, by multiple importance sampling (Veach & Guibas 1995, balance heuristic) of
+//! both.
+
+use std::f32::consts::PI;
+
+use glam::{Mat3, Vec2, Vec3};
+use relight_bake::hdr::LatLong;
+use relight_bake::import::ImportedTriangle;
+use relight_bake::measured::{self, Rgl};
+use relight_bake::scene_input::SceneInput;
+use relight_format::{
+    BakeReport, Representation, Scene, Surface, Triangle, Vertex, VisibilityParameters,
+};
+use relight_shading::reference;
+use relight_shading::surface::SurfacePoint;
+
+use super::random::{hash, sobol_pair};
+use super::{Estimate, Filter, Geometry, Options, REPLICAS, estimate_image};
+use crate::display::luminance;
+use crate::image_file::Image;
+
+/// Distance that rays start from a surface, in diagonals of the scene's bounding box, as
+/// baking has it.
+const RAY_OFFSET: f32 = 1e-4;
+
+/// The scene of an input file as the runtime would see it but without visibility: nothing
+/// that [`render`] reads is missing.
+pub fn unbaked(input: &SceneInput) -> Scene {
+    let mesh = &input.mesh;
+    let diagonal = mesh.bounds().map_or(0.0, |(low, high)| low.distance(high));
+    Scene {
+        name: input.name.clone(),
+        visibility: VisibilityParameters {
+            representation: Representation::ClusteredPca,
+            sample_resolution: 1,
+            basis_resolution: 2,
+            distance_clamp: PI,
+            ray_offset: RAY_OFFSET * diagonal,
+        },
+        camera: input.camera,
+        materials: mesh.materials.clone(),
+        textures: mesh.textures.clone(),
+        report: BakeReport::default(),
+        vertices: mesh.vertices.clone(),
+        triangles: mesh
+            .triangles
+            .iter()
+            .map(|&ImportedTriangle { vertices, material }| Triangle { vertices, material, cluster: 0 })
+            .collect(),
+        clusters: Vec::new(),
+        coefficients: Vec::new(),
+        basis: Vec::new(),
+    }
+}
+
+/// The measured tables of an input file, by material.
+pub fn tables(input: &SceneInput) -> Result<Vec<Option<Rgl>>, measured::Error> {
+    let mut tables: Vec<_> = input.mesh.materials.iter().map(|_| None).collect();
+    for (material, path) in &input.measured {
+        tables[*material] = Some(Rgl::load(path)?);
+    }
+    Ok(tables)
+}
+
+/// Estimates the image. `measured[m]` is the table of the scene's material m, if it has
+/// one. A sample is a pair of rays, one drawn from the environment and one from the
+/// reflection; with [`Filter::Box`] every sample has its own point of the pixel.
+pub fn render(
+    geometry: &Geometry,
+    measured: &[Option<Rgl>],
+    environment: &EnvironmentSampler,
+    size: [u32; 2],
+    options: &Options,
+    row_done: &(dyn Fn() + Sync),
+) -> Image {
+    let samples = options.samples.div_ceil(REPLICAS);
+    estimate_image(size, row_done, |x, y| {
+        let seed = hash(hash(options.seed, x), y);
+        let at = |[u, v]: [f32; 2]| -> Option<Reflector> {
+            let (point, triangle) = geometry.seen(x as f32 + u, y as f32 + v)?;
+            let material = geometry.scene.triangles[triangle].material as usize;
+            let table = measured.get(material).and_then(Option::as_ref);
+            Some(Reflector { point: exact_frame(point, geometry.scene, triangle), table })
+        };
+        let center = (options.filter == Filter::Center).then(|| at([0.5; 2]));
+        std::array::from_fn(|replica| -> Estimate {
+            let seed = hash(seed, replica as u32);
+            let (mut radiance, mut coverage) = (Vec3::ZERO, 0.0);
+            for sample in 0..samples {
+                let pair = |dimension| sobol_pair(sample, hash(seed, dimension));
+                let boxed;
+                let reflector = if let Some(center) = &center {
+                    center
+                } else {
+                    boxed = at(pair(0));
+                    &boxed
+                };
+                if let Some(reflector) = reflector {
+                    let [choice, _] = pair(3);
+                    let [u, v] = pair(2);
+                    let uniform = [choice, u, v];
+                    radiance += reflector.estimate(geometry, environment, pair(1), uniform);
+                    coverage += 1.0;
+                }
+            }
+            (radiance / samples as f32, coverage / samples as f32)
+        })
+    })
+}
+
+/// The frame in which `point` is anisotropic. glTF says that it is interpolated from the
+/// vertices; for other materials it is the triangle's own: x where the texture coordinate u
+/// grows.
+fn exact_frame(point: SurfacePoint, scene: &Scene, triangle: usize) -> SurfacePoint {
+    let triangle = &scene.triangles[triangle];
+    let material = &scene.materials[triangle.material as usize];
+    let isotropic = point.appearance.alpha.x == point.appearance.alpha.y;
+    if isotropic || !matches!(material.surface, Surface::Layered { .. }) {
+        return point;
+    }
+    let [a, b, c] = triangle.vertices.map(|vertex| &scene.vertices[vertex as usize]);
+    let edge = |to: &Vertex| Vec3::from(to.position) - Vec3::from(a.position);
+    let step = |to: &Vertex| Vec2::from(to.uv) - Vec2::from(a.uv);
+    let (b, c) = ((edge(b), step(b)), (edge(c), step(c)));
+    // ∂position/∂u by Cramer's rule, up to its length; zero without texture coordinates.
+    let along = (b.0 * c.1.y - c.0 * b.1.y) * b.1.perp_dot(c.1).signum();
+    let tangent = along.reject_from_normalized(point.normal).normalize_or_zero();
+    if tangent == Vec3::ZERO {
+        return point;
+    }
+    SurfacePoint { tangent, bitangent: point.normal.cross(tangent), ..point }
+}
+
+/// A surface point and the exact way it reflects.
+struct Reflector<'a> {
+    point: SurfacePoint,
+    table: Option<&'a Rgl>,
+}
+
+impl Reflector<'_> {
+    /// One sample of the reflected radiance.
+    fn estimate(
+        &self,
+        geometry: &Geometry,
+        environment: &EnvironmentSampler,
+        light_uniform: [f32; 2],
+        reflection_uniform: [f32; 3],
+    ) -> Vec3 {
+        let view = self.point.to_local(self.point.view);
+        if view.z <= 0.0 {
+            return Vec3::ZERO;
+        }
+        let contribution = |direction: Vec3| -> Vec3 {
+            let light = self.point.to_local(direction);
+            if light.z <= 0.0 {
+                return Vec3::ZERO;
+            }
+            let (radiance, light_density) = environment.lookup(direction);
+            let density = light_density + self.density(light, view);
+            let value = self.evaluate(light, view) * radiance * (light.z / density);
+            let counts = density > 0.0 && value != Vec3::ZERO;
+            if counts && geometry.visible(&self.point, direction) { value } else { Vec3::ZERO }
+        };
+        let reflected = self.sample(view, reflection_uniform);
+        contribution(environment.sample(light_uniform))
+            + reflected.map_or(Vec3::ZERO, |light| contribution(self.point.to_world(light)))
+    }
+
+    fn evaluate(&self, light: Vec3, view: Vec3) -> Vec3 {
+        match self.table {
+            Some(table) => table.evaluate(light, view),
+            None => reference::evaluate(&self.point.appearance, light, view),
+        }
+    }
+
+    fn density(&self, light: Vec3, view: Vec3) -> f32 {
+        match self.table {
+            Some(table) => table.pdf(light, view),
+            None => reference::pdf(&self.point.appearance, light, view),
+        }
+    }
+
+    fn sample(&self, view: Vec3, uniform: [f32; 3]) -> Option<Vec3> {
+        match self.table {
+            Some(table) => table.sample(view, Vec2::new(uniform[1], uniform[2])),
+            None => reference::sample(&self.point.appearance, view, uniform),
+        }
+    }
+}
+
+/// Draws directions from a lat-long image in proportion to luminance.
+///
+/// The density is the bilinear interpolation between pixel centres of luminance times
+/// solid angle, by the rules of [`LatLong::sample`], so that density and radiance vanish
+/// and peak together: a pixel is drawn, then a point under its tent.
+pub struct EnvironmentSampler<'a> {
+    image: &'a LatLong,
+    /// World to image.
+    rotation: Mat3,
+    /// Luminance times solid angle of every pixel over the sum of all.
+    weights: Vec<f32>,
+    /// Running sums of `weights` over rows, and within each row.
+    rows: Vec<f64>,
+    columns: Vec<f64>,
+}
+
+impl<'a> EnvironmentSampler<'a> {
+    /// Prepares `image`, turned by `rotation` radians counter-clockwise about +Y.
+    pub fn new(image: &'a LatLong, rotation: f32) -> Self {
+        let width = image.width as usize;
+        let mut columns = Vec::with_capacity(image.pixels.len());
+        let mut rows = Vec::with_capacity(image.height as usize);
+        let mut total = 0.0;
+        for (row, pixels) in image.pixels.chunks_exact(width).enumerate() {
+            let solid_angle = image.solid_angle(row as u32);
+            let mut sum = 0.0;
+            columns.extend(pixels.iter().map(|&pixel| {
+                sum += f64::from(luminance(pixel)) * solid_angle;
+                sum
+            }));
+            total += sum;
+            rows.push(total);
+        }
+        let weights = columns.chunks_exact(width).flat_map(|row| {
+            row.iter().scan(0.0, move |before, &sum| {
+                let weight = if total > 0.0 { (sum - *before) / total } else { 0.0 };
+                *before = sum;
+                Some(weight as f32)
+            })
+        });
+        Self {
+            rotation: Mat3::from_rotation_y(-rotation),
+            weights: weights.collect(),
+            image,
+            rows,
+            columns,
+        }
+    }
+
+    /// A direction from two uniform numbers.
+    fn sample(&self, [u, v]: [f32; 2]) -> Vec3 {
+        let (row, v) = draw(&self.rows, f64::from(v));
+        let width = self.image.width as usize;
+        let (column, u) = draw(&self.columns[row * width..(row + 1) * width], f64::from(u));
+        // Folding at the poles is what holding the first and last row does to the density.
+        let height = f64::from(self.image.height);
+        let y = (row as f64 + 0.5 + tent(v)) / height;
+        let y = if y < 0.0 { -y } else { 1.0 - (1.0 - y).abs() };
+        let x = (column as f64 + 0.5 + tent(u)) / width as f64;
+        self.rotation.transpose() * LatLong::direction_at(x, y).as_vec3()
+    }
+
+    /// Radiance from a unit direction and the density of [`Self::sample`] there, 1/sr.
+    fn lookup(&self, direction: Vec3) -> (Vec3, f32) {
+        let direction = self.rotation * direction;
+        let (width, height) = (self.image.width as usize, self.image.height as usize);
+        let (u, v) = LatLong::coordinates(direction.as_dvec3());
+        let x = u * width as f64 - 0.5;
+        let y = (v * height as f64 - 0.5).clamp(0.0, (height - 1) as f64);
+        let left = (x.floor() as i64).rem_euclid(width as i64) as usize;
+        let right = (left + 1) % width;
+        let top = y.floor() as usize;
+        let bottom = (top + 1).min(height - 1);
+        let (fx, fy) = ((x - x.floor()) as f32, (y - y.floor()) as f32);
+        let (mut radiance, mut weight) = (Vec3::ZERO, 0.0);
+        for (column, row, share) in [
+            (left, top, (1.0 - fx) * (1.0 - fy)),
+            (right, top, fx * (1.0 - fy)),
+            (left, bottom, (1.0 - fx) * fy),
+            (right, bottom, fx * fy),
+        ] {
+            let index = row * width + column;
+            radiance += share * Vec3::from(self.image.pixels[index]);
+            weight += share * self.weights[index];
+        }
+        // dω = (2π/W) (π/H) sinθ dx dy.
+        let sine = direction.x.hypot(direction.z).max(1e-6);
+        let pixel = 2.0 * PI * PI * sine / (width * height) as f32;
+        (radiance, weight / pixel)
+    }
+}
+
+/// The interval of a running sum that `u` in [0, 1) falls into, and where in it.
+fn draw(sums: &[f64], u: f64) -> (usize, f64) {
+    let target = u * sums[sums.len() - 1];
+    let index = sums.partition_point(|&sum| sum <= target).min(sums.len() - 1);
+    let before = if index == 0 { 0.0 } else { sums[index - 1] };
+    let size = sums[index] - before;
+    (index, if size > 0.0 { ((target - before) / size).clamp(0.0, 1.0) } else { 0.5 })
+}
+
+/// Maps uniform [0, 1] to the tent density 1 − |t| on [−1, 1].
+fn tent(u: f64) -> f64 {
+    if u < 0.5 { (2.0 * u).sqrt() - 1.0 } else { 1.0 - (2.0 - 2.0 * u).sqrt() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::test_scene;
+    use super::*;
+    use relight_format::Specular;
+
+    fn image(width: u32, height: u32, radiance: impl Fn(u32) -> [f32; 3]) -> LatLong {
+        LatLong::repair(width, height, (0..width * height).map(radiance).collect())
+    }
+
+    fn mottled(i: u32) -> [f32; 3] {
+        let value = unit_of(i);
+        [value, value * value, if i == 37 { 40.0 } else { 0.3 }]
+    }
+
+    fn unit_of(i: u32) -> f32 {
+        super::super::random::unit(hash(i, 99))
+    }
+
+    #[test]
+    fn the_environment_density_is_that_of_the_samples() {
+        let image = image(12, 6, mottled);
+        let sampler = EnvironmentSampler::new(&image, 0.7);
+        // E[g/density] = ∫g for several g; a wrong density anywhere biases one of them.
+        let count = 1 << 16;
+        let mut sums = [0f64; 4];
+        for i in 0..count {
+            let direction = sampler.sample(sobol_pair(i, 5));
+            let (_, density) = sampler.lookup(direction);
+            let tests = [1.0, direction.y * direction.y, direction.y.max(0.0), direction.x.max(0.0)];
+            for (sum, test) in sums.iter_mut().zip(tests) {
+                *sum += f64::from(test / density);
+            }
+        }
+        let pi = std::f64::consts::PI;
+        for (sum, expected) in sums.iter().zip([4.0 * pi, 4.0 * pi / 3.0, pi, pi]) {
+            let mean = sum / f64::from(count);
+            // Scrambled Sobol quadrature with 65,536 points of weights up to 100.
+            assert!((mean / expected - 1.0).abs() < 0.01, "{mean}, not {expected}");
+        }
+    }
+
+    #[test]
+    fn lookup_is_the_image_sample() {
+        let image = image(9, 5, mottled);
+        let sampler = EnvironmentSampler::new(&image, 0.0);
+        for i in 0..500 {
+            let [u, v] = sobol_pair(i, 1);
+            let direction = LatLong::direction_at(f64::from(u), f64::from(v)).as_vec3();
+            let found = sampler.lookup(direction).0;
+            // Both interpolate in f32, in different orders.
+            assert!(found.distance(image.sample(direction)) < 1e-4);
+        }
+    }
+
+    fn render_patch(surface: Surface, environment: &LatLong, options: &Options) -> Image {
+        let mut scene = test_scene::scene([0.0; 3], &test_scene::plane());
+        scene.materials[0].surface = surface;
+        let geometry = Geometry::new(&scene, test_scene::view(8));
+        let sampler = EnvironmentSampler::new(environment, 0.0);
+        render(&geometry, &[None], &sampler, [8, 8], options, &|| ())
+    }
+
+    fn lambert(diffuse: [f32; 3]) -> Surface {
+        Surface::Layered { diffuse, specular: Specular::None }
+    }
+
+    /// Standard errors of the mean of 64 pixels that a correct estimate stays within, but
+    /// for one in a million.
+    const MOST_STANDARD_ERRORS: f32 = 5.0;
+
+    fn mean_and_error(image: &Image) -> (Vec3, Vec3) {
+        let count = image.pixels.len() as f32;
+        let mean = image.pixels.iter().map(|p| Vec3::new(p[0], p[1], p[2])).sum::<Vec3>() / count;
+        let variance = image.variance.as_ref().unwrap().iter().map(|&v| Vec3::from(v)).sum::<Vec3>();
+        (mean, variance.powf(0.5) / count)
+    }
+
+    #[test]
+    fn a_white_furnace_reflects_the_albedo() {
+        let furnace = image(8, 4, |_| [1.0; 3]);
+        for filter in [Filter::Center, Filter::Box] {
+            let options = Options { samples: 64, filter, seed: 1 };
+            let albedo = Vec3::new(0.9, 0.5, 0.1);
+            let (mean, error) =
+                mean_and_error(&render_patch(lambert(albedo.into()), &furnace, &options));
+            let most = MOST_STANDARD_ERRORS * error + 1e-6;
+            assert!((mean - albedo).abs().cmple(most).all(), "{mean} ± {error}");
+            assert!(error.max_element() < 0.01);
+        }
+    }
+
+    #[test]
+    fn a_lambertian_plane_sees_the_irradiance() {
+        let environment = image(64, 32, mottled);
+        let options = Options { samples: 128, filter: Filter::Center, seed: 2 };
+        let (mean, error) =
+            mean_and_error(&render_patch(lambert([0.5; 3]), &environment, &options));
+        let (rows, columns) = (512, 1024);
+        let mut irradiance = Vec3::ZERO;
+        for row in 0..rows / 2 {
+            for column in 0..columns {
+                let direction = LatLong::direction_at(
+                    (f64::from(column) + 0.5) / f64::from(columns),
+                    (f64::from(row) + 0.5) / f64::from(rows),
+                )
+                .as_vec3();
+                let sine = direction.x.hypot(direction.z);
+                irradiance += environment.sample(direction) * direction.y * sine;
+            }
+        }
+        irradiance *= 2.0 * PI * PI / (rows * columns) as f32;
+        let expected = irradiance * 0.5 / PI;
+        // Plus the error of the midpoint rule on a bilinear image: half a percent.
+        let most = MOST_STANDARD_ERRORS * error + 5e-3 * expected;
+        assert!((mean - expected).abs().cmple(most).all(), "{mean} ± {error}, not {expected}");
+    }
+
+    #[test]
+    fn anisotropy_follows_the_texture_coordinates() {
+        let mut scene = test_scene::scene([0.5; 3], &test_scene::plane());
+        // u along (1, 0, 2), v along (−2, 0, 1): mirrored, as texture rows run down.
+        for vertex in &mut scene.vertices {
+            let [x, _, z] = vertex.position;
+            vertex.uv = [x + 2.0 * z, -2.0 * x + z];
+        }
+        let alpha = |alpha| Surface::Layered {
+            diffuse: [0.0; 3],
+            specular: Specular::Ggx { f0: [1.0; 3], alpha },
+        };
+        let view = test_scene::view(4);
+        let tangent = |scene: &Scene| {
+            let (point, triangle) = Geometry::new(scene, view).seen(2.0, 2.0).unwrap();
+            let exact = exact_frame(point, scene, triangle);
+            assert_eq!(exact.bitangent, exact.normal.cross(exact.tangent));
+            (point.tangent, exact.tangent)
+        };
+        scene.materials[0].surface = alpha([0.1, 0.4]);
+        assert!(tangent(&scene).1.distance(Vec3::new(1.0, 0.0, 2.0).normalize()) < 1e-6);
+        scene.materials[0].surface = alpha([0.4, 0.4]);
+        let (vertex, exact) = tangent(&scene);
+        assert_eq!(vertex, exact);
+        scene.materials[0].surface = alpha([0.1, 0.4]);
+        for vertex in &mut scene.vertices {
+            vertex.uv = [0.0; 2];
+        }
+        let (vertex, exact) = tangent(&scene);
+        assert_eq!(vertex, exact);
+    }
+
+    #[test]
+    fn both_strategies_agree_on_a_glossy_surface() {
+        // The environment's density carries the first image, the reflection's the second:
+        // their light is one small source and one that is nearly constant.
+        let glossy = |alpha: f32| Surface::Layered {
+            diffuse: [0.2; 3],
+            specular: Specular::Ggx { f0: [0.6; 3], alpha: [alpha; 2] },
+        };
+        for alpha in [0.1, 0.6] {
+            let environment = image(32, 16, mottled);
+            let render = |seed, samples| {
+                let options = Options { samples, filter: Filter::Center, seed };
+                mean_and_error(&render_patch(glossy(alpha), &environment, &options))
+            };
+            let (few, few_error) = render(1, 32);
+            let (many, many_error) = render(2, 512);
+            let most =
+                MOST_STANDARD_ERRORS * (few_error * few_error + many_error * many_error).powf(0.5);
+            assert!((few - many).abs().cmple(most).all(), "{few} ± {few_error}, {many}");
+        }
+    }
+}

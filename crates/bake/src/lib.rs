@@ -10,6 +10,7 @@ pub mod measured;
 pub mod monitor;
 pub mod ray;
 pub mod refine;
+pub mod scene;
 pub mod scene_file;
 pub mod scene_input;
 pub mod ssdf;

@@ -16,6 +16,8 @@ pub struct SceneInput {
     pub name: String,
     /// In world space, materials replaced, ground included, not refined.
     pub mesh: Mesh,
+    /// Diagonal of the bounding box without the ground, metres.
+    pub object_diagonal: f32,
     /// The camera of the scene file, if any.
     pub camera: Option<format::Camera>,
     /// The environment of the scene file, if any, relative to the working directory.
@@ -38,6 +40,7 @@ pub fn load(path: &Path) -> Result<SceneInput, Error> {
         return Ok(SceneInput {
             name,
             warnings: mesh.warnings.clone(),
+            object_diagonal: diagonal(&mesh),
             mesh,
             camera: None,
             environment: None,
@@ -51,6 +54,7 @@ pub fn load(path: &Path) -> Result<SceneInput, Error> {
     place(&mut mesh, &file.transform);
     let mut measured = Vec::new();
     override_materials(path, &file, &mut mesh, &mut measured)?;
+    let object_diagonal = diagonal(&mesh);
     if let Some(options) = &file.ground {
         let material = options.material.as_ref();
         let default = MaterialOverride::Diffuse { diffuse: scene_file::Color::Grey(0.5) };
@@ -65,12 +69,17 @@ pub fn load(path: &Path) -> Result<SceneInput, Error> {
     Ok(SceneInput {
         name,
         warnings: mesh.warnings.clone(),
+        object_diagonal,
         mesh,
         camera: file.camera.as_ref().and_then(scene_file::Camera::to_format),
         environment: file.environment.map(|environment| folder.join(environment)),
         refinement: file.refinement,
         measured,
     })
+}
+
+fn diagonal(mesh: &Mesh) -> f32 {
+    mesh.bounds().map_or(0.0, |(low, high)| low.distance(high))
 }
 
 fn place(mesh: &mut Mesh, transform: &scene_file::Transform) {

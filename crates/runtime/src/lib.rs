@@ -1,1 +1,49 @@
-//! Placeholder while the workspace is laid out.
+//! The renderer that apps load, and the same stages on the CPU.
+//!
+//! An app brings its own `wgpu` device, queue, command encoder and target:
+//!
+//! ```no_run
+//! # fn draw(
+//! #     device: &wgpu::Device, queue: &wgpu::Queue, target: &wgpu::TextureView,
+//! #     scene: &relight_format::Scene, environment: &relight_format::Environment,
+//! # ) -> Result<(), relight_runtime::Error> {
+//! use relight_runtime::{Frame, Method, Options, Renderer, wgpu};
+//!
+//! let mut renderer = Renderer::new(device, queue, Options::default())?;
+//! let uploaded = renderer.upload(scene)?;
+//! let lights: Vec<_> = environment.lobes.iter().map(Into::into).collect();
+//! let frame = Frame {
+//!     camera: scene.camera.expect("this scene brings a camera"),
+//!     lights: &lights,
+//!     rotation: glam::Quat::from_rotation_y(0.5),
+//!     method: Method::Polar(Default::default()),
+//!     exposure: 1.0,
+//! };
+//! let mut encoder = device.create_command_encoder(&Default::default());
+//! renderer.render(&mut encoder, &uploaded, &frame, target, [1280, 720])?;
+//! queue.submit([encoder.finish()]);
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! Without a GPU, [`twin::render`] draws the same frame. [`offscreen`] serves tools and
+//! tests that have no device of their own.
+
+mod error;
+mod frame;
+mod image;
+pub mod offscreen;
+mod renderer;
+pub mod twin;
+mod upload;
+
+pub use error::Error;
+pub use frame::Frame;
+pub use image::Image;
+pub use relight_shading::gpu::LimitError;
+pub use relight_shading::polar::PolarOptions;
+pub use relight_shading::shade::Method;
+pub use relight_shading::spherical_gaussian::SphericalGaussian;
+pub use renderer::{Options, Renderer};
+pub use upload::GpuScene;
+pub use wgpu;

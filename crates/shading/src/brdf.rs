@@ -392,8 +392,8 @@ pub fn table_values() -> &'static [f32] {
 /// The constants of this module, as WGSL.
 pub fn wgsl_constants() -> String {
     let start = Tables::get().values().len();
-    let mut text = String::new();
-    for (name, value) in [
+    let first = |model| start + albedo_table(model).0;
+    let integers = [
         ("MAX_SPECULAR_LOBES", MAX_SPECULAR_LOBES),
         ("BRDF_ISOTROPIC_PAIRS", ISOTROPIC_PAIRS),
         ("BRDF_ANISOTROPIC_PAIRS", ANISOTROPIC_PAIRS),
@@ -403,19 +403,12 @@ pub fn wgsl_constants() -> String {
         ("BRDF_ALBEDO_ALPHAS", ALBEDO_ALPHAS),
         ("BRDF_ALBEDO_ANGLES", ALBEDO_ANGLES),
         ("BRDF_ALBEDO_LENGTH", ALBEDO_LENGTH),
-    ] {
-        text += &format!("const {name}: u32 = {value}u;\n");
-    }
-    for (name, model) in [
-        ("BLINN_PHONG", Model::BlinnPhong),
-        ("COOK_TORRANCE", Model::CookTorrance),
-        ("WARD", Model::Ward),
-        ("GGX", Model::Ggx),
-    ] {
-        let first = start + albedo_table(model).0;
-        text += &format!("const BRDF_ALBEDO_{name}: u32 = {first}u;\n");
-    }
-    for (name, value) in [
+        ("BRDF_ALBEDO_BLINN_PHONG", first(Model::BlinnPhong)),
+        ("BRDF_ALBEDO_COOK_TORRANCE", first(Model::CookTorrance)),
+        ("BRDF_ALBEDO_WARD", first(Model::Ward)),
+        ("BRDF_ALBEDO_GGX", first(Model::Ggx)),
+    ];
+    let reals = [
         ("BRDF_ISOTROPIC_RATIO", ISOTROPIC_RATIO),
         ("BRDF_ROUND_RATIO", ROUND_RATIO),
         ("BRDF_MIN_COSINE", MIN_COSINE),
@@ -423,10 +416,10 @@ pub fn wgsl_constants() -> String {
         ("BRDF_MIN_DEVIATION", MIN_DEVIATION),
         ("BRDF_MAX_TILT", MAX_TILT),
         ("BRDF_MIXTURES_PER_OCTAVE", MIXTURES_PER_OCTAVE),
-    ] {
-        text += &format!("const {name}: f32 = {value:?};\n");
-    }
-    text
+    ];
+    let integers = integers.map(|(name, value)| format!("const {name}: u32 = {value}u;\n"));
+    let reals = reals.map(|(name, value)| format!("const {name}: f32 = {value:?};\n"));
+    integers.concat() + &reals.concat()
 }
 
 /// One entry of an albedo table: the factor of the specular colour and the fourth root of
@@ -644,14 +637,12 @@ mod fit {
     fn solve(mut a: Matrix, mut b: Parameters, n: usize) -> Parameters {
         for i in 0..n {
             for j in 0..=i {
-                let mut sum = a[i][j];
-                for k in 0..j {
-                    sum -= a[i][k] * a[j][k];
-                }
+                let dot: f64 = (0..j).map(|k| a[i][k] * a[j][k]).sum();
+                let rest = a[i][j] - dot;
                 a[i][j] = if i == j {
-                    sum.max(1e-300).sqrt()
+                    rest.max(1e-300).sqrt()
                 } else {
-                    sum / a[j][j]
+                    rest / a[j][j]
                 };
             }
         }

@@ -14,7 +14,7 @@ use crate::{ambient, brdf, polar};
 
 /// A product lobe whose whole energy is below this fraction of the radiance gathered so
 /// far, in every channel, is not integrated.
-pub const NEGLIGIBLE: f32 = 1e-4;
+pub const NEGLIGIBLE: f32 = 3e-4;
 
 /// How lobes are integrated over the visible region.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -82,4 +82,185 @@ pub fn wgsl_constants() -> String {
 /// Contents of the GPU buffer `tables`.
 pub fn gpu_tables() -> Vec<f32> {
     [Tables::get().values(), brdf::table_values()].concat()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::reference;
+    use crate::surface::{Appearance, Model};
+    use glam::Vec2;
+    use std::f32::consts::PI;
+
+    /// Visible on one side of a plane through the point.
+    struct HalfSpace(Vec3);
+
+    impl SignedDistance for HalfSpace {
+        fn distance(&self, direction: Vec3) -> f32 {
+            self.0.dot(direction).clamp(-1.0, 1.0).asin()
+        }
+    }
+
+    /// The same distance in every direction.
+    struct Uniform(f32);
+
+    impl SignedDistance for Uniform {
+        fn distance(&self, _: Vec3) -> f32 {
+            self.0
+        }
+    }
+
+    /// Twenty lights from broad and dim to narrow and bright, all over the sphere.
+    fn lights() -> Vec<SphericalGaussian> {
+        (0..20)
+            .map(|i| {
+                let t = i as f32 / 19.0;
+                let z = 1.0 - 2.0 * ((i as f32 + 0.5) * 0.381_966).fract();
+                let azimuth = 2.4 * i as f32;
+                let sine = (1.0 - z * z).sqrt();
+                SphericalGaussian {
+                    axis: Vec3::new(sine * azimuth.cos(), sine * azimuth.sin(), z),
+                    sharpness: 2.0 * 100f32.powf(t),
+                    amplitude: 20f32.powf(t) * Vec3::new(1.0, 0.5 + 0.5 * t, 1.0 - 0.6 * t),
+                }
+            })
+            .collect()
+    }
+
+    fn points() -> Vec<SurfacePoint> {
+        let mut points = vec![];
+        let surfaces = [
+            (Model::BlinnPhong, 60.0, 60.0),
+            (Model::Ward, 0.1, 0.3),
+            (Model::CookTorrance, 0.2, 0.2),
+            (Model::Ggx, 0.08, 0.08),
+            (Model::Ggx, 0.3, 0.3),
+            (Model::Ggx, 0.1, 0.4),
+        ];
+        for (model, x, y) in surfaces {
+            for (degrees, azimuth) in [(10f32, 0.4f32), (45.0, 2.0), (65.0, -1.0)] {
+                let (sin, cos) = degrees.to_radians().sin_cos();
+                points.push(SurfacePoint {
+                    position: Vec3::ZERO,
+                    geometric_normal: Vec3::Z,
+                    normal: Vec3::Z,
+                    tangent: Vec3::X,
+                    bitangent: Vec3::Y,
+                    view: Vec3::new(sin * azimuth.cos(), sin * azimuth.sin(), cos),
+                    appearance: Appearance {
+                        diffuse: Vec3::new(0.2, 0.3, 0.4),
+                        specular: Vec3::new(0.6, 0.5, 0.4),
+                        model,
+                        alpha: Vec2::new(x, y),
+                    },
+                });
+            }
+        }
+        points
+    }
+
+    fn relative_rmse(pairs: &[(Vec3, Vec3)]) -> f32 {
+        let squares: f32 = pairs.iter().map(|(a, b)| a.distance_squared(*b)).sum();
+        let sum: f32 = pairs.iter().map(|(_, exact)| exact.element_sum()).sum();
+        let n = 3.0 * pairs.len() as f32;
+        (squares / n).sqrt() / (sum / n)
+    }
+
+    /// Lobes in place of exact models, averaged over these lights: measured 2.5 %.
+    const MODEL_TOLERANCE: f32 = 0.04;
+
+    #[test]
+    fn unoccluded_radiance_is_that_of_the_exact_models() {
+        const ROWS: u32 = 160;
+        const COLUMNS: u32 = 320;
+        let lights = lights();
+        let mut incident = vec![];
+        for row in 0..ROWS {
+            let z = (row as f32 + 0.5) / ROWS as f32;
+            for column in 0..COLUMNS {
+                let azimuth = 2.0 * PI * (column as f32 + 0.5) / COLUMNS as f32;
+                let sine = (1.0 - z * z).sqrt();
+                let wi = Vec3::new(sine * azimuth.cos(), sine * azimuth.sin(), z);
+                let radiance: Vec3 = lights.iter().map(|light| light.evaluate(wi)).sum();
+                incident.push((wi, radiance * z * 2.0 * PI / (ROWS * COLUMNS) as f32));
+            }
+        }
+        let method = Method::Polar(PolarOptions::default());
+        let pairs: Vec<_> = points()
+            .iter()
+            .map(|point| {
+                let exact: Vec3 = incident
+                    .iter()
+                    .map(|(wi, flux)| {
+                        reference::evaluate(&point.appearance, *wi, point.view) * *flux
+                    })
+                    .sum();
+                let found = shade(point, &lights, &Uniform(PI), &method);
+                println!(
+                    "{:?} {:?}: {found} for {exact}",
+                    point.appearance.model, point.view
+                );
+                (found, exact)
+            })
+            .collect();
+        let error = relative_rmse(&pairs);
+        println!("relative RMSE {error}");
+        assert!(error < MODEL_TOLERANCE, "{error}");
+    }
+
+    /// What skipping negligible lobes may cost, a tenth of a per cent; measured 0.02 %.
+    const SKIPPING_TOLERANCE: f32 = 1e-3;
+
+    #[test]
+    fn skipped_lobes_do_not_show() {
+        let lights = lights();
+        let (mut skipped, mut total) = (0, 0);
+        for method in [Method::Ambient, Method::Polar(PolarOptions::default())] {
+            let mut pairs = vec![];
+            for point in points() {
+                let field = HalfSpace(Vec3::new(0.8, 0.0, 0.6));
+                let mut all = Vec3::ZERO;
+                let mut gathered = Vec3::ZERO;
+                product_lobes(&point, &lights, |lobe| {
+                    total += 1;
+                    skipped += usize::from(lobe.integral().cmple(NEGLIGIBLE * gathered).all());
+                    let one = SphericalGaussian {
+                        amplitude: Vec3::ONE,
+                        ..lobe
+                    };
+                    let visible = match method {
+                        Method::Ambient => {
+                            ambient::integrate(&field, one.sharpness, one.axis, point.normal)
+                        }
+                        Method::Polar(options) => polar::integrate(
+                            &field,
+                            one.sharpness,
+                            one.axis,
+                            point.normal,
+                            &options,
+                        ),
+                    };
+                    all += lobe.amplitude * visible;
+                    gathered = all;
+                });
+                pairs.push((shade(&point, &lights, &field, &method), all));
+            }
+            let error = relative_rmse(&pairs);
+            println!("{method:?}: relative RMSE {error}");
+            assert!(error < SKIPPING_TOLERANCE, "{method:?}: {error}");
+        }
+        println!("{skipped} of {total} lobes skipped");
+        assert!(skipped > total / 5);
+    }
+
+    #[test]
+    fn nothing_reflects_towards_an_eye_below_the_horizon_or_in_full_shadow() {
+        let lights = lights();
+        let method = Method::Polar(PolarOptions::default());
+        let mut point = points()[0];
+        assert_eq!(shade(&point, &lights, &Uniform(-PI), &method), Vec3::ZERO);
+        assert_eq!(shade(&point, &[], &Uniform(PI), &method), Vec3::ZERO);
+        point.view.z = -point.view.z;
+        assert_eq!(shade(&point, &lights, &Uniform(PI), &method), Vec3::ZERO);
+    }
 }

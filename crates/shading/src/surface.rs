@@ -127,7 +127,7 @@ pub fn surface_point(
         tangent = orthogonal_unit(tangent, normal);
     }
 
-    let color_factor = sample(&material.base_color_texture).map_or(Vec3::ONE, |texel| texel.xyz());
+    let color_factor = sample(&material.base_color_texture).map_or(Vec3::ONE, Vec4::xyz);
     let appearance = match &material.surface {
         Surface::MetallicRoughness {
             base_color,
@@ -286,4 +286,290 @@ pub fn wgsl_constants() -> String {
          const SURFACE_DIELECTRIC_F0: f32 = {DIELECTRIC_F0:?};\n\
          const SURFACE_DEGENERATE_LENGTH_SQUARED: f32 = {DEGENERATE_LENGTH_SQUARED:?};\n"
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use relight_format::{
+        BakeReport, Cluster, Material, Representation, Triangle, VisibilityParameters,
+    };
+
+    /// A few roundings of numbers of order 1.
+    const ROUNDING: f32 = 1e-5;
+
+    fn material(surface: Surface) -> Material {
+        Material {
+            name: "test".into(),
+            surface,
+            base_color_texture: None,
+            metallic_roughness_texture: None,
+            normal_texture: None,
+            normal_scale: 1.0,
+            anisotropy_texture: None,
+        }
+    }
+
+    fn metallic_roughness() -> Surface {
+        Surface::MetallicRoughness {
+            base_color: [0.8, 0.6, 0.4],
+            metallic: 0.0,
+            roughness: 0.5,
+            anisotropy_strength: 0.0,
+            anisotropy_rotation: 0.0,
+        }
+    }
+
+    /// One right triangle in the plane z = 0, its texture coordinates running with x and
+    /// down with y, its tangent along x.
+    fn scene(material: Material, textures: Vec<Texture>) -> Scene {
+        let vertex = |x: f32, y: f32| Vertex {
+            position: [x, y, 0.0],
+            normal: [0.0, 0.0, 1.0],
+            tangent: [1.0, 0.0, 0.0, 1.0],
+            uv: [x, 1.0 - y],
+        };
+        Scene {
+            name: String::new(),
+            visibility: VisibilityParameters {
+                representation: Representation::ClusteredPca,
+                sample_resolution: 128,
+                basis_resolution: 4,
+                distance_clamp: 0.5,
+                ray_offset: 0.0,
+            },
+            camera: None,
+            materials: vec![material],
+            textures,
+            report: BakeReport::default(),
+            vertices: vec![vertex(0.0, 0.0), vertex(1.0, 0.0), vertex(0.0, 1.0)],
+            triangles: vec![Triangle {
+                vertices: [0, 1, 2],
+                material: 0,
+                cluster: 0,
+            }],
+            clusters: vec![Cluster {
+                first_vertex: 0,
+                vertex_count: 3,
+                first_coefficient: 0,
+                first_tile: 0,
+                tiles: 1,
+                coefficient_scale: 1.0,
+            }],
+            coefficients: vec![0; 12],
+            basis: vec![0; 64],
+        }
+    }
+
+    const EYE: Vec3 = Vec3::new(0.2, 0.3, 4.0);
+
+    fn at(scene: &Scene, x: f32, y: f32) -> SurfacePoint {
+        surface_point(scene, 0, Vec3::new(1.0 - x - y, x, y), EYE)
+    }
+
+    fn texture(width: u32, encoding: TextureEncoding, texels: &[[u8; 4]]) -> Texture {
+        let height = texels.len() as u32 / width;
+        Texture {
+            width,
+            height,
+            encoding,
+            texels: texels.concat(),
+        }
+    }
+
+    fn slot(transform: [[f32; 3]; 2]) -> TextureSlot {
+        TextureSlot {
+            texture: 0,
+            transform,
+        }
+    }
+
+    const IDENTITY: [[f32; 3]; 2] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+
+    fn assert_frame(point: &SurfacePoint) {
+        assert!(
+            point.normal.is_normalized() && point.tangent.is_normalized(),
+            "{point:?}"
+        );
+        assert!(
+            point.normal.dot(point.tangent).abs() < ROUNDING,
+            "{point:?}"
+        );
+        assert!(point.bitangent.distance(point.normal.cross(point.tangent)) < ROUNDING);
+    }
+
+    #[test]
+    fn metallic_roughness_becomes_diffuse_and_ggx() {
+        let mut material = material(metallic_roughness());
+        if let Surface::MetallicRoughness { metallic, .. } = &mut material.surface {
+            *metallic = 0.25;
+        }
+        let point = at(&scene(material, vec![]), 0.25, 0.5);
+        assert!(point.position.distance(Vec3::new(0.25, 0.5, 0.0)) < ROUNDING);
+        assert!(point.view.distance((EYE - point.position).normalize()) < ROUNDING);
+        assert_frame(&point);
+        let appearance = point.appearance;
+        assert!(appearance.diffuse.distance(Vec3::new(0.6, 0.45, 0.3)) < ROUNDING);
+        assert!(appearance.specular.distance(Vec3::new(0.23, 0.18, 0.13)) < ROUNDING);
+        assert_eq!(
+            (appearance.model, appearance.alpha),
+            (Model::Ggx, Vec2::splat(0.25))
+        );
+    }
+
+    #[test]
+    fn roughness_is_clamped_to_what_is_shaded() {
+        let specular = |specular| Surface::Layered {
+            diffuse: [0.0; 3],
+            specular,
+        };
+        let mirror = specular(Specular::Ggx {
+            f0: [1.0; 3],
+            alpha: [1e-4, 0.5],
+        });
+        let shiny = specular(Specular::BlinnPhong {
+            specular: [1.0; 3],
+            exponent: 1e9,
+        });
+        let alpha = |surface| {
+            at(&scene(material(surface), vec![]), 0.1, 0.1)
+                .appearance
+                .alpha
+        };
+        assert_eq!(alpha(mirror), Vec2::new(MIN_ALPHA, 0.5));
+        assert_eq!(alpha(shiny), Vec2::splat(MAX_EXPONENT));
+    }
+
+    #[test]
+    fn textures_are_bilinear_and_repeat() {
+        let mut material = material(Surface::Layered {
+            diffuse: [1.0; 3],
+            specular: Specular::None,
+        });
+        let black_white = [[0, 0, 0, 255], [255, 255, 255, 255]];
+        let red = |material: &Material, u: f32| {
+            let texture = texture(2, TextureEncoding::Linear, &black_white);
+            at(&scene(material.clone(), vec![texture]), u, 0.0)
+                .appearance
+                .diffuse
+                .x
+        };
+        material.base_color_texture = Some(slot(IDENTITY));
+        // Texel centres at ¼ and ¾; between them a ramp, and another across the border.
+        for (u, expected) in [
+            (0.25, 0.0),
+            (0.375, 0.25),
+            (0.75, 1.0),
+            (0.875, 0.75),
+            (0.0, 0.5),
+        ] {
+            assert!((red(&material, u) - expected).abs() < ROUNDING, "u = {u}");
+        }
+        // u' = 2 u − 3.1 goes through negative coordinates.
+        material.base_color_texture = Some(slot([[2.0, 0.0, -3.1], [0.0, 1.0, 0.0]]));
+        assert!((red(&material, 0.3) - 0.5).abs() < ROUNDING);
+        assert!(red(&material, 0.175).abs() < ROUNDING);
+    }
+
+    #[test]
+    fn rows_go_down_and_srgb_is_decoded_before_filtering() {
+        let mut material = material(Surface::Layered {
+            diffuse: [1.0; 3],
+            specular: Specular::None,
+        });
+        material.base_color_texture = Some(slot(IDENTITY));
+        let texels = [[188, 0, 0, 255], [0, 0, 0, 255]];
+        let scene = scene(material, vec![texture(1, TextureEncoding::Srgb, &texels)]);
+        // sRGB 188 is 0.5029 of full intensity; y = ¾ is v = ¼, the first row.
+        let red = |y: f32| at(&scene, 0.0, y).appearance.diffuse.x;
+        assert!((red(0.75) - 0.5029).abs() < 1e-4, "{}", red(0.75));
+        assert!((red(0.5) - 0.5 * 0.5029).abs() < 1e-4, "{}", red(0.5));
+        assert!(red(0.25).abs() < ROUNDING);
+    }
+
+    #[test]
+    fn normal_maps_tilt_towards_the_tangent_frame() {
+        let mut material = material(metallic_roughness());
+        material.normal_texture = Some(slot(IDENTITY));
+        material.normal_scale = 0.5;
+        // (0.6, 0.8 ...) to within a byte; x and y halved by the scale.
+        let mapped = texture(1, TextureEncoding::Linear, &[[204, 179, 255, 255]]);
+        let mut scene = scene(material, vec![mapped]);
+        let expected = |sign: f32| {
+            let (x, y) = (204.0 / 127.5 - 1.0, 179.0 / 127.5 - 1.0);
+            Vec3::new(0.5 * x, 0.5 * y * sign, 1.0).normalize()
+        };
+        let point = at(&scene, 0.2, 0.2);
+        assert!(
+            point.normal.distance(expected(1.0)) < ROUNDING,
+            "{}",
+            point.normal
+        );
+        assert_frame(&point);
+        for vertex in &mut scene.vertices {
+            vertex.tangent[3] = -1.0;
+        }
+        assert!(at(&scene, 0.2, 0.2).normal.distance(expected(-1.0)) < ROUNDING);
+    }
+
+    #[test]
+    fn anisotropy_turns_the_tangent_and_widens_along_it() {
+        let mut material = material(Surface::MetallicRoughness {
+            base_color: [1.0; 3],
+            metallic: 1.0,
+            roughness: 0.5,
+            anisotropy_strength: 0.8,
+            anisotropy_rotation: 0.5,
+        });
+        let point = at(&scene(material.clone(), vec![]), 0.2, 0.2);
+        assert!(
+            point
+                .tangent
+                .distance(Vec3::new(0.5f32.cos(), 0.5f32.sin(), 0.0))
+                < ROUNDING
+        );
+        assert!(
+            point
+                .appearance
+                .alpha
+                .distance(Vec2::new(0.25 + 0.75 * 0.64, 0.25))
+                < ROUNDING
+        );
+        // Direction (0, 1), half strength: a quarter turn more.
+        material.anisotropy_texture = Some(slot(IDENTITY));
+        let direction = |texel| {
+            let texture = texture(1, TextureEncoding::Linear, &[texel]);
+            at(&scene(material.clone(), vec![texture]), 0.2, 0.2)
+        };
+        let point = direction([128, 255, 255, 255]);
+        let expected = Vec3::new(-(0.5f32.sin()), 0.5f32.cos(), 0.0);
+        // A byte cannot hold a direction component of exactly 0.
+        assert!(point.tangent.distance(expected) < 5e-3, "{}", point.tangent);
+        let isotropic = direction([128, 255, 0, 255]).appearance.alpha;
+        assert_eq!(isotropic, Vec2::splat(0.25));
+    }
+
+    #[test]
+    fn degenerate_vertices_still_have_a_frame() {
+        let mut scene = scene(material(metallic_roughness()), vec![]);
+        for (normal, tangent) in [
+            ([0.0; 3], [0.0; 4]),
+            ([0.0, 0.0, -1.0], [0.0, 0.0, 1.0, 1.0]),
+            ([0.0, 1e-3, 0.0], [0.0, -5.0, 1e-9, -1.0]),
+            ([0.6, 0.0, 0.8], [0.6, 0.0, 0.8, 1.0]),
+        ] {
+            for vertex in &mut scene.vertices {
+                (vertex.normal, vertex.tangent) = (normal, tangent);
+            }
+            assert_frame(&at(&scene, 0.3, 0.3));
+        }
+        // A triangle of no area, seen from its own corner.
+        for vertex in &mut scene.vertices {
+            vertex.position = EYE.into();
+            vertex.normal = [0.0; 3];
+        }
+        let point = at(&scene, 0.3, 0.3);
+        assert_frame(&point);
+        assert!(point.view.is_normalized() && point.geometric_normal.is_normalized());
+    }
 }

@@ -1,0 +1,453 @@
+//! The command line: arguments in, assets and messages out.
+
+use std::io::IsTerminal as _;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context as _, bail};
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use indicatif::{ProgressBar, ProgressStyle};
+use relight_bake::monitor::{Interrupted, Monitor, Progress};
+use relight_bake::{scene, scene_input};
+use relight_format as format;
+use serde_json::{Value, json};
+
+const EXIT_CODES: &str = "\
+Exit codes:
+  0    done
+  1    the input is not what it should be; the message says where and why
+  2    the command line is wrong
+  3    a file could not be read or written
+  130  interrupted; nothing half-written is left";
+
+/// Bakes meshes and HDR environments into .relight assets.
+#[derive(Parser)]
+#[command(name = "bake", version, after_help = EXIT_CODES)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+    /// Print one JSON object to standard output instead of text.
+    #[arg(long, global = true)]
+    json: bool,
+    /// Worker threads; 0 means one per core.
+    #[arg(long, global = true, default_value_t = 0, value_name = "N")]
+    threads: usize,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Bake a scene file (.toml) or a mesh (.gltf, .glb, .obj).
+    Scene(SceneArguments),
+    /// Fit spherical Gaussians to a lat-long HDR image (.hdr, .exr).
+    Environment(EnvironmentArguments),
+    /// Show what an asset holds.
+    Inspect {
+        /// The asset.
+        file: PathBuf,
+    },
+    /// Check every byte of an asset.
+    Validate {
+        /// The asset.
+        file: PathBuf,
+    },
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Preset {
+    Draft,
+    Standard,
+    High,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum RepresentationArgument {
+    /// Principal components per cluster of vertices.
+    Clustered,
+    /// Principal components of the whole scene, as in the paper.
+    Global,
+}
+
+#[derive(Args)]
+struct SceneArguments {
+    /// Scene file or mesh.
+    input: PathBuf,
+    /// Asset to write.
+    #[arg(short, long, value_name = "OUT.relight")]
+    output: PathBuf,
+    /// Starting point for the options below.
+    #[arg(long, value_enum, default_value_t = Preset::Standard)]
+    preset: Preset,
+    /// How visibility is represented [default: clustered].
+    #[arg(long, value_enum)]
+    representation: Option<RepresentationArgument>,
+    /// Global representation: components besides the mean [default: 24].
+    #[arg(long, value_name = "K")]
+    rank: Option<u32>,
+    /// Clustered representation: root mean square error of the SSDF near the visibility
+    /// boundary that a cluster may have, radians.
+    #[arg(long, value_name = "RADIANS")]
+    max_error: Option<f32>,
+    /// Clustered representation: tiles of four basis images per cluster, at most.
+    #[arg(long, value_name = "N")]
+    max_tiles: Option<u32>,
+    /// Longest edge after refinement, as a fraction of the diagonal of the scene without
+    /// its ground; a scene file's own bound wins.
+    #[arg(long, value_name = "FRACTION")]
+    max_edge: Option<f32>,
+    /// Refinement stops at this many vertices.
+    #[arg(long, value_name = "N")]
+    max_vertices: Option<usize>,
+    /// Texels per side of the visibility samples.
+    #[arg(long, value_name = "N")]
+    sample_resolution: Option<u32>,
+    /// Texels per side of the basis images.
+    #[arg(long, value_name = "N")]
+    basis_resolution: Option<u32>,
+}
+
+#[derive(Args)]
+struct EnvironmentArguments {
+    /// Lat-long image.
+    input: PathBuf,
+    /// Asset to write.
+    #[arg(short, long, value_name = "OUT.relight")]
+    output: PathBuf,
+    /// Spherical Gaussians to fit.
+    #[arg(long, default_value_t = 32, value_name = "N")]
+    lobes: usize,
+    /// Also write the original, the fit and their difference as PNG into this folder.
+    #[arg(long, value_name = "DIR")]
+    report: Option<PathBuf>,
+}
+
+/// Parses the command line, does the work and reports.
+pub fn run() -> ExitCode {
+    let cli = Cli::parse();
+    static STOP: AtomicBool = AtomicBool::new(false);
+    // Without a handler Ctrl-C ends the process at once, which leaves nothing behind
+    // either: outputs are renamed into place.
+    let _ = ctrlc::set_handler(|| STOP.store(true, Ordering::Relaxed));
+    if cli.threads > 0 {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(cli.threads).build_global();
+        if let Err(error) = pool {
+            eprintln!("error: cannot start {} threads: {error}", cli.threads);
+            return ExitCode::from(3);
+        }
+    }
+    let show = Show::new(cli.json);
+    let report = |progress| show.progress(progress);
+    let monitor = Monitor { report: &report, stop: &STOP };
+    let result = match &cli.command {
+        Command::Scene(arguments) => bake_scene(arguments, monitor),
+        Command::Environment(arguments) => bake_environment(arguments, monitor),
+        Command::Inspect { file } => inspect(file),
+        Command::Validate { file } => validate(file),
+    };
+    show.finish();
+    match result {
+        Ok(summary) if cli.json => println!("{}", summary.json),
+        Ok(summary) => print!("{}", summary.text),
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            return ExitCode::from(exit_code(&error));
+        }
+    }
+    ExitCode::SUCCESS
+}
+
+fn exit_code(error: &anyhow::Error) -> u8 {
+    for cause in error.chain() {
+        if cause.is::<Interrupted>() {
+            return 130;
+        }
+        if cause.is::<std::io::Error>() {
+            return 3;
+        }
+    }
+    1
+}
+
+/// What a command says at its end.
+struct Summary {
+    text: String,
+    json: Value,
+}
+
+/// A bar on a terminal, a line every few seconds elsewhere, nothing with `--json`.
+struct Show {
+    bar: Option<ProgressBar>,
+    plain: Option<Mutex<Instant>>,
+}
+
+impl Show {
+    const PLAIN_INTERVAL: Duration = Duration::from_secs(5);
+
+    fn new(json: bool) -> Self {
+        let terminal = std::io::stderr().is_terminal();
+        let style = ProgressStyle::with_template(
+            "{msg:<28} {bar:40} {percent:>3} %  elapsed {elapsed}  left {eta}",
+        )
+        .unwrap_or_else(|_| ProgressStyle::default_bar());
+        Self {
+            bar: (terminal && !json).then(|| ProgressBar::new(1000).with_style(style)),
+            plain: (!terminal && !json).then(|| Mutex::new(Instant::now())),
+        }
+    }
+
+    fn progress(&self, progress: Progress) {
+        if let Some(bar) = &self.bar {
+            if bar.message() != progress.stage {
+                bar.set_message(progress.stage);
+                bar.reset_elapsed();
+            }
+            bar.set_position((progress.fraction * 1000.0) as u64);
+        }
+        if let Some(last) = &self.plain {
+            let mut last = last.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+            if last.elapsed() >= Self::PLAIN_INTERVAL {
+                *last = Instant::now();
+                eprintln!("{}: {:.0} %", progress.stage, progress.fraction * 100.0);
+            }
+        }
+    }
+
+    fn finish(&self) {
+        if let Some(bar) = &self.bar {
+            bar.finish_and_clear();
+        }
+    }
+}
+
+fn scene_options(arguments: &SceneArguments) -> scene::Options {
+    let mut options = match arguments.preset {
+        Preset::Draft => scene::Options::draft(),
+        Preset::Standard => scene::Options::standard(),
+        Preset::High => scene::Options::high(),
+    };
+    fn replace<T: Copy>(option: &mut T, given: Option<T>) {
+        *option = given.unwrap_or(*option);
+    }
+    let representation = arguments.representation.map(|value| match value {
+        RepresentationArgument::Clustered => format::Representation::ClusteredPca,
+        RepresentationArgument::Global => format::Representation::GlobalPca,
+    });
+    replace(&mut options.representation, representation);
+    replace(&mut options.global_rank, arguments.rank);
+    replace(&mut options.max_error, arguments.max_error);
+    replace(&mut options.max_tiles, arguments.max_tiles);
+    replace(&mut options.max_edge, arguments.max_edge);
+    replace(&mut options.max_vertices, arguments.max_vertices);
+    replace(&mut options.sample_resolution, arguments.sample_resolution);
+    replace(&mut options.basis_resolution, arguments.basis_resolution);
+    options
+}
+
+fn bake_scene(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Summary> {
+    let options = scene_options(arguments);
+    check_output(&arguments.output)?;
+    let start = Instant::now();
+    monitor.step("read", 0.0)?;
+    let input = scene_input::load(&arguments.input)?;
+    let read = start.elapsed();
+    let (scene, mut statistics) = scene::bake(input, &options, monitor)
+        .with_context(|| arguments.input.display().to_string())?;
+    statistics.stages.insert(0, ("read", read));
+    let clock = Instant::now();
+    monitor.step("write", 0.0)?;
+    let bytes = format::write_scene(&scene)?;
+    let written = write_checked(&arguments.output, &bytes, |bytes| {
+        format::read_scene(bytes, &format::Limits::default()).map(|read| read == scene)
+    });
+    written?;
+    statistics.stages.push(("write", clock.elapsed()));
+    for warning in &scene.report.warnings {
+        eprintln!("warning: {warning}");
+    }
+    let wall = start.elapsed().as_secs_f64();
+    let bytes_per_vertex = bytes.len() as f64 / scene.vertices.len().max(1) as f64;
+    let stages: serde_json::Map<String, Value> = statistics
+        .stages
+        .iter()
+        .map(|(stage, time)| ((*stage).to_owned(), json!(time.as_secs_f64())))
+        .collect();
+    let mut text = format!(
+        "{}: {} vertices, {} triangles, {} clusters, {} bytes ({bytes_per_vertex:.0} per vertex)\n\
+         error near the visibility boundary {:.4} rad, over all {:.4} rad (root mean square)\n\
+         {} rays, {wall:.1} s; processor time per stage:",
+        arguments.output.display(),
+        scene.vertices.len(),
+        scene.triangles.len(),
+        scene.clusters.len(),
+        bytes.len(),
+        statistics.error.boundary_rms(),
+        statistics.error.rms(),
+        statistics.rays,
+    );
+    for (stage, time) in &statistics.stages {
+        text += &format!(" {stage} {:.1} s", time.as_secs_f64());
+    }
+    text.push('\n');
+    Ok(Summary {
+        text,
+        json: json!({
+            "output": arguments.output,
+            "bytes": bytes.len(),
+            "vertices": scene.vertices.len(),
+            "triangles": scene.triangles.len(),
+            "clusters": scene.clusters.len(),
+            "tiles": scene.clusters.iter().map(|cluster| cluster.tiles).sum::<u32>(),
+            "boundary_rms_error": statistics.error.boundary_rms(),
+            "rms_error": statistics.error.rms(),
+            "rays": statistics.rays,
+            "sampled_vertices": statistics.sampled_vertices,
+            "seconds": wall,
+            "processor_seconds": stages,
+            "warnings": scene.report.warnings,
+        }),
+    })
+}
+
+fn bake_environment(arguments: &EnvironmentArguments, monitor: Monitor) -> anyhow::Result<Summary> {
+    check_output(&arguments.output)?;
+    let start = Instant::now();
+    let _ = (monitor, start);
+    bail!("not yet")
+}
+
+/// Fails early, before hours of work, if the output's folder does not exist.
+fn check_output(output: &Path) -> anyhow::Result<()> {
+    let folder = output.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let folder = folder.unwrap_or(Path::new("."));
+    let metadata = std::fs::metadata(folder)
+        .with_context(|| format!("{}: cannot write there", folder.display()))?;
+    if metadata.is_dir() {
+        Ok(())
+    } else {
+        Err(std::io::Error::from(std::io::ErrorKind::NotADirectory))
+            .with_context(|| format!("{}: cannot write there", folder.display()))
+    }
+}
+
+/// Writes an asset, reads it back and compares it with what was meant.
+fn write_checked(
+    path: &Path,
+    bytes: &[u8],
+    same: impl FnOnce(&[u8]) -> Result<bool, format::Error>,
+) -> anyhow::Result<()> {
+    format::write_file(path, bytes)?;
+    let read = read(path)?;
+    if read != bytes || !same(&read).with_context(|| path.display().to_string())? {
+        bail!("{}: what was read back is not what was written", path.display());
+    }
+    Ok(())
+}
+
+fn read(path: &Path) -> anyhow::Result<Vec<u8>> {
+    std::fs::read(path).with_context(|| path.display().to_string())
+}
+
+enum Asset {
+    Scene(Box<format::Scene>),
+    Environment(format::Environment),
+}
+
+fn decode(path: &Path) -> anyhow::Result<(Vec<format::SectionInfo>, Asset)> {
+    let bytes = read(path)?;
+    let limits = format::Limits::default();
+    let asset = || -> Result<_, format::Error> {
+        let (kind, _, sections) = format::inspect(&bytes, &limits)?;
+        let asset = match kind {
+            format::Kind::Scene => Asset::Scene(Box::new(format::read_scene(&bytes, &limits)?)),
+            format::Kind::Environment => {
+                Asset::Environment(format::read_environment(&bytes, &limits)?)
+            }
+        };
+        Ok((sections, asset))
+    };
+    asset().with_context(|| path.display().to_string())
+}
+
+fn validate(path: &Path) -> anyhow::Result<Summary> {
+    decode(path)?;
+    Ok(Summary {
+        text: format!("{}: valid\n", path.display()),
+        json: json!({ "file": path, "valid": true }),
+    })
+}
+
+fn inspect(path: &Path) -> anyhow::Result<Summary> {
+    let (sections, asset) = decode(path)?;
+    let mut text = format!("{}: ", path.display());
+    let mut object = match &asset {
+        Asset::Scene(scene) => {
+            let parameters = &scene.visibility;
+            text += &format!(
+                "scene {:?}, format version {}\n\
+                 {} vertices, {} triangles, {} materials, {} textures\n\
+                 {:?}: {} clusters, {} tiles of 4 images at {r}x{r}, sampled at {s}x{s}\n\
+                 error near the visibility boundary {:.4} rad, over all {:.4} rad\n",
+                scene.name,
+                format::VERSION,
+                scene.vertices.len(),
+                scene.triangles.len(),
+                scene.materials.len(),
+                scene.textures.len(),
+                parameters.representation,
+                scene.clusters.len(),
+                scene.clusters.iter().map(|cluster| cluster.tiles).sum::<u32>(),
+                scene.report.boundary_rms_error,
+                scene.report.rms_error,
+                r = parameters.basis_resolution,
+                s = parameters.sample_resolution,
+            );
+            json!({
+                "kind": "scene",
+                "name": scene.name,
+                "vertices": scene.vertices.len(),
+                "triangles": scene.triangles.len(),
+                "clusters": scene.clusters.len(),
+                "tiles": scene.clusters.iter().map(|cluster| cluster.tiles).sum::<u32>(),
+                "visibility": parameters,
+                "camera": scene.camera,
+                "materials": scene.materials,
+                "textures": scene.textures.iter().map(|t| json!([t.width, t.height])).collect::<Vec<_>>(),
+                "report": scene.report,
+            })
+        }
+        Asset::Environment(environment) => {
+            text += &format!(
+                "environment, format version {}\n{} lobes fitted to {} ({}x{}), relative L2 {:.4}, energy error {:?}\n",
+                format::VERSION,
+                environment.lobes.len(),
+                environment.report.source,
+                environment.report.source_size[0],
+                environment.report.source_size[1],
+                environment.report.relative_l2,
+                environment.report.energy_error,
+            );
+            let lobes: Vec<Value> = (environment.lobes.iter())
+                .map(|l| json!({"axis": l.axis, "sharpness": l.sharpness, "amplitude": l.amplitude}))
+                .collect();
+            json!({ "kind": "environment", "report": environment.report, "lobes": lobes })
+        }
+    };
+    let mut rows = Vec::new();
+    for section in &sections {
+        text += &format!(
+            "{:>12?}  {:>12} bytes stored  {:>12} raw  crc {:08x}\n",
+            section.kind, section.stored_length, section.raw_length, section.checksum,
+        );
+        rows.push(json!({
+            "section": format!("{:?}", section.kind),
+            "stored_length": section.stored_length,
+            "raw_length": section.raw_length,
+        }));
+    }
+    object["file"] = json!(path);
+    object["version"] = json!(format::VERSION);
+    object["sections"] = json!(rows);
+    Ok(Summary { text, json: object })
+}

@@ -1,0 +1,185 @@
+//! A device and renderer for tools and tests, which have neither window nor device.
+
+use relight_format::Scene;
+
+use crate::{Error, Frame, GpuScene, Image, Options, Renderer};
+
+/// A graphics device of its own with a renderer.
+#[derive(Debug)]
+pub struct Gpu {
+    /// The device.
+    pub device: wgpu::Device,
+    /// Its queue.
+    pub queue: wgpu::Queue,
+    /// The renderer; its targets are RGBA8, sRGB-encoded by the renderer.
+    pub renderer: Renderer,
+    name: String,
+}
+
+/// One frame read back.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Picture {
+    /// Linear radiance, not exposed.
+    pub linear: Image,
+    /// Tone-mapped sRGB RGBA8, row 0 first.
+    pub display: Vec<u8>,
+}
+
+impl Gpu {
+    /// Opens the most capable adapter that offers `limits`: a graphics card before an
+    /// integrated one before a software one.
+    pub fn new(limits: &wgpu::Limits) -> Result<Self, Error> {
+        pollster::block_on(Self::open(limits))
+    }
+
+    async fn open(limits: &wgpu::Limits) -> Result<Self, Error> {
+        let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
+        let adapters = instance.enumerate_adapters(wgpu::Backends::PRIMARY).await;
+        let found = adapters
+            .iter()
+            .map(|adapter| adapter.get_info().name)
+            .collect();
+        let adapter = adapters
+            .into_iter()
+            .filter(|adapter| limits.check_limits(&adapter.limits()))
+            .min_by_key(|adapter| match adapter.get_info().device_type {
+                wgpu::DeviceType::DiscreteGpu => 0,
+                wgpu::DeviceType::IntegratedGpu => 1,
+                wgpu::DeviceType::VirtualGpu => 2,
+                wgpu::DeviceType::Other => 3,
+                wgpu::DeviceType::Cpu => 4,
+            })
+            .ok_or(Error::NoAdapter { found })?;
+        let (device, queue) = adapter
+            .request_device(&wgpu::DeviceDescriptor {
+                label: Some("relight offscreen"),
+                required_limits: limits.clone(),
+                ..Default::default()
+            })
+            .await?;
+        let renderer = Renderer::new(&device, &queue, Options::default())?;
+        let name = adapter.get_info().name;
+        Ok(Self {
+            device,
+            queue,
+            renderer,
+            name,
+        })
+    }
+
+    /// Name of the adapter, as its driver gives it.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Copies a scene to the GPU.
+    pub fn upload(&self, scene: &Scene) -> Result<GpuScene, Error> {
+        self.renderer.upload(scene)
+    }
+
+    /// Draws one frame and waits for it.
+    pub fn render(
+        &mut self,
+        scene: &GpuScene,
+        frame: &Frame,
+        width: u32,
+        height: u32,
+    ) -> Result<Picture, Error> {
+        if width == 0 || height == 0 {
+            return Err(Error::EmptyImage { width, height });
+        }
+        let guard = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
+        let target = self.device.create_texture(&wgpu::TextureDescriptor {
+            label: Some("relight offscreen target"),
+            size: wgpu::Extent3d {
+                width,
+                height,
+                depth_or_array_layers: 1,
+            },
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format: self.renderer.options().target_format,
+            usage: wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC,
+            view_formats: &[],
+        });
+        let view = target.create_view(&wgpu::TextureViewDescriptor::default());
+        let mut encoder = self
+            .device
+            .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        self.renderer
+            .render(&mut encoder, scene, frame, &view, [width, height])?;
+        self.queue.submit([encoder.finish()]);
+        if let Some(error) = pollster::block_on(guard.pop()) {
+            return Err(Error::DeviceFailed(error.to_string()));
+        }
+        let radiance = self.renderer.radiance().expect("a frame was recorded");
+        let bytes = self.read_texture(radiance)?;
+        let pixels = bytemuck::pod_collect_to_vec(&bytes);
+        let display = self.read_texture(&target)?;
+        Ok(Picture {
+            linear: Image {
+                width,
+                height,
+                pixels,
+            },
+            display,
+        })
+    }
+
+    /// Copies a texture without mip levels or layers back: its rows, without padding.
+    pub fn read_texture(&self, texture: &wgpu::Texture) -> Result<Vec<u8>, Error> {
+        let texel = texture.format().block_copy_size(None).unwrap_or(4);
+        let row = texture.width() * texel;
+        let padded = row.next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
+        let buffer = self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("relight read back"),
+            size: u64::from(padded) * u64::from(texture.height()),
+            usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
+            mapped_at_creation: false,
+        });
+        let mut encoder = self
+            .device
+            .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        encoder.copy_texture_to_buffer(
+            texture.as_image_copy(),
+            wgpu::TexelCopyBufferInfo {
+                buffer: &buffer,
+                layout: wgpu::TexelCopyBufferLayout {
+                    offset: 0,
+                    bytes_per_row: Some(padded),
+                    rows_per_image: None,
+                },
+            },
+            texture.size(),
+        );
+        self.queue.submit([encoder.finish()]);
+        let bytes = self.read_buffer(&buffer)?;
+        Ok(bytes
+            .chunks(padded as usize)
+            .flat_map(|line| &line[..row as usize])
+            .copied()
+            .collect())
+    }
+
+    /// Maps a `MAP_READ` buffer once all submitted work is done.
+    pub fn read_buffer(&self, buffer: &wgpu::Buffer) -> Result<Vec<u8>, Error> {
+        let failed = |error: &dyn std::fmt::Display| Error::DeviceFailed(error.to_string());
+        let (sender, receiver) = std::sync::mpsc::channel();
+        buffer.map_async(wgpu::MapMode::Read, .., move |result| {
+            // The receiver outlives the poll below.
+            let _ = sender.send(result);
+        });
+        self.device
+            .poll(wgpu::PollType::wait_indefinitely())
+            .map_err(|error| failed(&error))?;
+        receiver
+            .recv()
+            .map_err(|error| failed(&error))?
+            .map_err(|error| failed(&error))?;
+        let range = buffer
+            .get_mapped_range(..)
+            .map_err(|error| failed(&error))?;
+        Ok(range.to_vec())
+    }
+}

@@ -1,0 +1,633 @@
+//! The passes of one frame: visibility buffer, shading, tone mapping.
+
+use relight_format::Scene;
+use relight_shading::gpu::{self, LimitError};
+use relight_shading::shade::Method;
+use relight_shading::tables::Tables;
+use relight_shading::wgsl::{Entry, source};
+use wgpu::util::DeviceExt as _;
+
+use crate::upload::{GpuScene, check_storage};
+use crate::{Error, Frame};
+
+/// Format of the visibility buffer.
+const VISIBILITY_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::R32Uint;
+/// Format of the depth buffer.
+const DEPTH_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
+/// Format of the linear image.
+const RADIANCE_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba32Float;
+/// Side of a compute workgroup in pixels, as in shade.wgsl.
+const WORKGROUP: u32 = 8;
+/// Largest alignment of uniform buffer offsets that WebGPU allows a device to ask for.
+const UNIFORM_STRIDE: usize = 256;
+
+/// How a renderer is set up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Options {
+    /// Format of the targets that frames are drawn into. Formats that do not encode sRGB
+    /// themselves receive encoded colours.
+    pub target_format: wgpu::TextureFormat,
+    /// Rows shaded per dispatch, rounded up to a multiple of 8: short dispatches keep slow devices
+    /// responsive and clear of watchdogs. Default 128.
+    pub rows_per_dispatch: u32,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            target_format: wgpu::TextureFormat::Rgba8Unorm,
+            rows_per_dispatch: 128,
+        }
+    }
+}
+
+/// Draws scenes with an app's device and queue.
+#[derive(Debug)]
+pub struct Renderer {
+    device: wgpu::Device,
+    queue: wgpu::Queue,
+    options: Options,
+    frame_layout: wgpu::BindGroupLayout,
+    scene_layout: wgpu::BindGroupLayout,
+    image_layout: wgpu::BindGroupLayout,
+    tonemap_layout: wgpu::BindGroupLayout,
+    visibility_pipeline: wgpu::RenderPipeline,
+    shade_pipeline: wgpu::ComputePipeline,
+    tonemap_pipeline: wgpu::RenderPipeline,
+    tables: wgpu::Buffer,
+    images: Option<Images>,
+}
+
+/// Images between the passes, all of one size.
+#[derive(Debug)]
+struct Images {
+    size: [u32; 2],
+    visibility: wgpu::Texture,
+    visibility_view: wgpu::TextureView,
+    depth_view: wgpu::TextureView,
+    radiance: wgpu::Texture,
+    radiance_view: wgpu::TextureView,
+    bind_group: wgpu::BindGroup,
+}
+
+impl Renderer {
+    /// Builds the pipelines. The device needs WebGPU's default limits and no features.
+    pub fn new(
+        device: &wgpu::Device,
+        queue: &wgpu::Queue,
+        options: Options,
+    ) -> Result<Self, Error> {
+        check_device(device)?;
+        let frame_layout = frame_layout(device);
+        let scene_layout = scene_layout(device);
+        let image_layout = image_layout(device);
+        let tonemap_layout = tonemap_layout(device);
+        Ok(Self {
+            visibility_pipeline: visibility_pipeline(device, &frame_layout, &scene_layout),
+            shade_pipeline: shade_pipeline(device, &[&frame_layout, &scene_layout, &image_layout]),
+            tonemap_pipeline: tonemap_pipeline(device, &tonemap_layout, options.target_format),
+            tables: device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+                label: Some("relight tables"),
+                contents: bytemuck::cast_slice(Tables::get().values()),
+                usage: wgpu::BufferUsages::STORAGE,
+            }),
+            device: device.clone(),
+            queue: queue.clone(),
+            options,
+            frame_layout,
+            scene_layout,
+            image_layout,
+            tonemap_layout,
+            images: None,
+        })
+    }
+
+    /// Copies a scene to the GPU; the error names the limit that it exceeds. The scene is
+    /// one that [`relight_format::read_scene`] returned or
+    /// [`relight_format::write_scene`] accepts.
+    pub fn upload(&self, scene: &Scene) -> Result<GpuScene, Error> {
+        GpuScene::new(&self.device, &self.queue, &self.scene_layout, scene)
+    }
+
+    /// Records one frame into `target`, a view of `width` × `height` pixels in the format
+    /// of [`Options::target_format`]. Alpha is coverage; the background is transparent
+    /// black.
+    pub fn render(
+        &mut self,
+        encoder: &mut wgpu::CommandEncoder,
+        scene: &GpuScene,
+        frame: &Frame,
+        target: &wgpu::TextureView,
+        [width, height]: [u32; 2],
+    ) -> Result<(), Error> {
+        if width == 0 || height == 0 {
+            return Err(Error::EmptyImage { width, height });
+        }
+        let limits = self.device.limits();
+        LimitError::check(
+            "max_texture_dimension_2d",
+            u64::from(width.max(height)),
+            u64::from(limits.max_texture_dimension_2d),
+        )
+        .map_err(Error::Frame)?;
+        let band = self
+            .options
+            .rows_per_dispatch
+            .max(1)
+            .next_multiple_of(WORKGROUP);
+        let bands = height.div_ceil(band);
+        let frame_group = self.frame_group(scene, frame, [width, height], band)?;
+        if self
+            .images
+            .as_ref()
+            .is_none_or(|images| images.size != [width, height])
+        {
+            self.images = Some(Images::new(
+                &self.device,
+                &self.image_layout,
+                [width, height],
+            ));
+        }
+        let images = self.images.as_ref().expect("just made");
+
+        {
+            let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+                label: Some("relight visibility buffer"),
+                color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+                    view: &images.visibility_view,
+                    depth_slice: None,
+                    resolve_target: None,
+                    ops: wgpu::Operations {
+                        load: wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT),
+                        store: wgpu::StoreOp::Store,
+                    },
+                })],
+                depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
+                    view: &images.depth_view,
+                    depth_ops: Some(wgpu::Operations {
+                        load: wgpu::LoadOp::Clear(0.0),
+                        store: wgpu::StoreOp::Discard,
+                    }),
+                    stencil_ops: None,
+                }),
+                ..Default::default()
+            });
+            pass.set_pipeline(&self.visibility_pipeline);
+            pass.set_bind_group(0, &frame_group, &[0]);
+            pass.set_bind_group(1, &scene.bind_group, &[]);
+            pass.draw(0..3 * scene.triangle_count, 0..1);
+        }
+        {
+            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+                label: Some("relight shade"),
+                timestamp_writes: None,
+            });
+            pass.set_pipeline(&self.shade_pipeline);
+            pass.set_bind_group(1, &scene.bind_group, &[]);
+            pass.set_bind_group(2, &images.bind_group, &[]);
+            for index in 0..bands {
+                let rows = band.min(height - index * band);
+                pass.set_bind_group(0, &frame_group, &[index * UNIFORM_STRIDE as u32]);
+                pass.dispatch_workgroups(width.div_ceil(WORKGROUP), rows.div_ceil(WORKGROUP), 1);
+            }
+        }
+        self.tonemap(encoder, &images.radiance_view, frame.exposure, target);
+        Ok(())
+    }
+
+    /// The linear radiance of the last frame recorded (rgba32float, alpha is coverage),
+    /// not exposed; sampled or copied by commands after it. It is replaced when the size
+    /// of frames changes.
+    pub fn radiance(&self) -> Option<&wgpu::Texture> {
+        self.images.as_ref().map(|images| &images.radiance)
+    }
+
+    /// The triangle under each pixel of the last frame recorded (r32uint): its index + 1,
+    /// or 0 on the background.
+    pub fn visibility_buffer(&self) -> Option<&wgpu::Texture> {
+        self.images.as_ref().map(|images| &images.visibility)
+    }
+
+    /// The options that the renderer was made with.
+    pub fn options(&self) -> &Options {
+        &self.options
+    }
+
+    /// Uniforms and lights of one call, in buffers of its own, so that several calls may
+    /// share one encoder.
+    fn frame_group(
+        &self,
+        scene: &GpuScene,
+        frame: &Frame,
+        [width, height]: [u32; 2],
+        band: u32,
+    ) -> Result<wgpu::BindGroup, Error> {
+        let view = frame.view(width, height, scene.near);
+        let mut uniform = gpu::Frame::new(&view, &scene.atlas, scene.distance_clamp);
+        match frame.method {
+            Method::Ambient => uniform.method = gpu::METHOD_AMBIENT,
+            Method::Polar(options) => {
+                uniform.method = gpu::METHOD_POLAR;
+                uniform.spokes = options.spokes.max(1);
+            }
+        }
+        uniform.light_count = frame.lights.len() as u32;
+        let mut uniforms = Vec::new();
+        for first_row in (0..height).step_by(band as usize) {
+            uniform.first_row = first_row;
+            uniforms.extend_from_slice(bytemuck::bytes_of(&uniform));
+            uniforms.resize(uniforms.len().next_multiple_of(UNIFORM_STRIDE), 0);
+        }
+        let mut lights: Vec<gpu::Light> = frame
+            .rotated_lights()
+            .iter()
+            .map(|light| gpu::Light {
+                axis: light.axis.into(),
+                sharpness: light.sharpness,
+                amplitude: light.amplitude.into(),
+                reserved: 0.0,
+            })
+            .collect();
+        if lights.is_empty() {
+            // A binding must not be empty.
+            lights.push(bytemuck::Zeroable::zeroed());
+        }
+        check_storage(&self.device, size_of_val(&lights[..]) as u64).map_err(Error::Frame)?;
+        let uniforms = self
+            .device
+            .create_buffer_init(&wgpu::util::BufferInitDescriptor {
+                label: Some("relight frame"),
+                contents: &uniforms,
+                usage: wgpu::BufferUsages::UNIFORM,
+            });
+        let lights = self
+            .device
+            .create_buffer_init(&wgpu::util::BufferInitDescriptor {
+                label: Some("relight lights"),
+                contents: bytemuck::cast_slice(&lights),
+                usage: wgpu::BufferUsages::STORAGE,
+            });
+        Ok(self.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("relight frame"),
+            layout: &self.frame_layout,
+            entries: &[
+                wgpu::BindGroupEntry {
+                    binding: 0,
+                    resource: wgpu::BindingResource::Buffer(wgpu::BufferBinding {
+                        buffer: &uniforms,
+                        offset: 0,
+                        size: std::num::NonZeroU64::new(size_of::<gpu::Frame>() as u64),
+                    }),
+                },
+                wgpu::BindGroupEntry {
+                    binding: 1,
+                    resource: lights.as_entire_binding(),
+                },
+                wgpu::BindGroupEntry {
+                    binding: 2,
+                    resource: self.tables.as_entire_binding(),
+                },
+            ],
+        }))
+    }
+
+    fn tonemap(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        radiance: &wgpu::TextureView,
+        exposure: f32,
+        target: &wgpu::TextureView,
+    ) {
+        let uniform = gpu::Tonemap {
+            exposure,
+            encode_srgb: u32::from(!self.options.target_format.is_srgb()),
+        };
+        let uniform = self
+            .device
+            .create_buffer_init(&wgpu::util::BufferInitDescriptor {
+                label: Some("relight tonemap"),
+                contents: bytemuck::bytes_of(&uniform),
+                usage: wgpu::BufferUsages::UNIFORM,
+            });
+        let bind_group = self.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("relight tonemap"),
+            layout: &self.tonemap_layout,
+            entries: &[
+                wgpu::BindGroupEntry {
+                    binding: 0,
+                    resource: uniform.as_entire_binding(),
+                },
+                wgpu::BindGroupEntry {
+                    binding: 1,
+                    resource: wgpu::BindingResource::TextureView(radiance),
+                },
+            ],
+        });
+        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            label: Some("relight tonemap"),
+            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+                view: target,
+                depth_slice: None,
+                resolve_target: None,
+                ops: wgpu::Operations {
+                    load: wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT),
+                    store: wgpu::StoreOp::Store,
+                },
+            })],
+            ..Default::default()
+        });
+        pass.set_pipeline(&self.tonemap_pipeline);
+        pass.set_bind_group(0, &bind_group, &[]);
+        pass.draw(0..3, 0..1);
+    }
+}
+
+impl Images {
+    fn new(device: &wgpu::Device, layout: &wgpu::BindGroupLayout, size: [u32; 2]) -> Self {
+        let texture = |label, format, usage| {
+            device.create_texture(&wgpu::TextureDescriptor {
+                label: Some(label),
+                size: wgpu::Extent3d {
+                    width: size[0],
+                    height: size[1],
+                    depth_or_array_layers: 1,
+                },
+                mip_level_count: 1,
+                sample_count: 1,
+                dimension: wgpu::TextureDimension::D2,
+                format,
+                usage,
+                view_formats: &[],
+            })
+        };
+        let drawn = wgpu::TextureUsages::RENDER_ATTACHMENT;
+        let read = wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_SRC;
+        let written = wgpu::TextureUsages::STORAGE_BINDING;
+        let visibility = texture("relight visibility buffer", VISIBILITY_FORMAT, drawn | read);
+        let depth = texture("relight depth", DEPTH_FORMAT, drawn);
+        let radiance = texture("relight radiance", RADIANCE_FORMAT, written | read);
+        let view = |texture: &wgpu::Texture| texture.create_view(&Default::default());
+        let visibility_view = view(&visibility);
+        let radiance_view = view(&radiance);
+        let bind_group = device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("relight images"),
+            layout,
+            entries: &[
+                wgpu::BindGroupEntry {
+                    binding: 0,
+                    resource: wgpu::BindingResource::TextureView(&visibility_view),
+                },
+                wgpu::BindGroupEntry {
+                    binding: 1,
+                    resource: wgpu::BindingResource::TextureView(&radiance_view),
+                },
+            ],
+        });
+        Self {
+            size,
+            visibility,
+            visibility_view,
+            depth_view: view(&depth),
+            radiance,
+            radiance_view,
+            bind_group,
+        }
+    }
+}
+
+/// Checks the limits that do not depend on a scene; WebGPU's defaults satisfy them.
+fn check_device(device: &wgpu::Device) -> Result<(), Error> {
+    let limits = device.limits();
+    for (limit, needed, allowed) in [
+        ("max_bind_groups", 3, limits.max_bind_groups),
+        (
+            "max_storage_buffers_per_shader_stage",
+            8,
+            limits.max_storage_buffers_per_shader_stage,
+        ),
+        (
+            "max_storage_textures_per_shader_stage",
+            1,
+            limits.max_storage_textures_per_shader_stage,
+        ),
+        (
+            "max_dynamic_uniform_buffers_per_pipeline_layout",
+            1,
+            limits.max_dynamic_uniform_buffers_per_pipeline_layout,
+        ),
+        (
+            "max_compute_invocations_per_workgroup",
+            WORKGROUP * WORKGROUP,
+            limits.max_compute_invocations_per_workgroup,
+        ),
+    ] {
+        LimitError::check(limit, u64::from(needed), u64::from(allowed)).map_err(Error::Device)?;
+    }
+    Ok(())
+}
+
+const BOTH: wgpu::ShaderStages = wgpu::ShaderStages::VERTEX.union(wgpu::ShaderStages::COMPUTE);
+
+fn layout_entry(
+    binding: u32,
+    visibility: wgpu::ShaderStages,
+    ty: wgpu::BindingType,
+) -> wgpu::BindGroupLayoutEntry {
+    wgpu::BindGroupLayoutEntry {
+        binding,
+        visibility,
+        ty,
+        count: None,
+    }
+}
+
+const STORAGE: wgpu::BindingType = wgpu::BindingType::Buffer {
+    ty: wgpu::BufferBindingType::Storage { read_only: true },
+    has_dynamic_offset: false,
+    min_binding_size: None,
+};
+
+/// Group 0 of bindings.wgsl.
+fn frame_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    let uniform = wgpu::BindingType::Buffer {
+        ty: wgpu::BufferBindingType::Uniform,
+        has_dynamic_offset: true,
+        min_binding_size: None,
+    };
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("relight frame"),
+        entries: &[
+            layout_entry(0, BOTH, uniform),
+            layout_entry(1, wgpu::ShaderStages::COMPUTE, STORAGE),
+            layout_entry(2, wgpu::ShaderStages::COMPUTE, STORAGE),
+        ],
+    })
+}
+
+/// Group 1 of bindings.wgsl.
+fn scene_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    let compute = wgpu::ShaderStages::COMPUTE;
+    let atlas = wgpu::BindingType::Texture {
+        sample_type: wgpu::TextureSampleType::Float { filterable: true },
+        view_dimension: wgpu::TextureViewDimension::D2Array,
+        multisampled: false,
+    };
+    let sampler = wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering);
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("relight scene"),
+        entries: &[
+            layout_entry(0, BOTH, STORAGE),
+            layout_entry(1, BOTH, STORAGE),
+            layout_entry(2, compute, STORAGE),
+            layout_entry(3, compute, STORAGE),
+            layout_entry(4, compute, STORAGE),
+            layout_entry(5, compute, STORAGE),
+            layout_entry(6, compute, atlas),
+            layout_entry(7, compute, sampler),
+        ],
+    })
+}
+
+/// Group 2 of bindings.wgsl.
+fn image_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    let visibility = wgpu::BindingType::Texture {
+        sample_type: wgpu::TextureSampleType::Uint,
+        view_dimension: wgpu::TextureViewDimension::D2,
+        multisampled: false,
+    };
+    let radiance = wgpu::BindingType::StorageTexture {
+        access: wgpu::StorageTextureAccess::WriteOnly,
+        format: RADIANCE_FORMAT,
+        view_dimension: wgpu::TextureViewDimension::D2,
+    };
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("relight images"),
+        entries: &[
+            layout_entry(0, wgpu::ShaderStages::COMPUTE, visibility),
+            layout_entry(1, wgpu::ShaderStages::COMPUTE, radiance),
+        ],
+    })
+}
+
+/// Group 0 of tonemap.wgsl.
+fn tonemap_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    let uniform = wgpu::BindingType::Buffer {
+        ty: wgpu::BufferBindingType::Uniform,
+        has_dynamic_offset: false,
+        min_binding_size: None,
+    };
+    let radiance = wgpu::BindingType::Texture {
+        // 32-bit floats cannot be filtered at default limits, and are not.
+        sample_type: wgpu::TextureSampleType::Float { filterable: false },
+        view_dimension: wgpu::TextureViewDimension::D2,
+        multisampled: false,
+    };
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("relight tonemap"),
+        entries: &[
+            layout_entry(0, wgpu::ShaderStages::FRAGMENT, uniform),
+            layout_entry(1, wgpu::ShaderStages::FRAGMENT, radiance),
+        ],
+    })
+}
+
+fn shader(device: &wgpu::Device, entry: Entry) -> wgpu::ShaderModule {
+    device.create_shader_module(wgpu::ShaderModuleDescriptor {
+        label: Some("relight"),
+        source: wgpu::ShaderSource::Wgsl(source(entry).into()),
+    })
+}
+
+fn pipeline_layout(
+    device: &wgpu::Device,
+    groups: &[&wgpu::BindGroupLayout],
+) -> wgpu::PipelineLayout {
+    let groups: Vec<_> = groups.iter().copied().map(Some).collect();
+    device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+        label: Some("relight"),
+        bind_group_layouts: &groups,
+        immediate_size: 0,
+    })
+}
+
+fn visibility_pipeline(
+    device: &wgpu::Device,
+    frame: &wgpu::BindGroupLayout,
+    scene: &wgpu::BindGroupLayout,
+) -> wgpu::RenderPipeline {
+    let module = shader(device, Entry::VisibilityBuffer);
+    device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+        label: Some("relight visibility buffer"),
+        layout: Some(&pipeline_layout(device, &[frame, scene])),
+        vertex: wgpu::VertexState {
+            module: &module,
+            entry_point: Some("visibility_buffer_vertex"),
+            compilation_options: Default::default(),
+            buffers: &[],
+        },
+        primitive: wgpu::PrimitiveState {
+            front_face: wgpu::FrontFace::Ccw,
+            cull_mode: Some(wgpu::Face::Back),
+            ..Default::default()
+        },
+        depth_stencil: Some(wgpu::DepthStencilState {
+            format: DEPTH_FORMAT,
+            depth_write_enabled: Some(true),
+            depth_compare: Some(wgpu::CompareFunction::Greater),
+            stencil: Default::default(),
+            bias: Default::default(),
+        }),
+        multisample: Default::default(),
+        fragment: Some(wgpu::FragmentState {
+            module: &module,
+            entry_point: Some("visibility_buffer_fragment"),
+            compilation_options: Default::default(),
+            targets: &[Some(VISIBILITY_FORMAT.into())],
+        }),
+        multiview_mask: None,
+        cache: None,
+    })
+}
+
+fn shade_pipeline(
+    device: &wgpu::Device,
+    groups: &[&wgpu::BindGroupLayout],
+) -> wgpu::ComputePipeline {
+    device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+        label: Some("relight shade"),
+        layout: Some(&pipeline_layout(device, groups)),
+        module: &shader(device, Entry::Shade),
+        entry_point: Some("shade_main"),
+        compilation_options: Default::default(),
+        cache: None,
+    })
+}
+
+fn tonemap_pipeline(
+    device: &wgpu::Device,
+    layout: &wgpu::BindGroupLayout,
+    target_format: wgpu::TextureFormat,
+) -> wgpu::RenderPipeline {
+    let module = shader(device, Entry::Tonemap);
+    device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+        label: Some("relight tonemap"),
+        layout: Some(&pipeline_layout(device, &[layout])),
+        vertex: wgpu::VertexState {
+            module: &module,
+            entry_point: Some("tonemap_vertex"),
+            compilation_options: Default::default(),
+            buffers: &[],
+        },
+        primitive: Default::default(),
+        depth_stencil: None,
+        multisample: Default::default(),
+        fragment: Some(wgpu::FragmentState {
+            module: &module,
+            entry_point: Some("tonemap_fragment"),
+            compilation_options: Default::default(),
+            targets: &[Some(target_format.into())],
+        }),
+        multiview_mask: None,
+        cache: None,
+    })
+}

@@ -1,0 +1,148 @@
+//! Which triangle each pixel sees: a software rasteriser with the rules of a GPU's, so
+//! that both agree on every pixel but for rounding at the last bit. Vertices snap to
+//! 1/256 of a pixel, pixel centres are sampled, edges shared by two triangles belong to
+//! one of them (top-left rule), back faces are culled, nearer depth wins.
+
+use glam::{Vec3, Vec4};
+use rayon::prelude::*;
+use relight_format::Scene;
+use relight_shading::camera::View;
+
+/// Steps per pixel that vertices snap to: 8 bits, what GPUs have.
+const SUBPIXELS: i64 = 256;
+/// Rows per parallel task.
+const BAND: usize = 16;
+/// Subpixel coordinates are clamped to ± this, so that edge functions fit 64 bits.
+const MAX_COORDINATE: f32 = (1 << 29) as f32;
+
+/// A triangle ready to be sampled.
+struct Projected {
+    /// Index of the triangle + 1.
+    id: u32,
+    /// Edge functions a x + b y + c in subpixels, positive inside; edge i is opposite to
+    /// vertex i.
+    edges: [[i64; 3]; 3],
+    /// Depth at the vertices over twice the area.
+    depth: Vec3,
+    /// First and last column whose centres may lie inside.
+    columns: [usize; 2],
+    /// First and last row whose centres may lie inside.
+    rows: [usize; 2],
+}
+
+/// For every pixel, row 0 first: index of the visible triangle + 1, or 0 on the background.
+pub fn visibility_buffer(scene: &Scene, view: &View, width: u32, height: u32) -> Vec<u32> {
+    let size = [width as usize, height as usize];
+    let clip: Vec<Vec4> = scene
+        .vertices
+        .par_iter()
+        .map(|vertex| view.view_projection * Vec3::from(vertex.position).extend(1.0))
+        .collect();
+    let projected: Vec<Projected> = scene
+        .triangles
+        .par_iter()
+        .enumerate()
+        .flat_map_iter(|(index, triangle)| {
+            let polygon = clip_near(triangle.vertices.map(|vertex| clip[vertex as usize]));
+            (2..polygon.len()).filter_map(move |i| {
+                let corners = [polygon[0], polygon[i - 1], polygon[i]];
+                project(index as u32 + 1, corners, size)
+            })
+        })
+        .collect();
+    let mut ids = vec![0; size[0] * size[1]];
+    ids.par_chunks_mut(size[0] * BAND)
+        .enumerate()
+        .for_each(|(band, ids)| {
+            let mut depths = vec![0.0; ids.len()];
+            for triangle in &projected {
+                draw(triangle, band * BAND, size[0], ids, &mut depths);
+            }
+        });
+    ids
+}
+
+/// Cuts away what lies in front of the near plane: reversed depth z/w above 1.
+fn clip_near(corners: [Vec4; 3]) -> Vec<Vec4> {
+    let inside = |corner: Vec4| corner.w - corner.z;
+    if corners.iter().all(|&corner| inside(corner) >= 0.0) {
+        return corners.to_vec();
+    }
+    let mut polygon = Vec::with_capacity(4);
+    for (from, to) in [(0, 1), (1, 2), (2, 0)].map(|(i, j)| (corners[i], corners[j])) {
+        let (a, b) = (inside(from), inside(to));
+        if a >= 0.0 {
+            polygon.push(from);
+        }
+        if (a >= 0.0) != (b >= 0.0) {
+            polygon.push(from.lerp(to, a / (a - b)));
+        }
+    }
+    polygon
+}
+
+/// `None` for triangles that face away, have no area or lie outside the image.
+fn project(id: u32, corners: [Vec4; 3], [width, height]: [usize; 2]) -> Option<Projected> {
+    let snap = |value: f32| {
+        let steps = (value * SUBPIXELS as f32).clamp(-MAX_COORDINATE, MAX_COORDINATE);
+        steps.round_ties_even() as i64
+    };
+    let points = corners.map(|corner| {
+        let x = (corner.x / corner.w * 0.5 + 0.5) * width as f32;
+        let y = (0.5 - corner.y / corner.w * 0.5) * height as f32;
+        [snap(x), snap(y)]
+    });
+    let edges = [(1, 2), (2, 0), (0, 1)].map(|(i, j)| {
+        let ([x0, y0], [x1, y1]) = (points[i], points[j]);
+        // Rows count downwards, so this is positive left of an edge as seen.
+        let (a, b) = (y1 - y0, x0 - x1);
+        [a, b, -(a * x0 + b * y0)]
+    });
+    let [[x0, y0], ..] = points;
+    let area = edges[0][0] * x0 + edges[0][1] * y0 + edges[0][2];
+    if area <= 0 {
+        return None;
+    }
+    // Pixel i has its centre at (i + 1/2) SUBPIXELS.
+    let range = |axis: usize, size: usize| {
+        let values = points.map(|point| point[axis] - SUBPIXELS / 2);
+        let first = values.into_iter().min()?.div_euclid(SUBPIXELS).max(0) as usize;
+        let last = values.into_iter().max()?.div_euclid(SUBPIXELS);
+        let last = usize::try_from(last).ok()?.min(size - 1);
+        (first <= last).then_some([first, last])
+    };
+    Some(Projected {
+        id,
+        edges,
+        depth: Vec3::from(corners.map(|corner| corner.z / corner.w)) / area as f32,
+        columns: range(0, width)?,
+        rows: range(1, height)?,
+    })
+}
+
+/// Draws the rows from `first_row` on that `ids` and `depths` hold.
+fn draw(triangle: &Projected, first_row: usize, width: usize, ids: &mut [u32], depths: &mut [f32]) {
+    let end_row = first_row + ids.len() / width;
+    let rows = triangle.rows[0].max(first_row)..(triangle.rows[1] + 1).min(end_row);
+    for row in rows {
+        let y = row as i64 * SUBPIXELS + SUBPIXELS / 2;
+        let line = (row - first_row) * width;
+        for column in triangle.columns[0]..=triangle.columns[1] {
+            let x = column as i64 * SUBPIXELS + SUBPIXELS / 2;
+            let weights = triangle.edges.map(|[a, b, c]| a * x + b * y + c);
+            let covered = weights
+                .iter()
+                .zip(&triangle.edges)
+                // A centre on an edge counts for left edges and for top ones.
+                .all(|(&weight, &[a, b, _])| {
+                    weight > 0 || weight == 0 && (a > 0 || a == 0 && b > 0)
+                });
+            let weights = Vec3::from(weights.map(|weight| weight as f32));
+            let depth = triangle.depth.dot(weights);
+            if covered && depth > depths[line + column] {
+                depths[line + column] = depth;
+                ids[line + column] = triangle.id;
+            }
+        }
+    }
+}

@@ -1,0 +1,200 @@
+//! Asset to GPU buffers and atlas.
+
+use bytemuck::Pod;
+use relight_format::{Material, Scene};
+use relight_shading::gpu::{self, AtlasLayout, LimitError, PackedTexture, pack_scene};
+use wgpu::util::{DeviceExt as _, TextureDataOrder};
+
+use crate::Error;
+use crate::frame::near_plane;
+
+/// A scene on the GPU. Dropping it frees its memory.
+#[derive(Debug)]
+pub struct GpuScene {
+    pub(crate) bind_group: wgpu::BindGroup,
+    pub(crate) triangle_count: u32,
+    pub(crate) atlas: AtlasLayout,
+    pub(crate) distance_clamp: f32,
+    pub(crate) near: f32,
+    queue: wgpu::Queue,
+    materials: wgpu::Buffer,
+    material_count: usize,
+    textures: Vec<PackedTexture>,
+}
+
+impl GpuScene {
+    /// Uploads a valid scene: one that [`relight_format::read_scene`] returned or
+    /// [`relight_format::write_scene`] accepts.
+    pub(crate) fn new(
+        device: &wgpu::Device,
+        queue: &wgpu::Queue,
+        layout: &wgpu::BindGroupLayout,
+        scene: &Scene,
+    ) -> Result<Self, Error> {
+        for material in &scene.materials {
+            check_textures(material, scene.textures.len())?;
+        }
+        let packed = pack_scene(scene).map_err(Error::Scene)?;
+        let atlas = packed.atlas;
+        let limits = device.limits();
+        let side = u64::from(atlas.width.max(atlas.height));
+        for (limit, needed, allowed) in [
+            (
+                "max_texture_dimension_2d",
+                side,
+                limits.max_texture_dimension_2d,
+            ),
+            (
+                "max_texture_array_layers",
+                u64::from(atlas.layers),
+                limits.max_texture_array_layers,
+            ),
+            // One vertex shader invocation per triangle corner.
+            (
+                "32-bit vertex index",
+                3 * packed.triangles.len() as u64,
+                u32::MAX,
+            ),
+        ] {
+            LimitError::check(limit, needed, u64::from(allowed)).map_err(Error::Scene)?;
+        }
+        let vertices = storage(device, "vertices", &packed.vertices)?;
+        let triangles = storage(device, "triangles", &packed.triangles)?;
+        let clusters = storage(device, "clusters", &packed.clusters)?;
+        let coefficients = storage(device, "coefficients", &packed.coefficients)?;
+        let materials = storage(device, "materials", &packed.materials)?;
+        let texels = storage(device, "texels", &packed.texels)?;
+        let texture = device.create_texture_with_data(
+            queue,
+            &wgpu::TextureDescriptor {
+                label: Some("relight basis atlas"),
+                size: wgpu::Extent3d {
+                    width: atlas.width,
+                    height: atlas.height,
+                    depth_or_array_layers: atlas.layers,
+                },
+                mip_level_count: 1,
+                sample_count: 1,
+                dimension: wgpu::TextureDimension::D2,
+                format: wgpu::TextureFormat::Rgba8Snorm,
+                usage: wgpu::TextureUsages::TEXTURE_BINDING,
+                view_formats: &[],
+            },
+            TextureDataOrder::LayerMajor,
+            bytemuck::cast_slice(&packed.basis),
+        );
+        let view = texture.create_view(&wgpu::TextureViewDescriptor {
+            dimension: Some(wgpu::TextureViewDimension::D2Array),
+            ..Default::default()
+        });
+        let sampler = device.create_sampler(&wgpu::SamplerDescriptor {
+            label: Some("relight basis"),
+            mag_filter: wgpu::FilterMode::Linear,
+            min_filter: wgpu::FilterMode::Linear,
+            ..Default::default()
+        });
+        let buffers = [
+            &vertices,
+            &triangles,
+            &clusters,
+            &coefficients,
+            &materials,
+            &texels,
+        ];
+        let mut entries: Vec<_> = buffers
+            .iter()
+            .zip(0..)
+            .map(|(buffer, binding)| wgpu::BindGroupEntry {
+                binding,
+                resource: buffer.as_entire_binding(),
+            })
+            .collect();
+        entries.push(wgpu::BindGroupEntry {
+            binding: 6,
+            resource: wgpu::BindingResource::TextureView(&view),
+        });
+        entries.push(wgpu::BindGroupEntry {
+            binding: 7,
+            resource: wgpu::BindingResource::Sampler(&sampler),
+        });
+        let bind_group = device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("relight scene"),
+            layout,
+            entries: &entries,
+        });
+        Ok(Self {
+            bind_group,
+            triangle_count: packed.triangles.len() as u32,
+            atlas,
+            distance_clamp: packed.distance_clamp,
+            near: near_plane(scene),
+            queue: queue.clone(),
+            materials,
+            material_count: packed.materials.len(),
+            textures: packed.textures,
+        })
+    }
+
+    /// Replaces material `index`; takes effect at the next submission. Textures are those
+    /// that the scene was uploaded with.
+    pub fn set_material(&self, index: usize, material: &Material) -> Result<(), Error> {
+        if index >= self.material_count {
+            return Err(Error::NoSuchMaterial {
+                index,
+                count: self.material_count,
+            });
+        }
+        check_textures(material, self.textures.len())?;
+        let packed = gpu::pack_material(material, &self.textures);
+        let offset = (index * size_of::<gpu::Material>()) as u64;
+        self.queue
+            .write_buffer(&self.materials, offset, bytemuck::bytes_of(&packed));
+        Ok(())
+    }
+}
+
+fn check_textures(material: &Material, count: usize) -> Result<(), Error> {
+    let slots = [
+        material.base_color_texture,
+        material.metallic_roughness_texture,
+        material.normal_texture,
+        material.anisotropy_texture,
+    ];
+    match slots
+        .into_iter()
+        .flatten()
+        .find(|slot| slot.texture as usize >= count)
+    {
+        None => Ok(()),
+        Some(slot) => Err(Error::NoSuchTexture {
+            name: material.name.clone(),
+            index: slot.texture,
+            count,
+        }),
+    }
+}
+
+/// A read-only storage buffer of at least one element: a binding must not be empty.
+fn storage<T: Pod>(device: &wgpu::Device, label: &str, data: &[T]) -> Result<wgpu::Buffer, Error> {
+    let one = [T::zeroed()];
+    let data = if data.is_empty() { &one } else { data };
+    check_storage(device, size_of_val(data) as u64).map_err(Error::Scene)?;
+    Ok(
+        device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+            label: Some(label),
+            contents: bytemuck::cast_slice(data),
+            usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
+        }),
+    )
+}
+
+/// Checks that a storage buffer of `bytes` can be created and bound.
+pub(crate) fn check_storage(device: &wgpu::Device, bytes: u64) -> Result<(), LimitError> {
+    let limits = device.limits();
+    LimitError::check(
+        "max_storage_buffer_binding_size",
+        bytes,
+        limits.max_storage_buffer_binding_size,
+    )?;
+    LimitError::check("max_buffer_size", bytes, limits.max_buffer_size)
+}

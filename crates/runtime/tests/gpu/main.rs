@@ -1,0 +1,399 @@
+//! The GPU against its twin, stage by stage. Without an adapter these fail, unless
+//! `RELIGHT_NO_GPU=1` says that there is none: then they count as skipped.
+
+mod probe;
+mod scenes;
+
+use std::process::ExitCode;
+
+use glam::{Quat, Vec3};
+use libtest_mimic::{Completion, Failed, Trial};
+use relight_format::{Camera, FieldOfView, Surface};
+use relight_runtime::offscreen::{Gpu, Picture};
+use relight_runtime::{
+    Error, Frame, Image, Method, Options, PolarOptions, Renderer, SphericalGaussian, twin, wgpu,
+};
+use relight_shading::camera::View;
+
+/// Pixels whose triangle may differ, as a fraction: vertices are projected by differently
+/// rounded arithmetic, so that now and then one snaps to the neighbouring 1/256 pixel.
+const DIFFERENT_PIXELS: f32 = 1e-3;
+/// Most display codes that GPU and twin may differ by on the same radiance: one rounding.
+const DISPLAY_CODES: u8 = 1;
+/// Relative RMSE of a frame over pixels that show the same triangle: texture filtering and
+/// `exp` differ in the last bits, and a spoke that grazes a boundary amplifies them.
+const FRAME_RELATIVE_RMSE: f32 = 2e-3;
+
+fn main() -> ExitCode {
+    let no_gpu = std::env::var_os("RELIGHT_NO_GPU").is_some_and(|value| value == "1");
+    let trial = |name: &str, run: fn() -> Result<(), Failed>| {
+        Trial::ignorable_test(name, move || {
+            if no_gpu {
+                println!("skipped: RELIGHT_NO_GPU=1");
+                return Ok(Completion::ignored_with("RELIGHT_NO_GPU=1"));
+            }
+            run().map(|()| Completion::Completed)
+        })
+    };
+    let trials = vec![
+        trial(
+            "visibility_buffer_matches_twin",
+            visibility_buffer_matches_twin,
+        ),
+        trial("near_clipping_matches_twin", near_clipping_matches_twin),
+        trial(
+            "ssdf_and_integrators_match_twins",
+            probe::ssdf_and_integrators_match_twins,
+        ),
+        trial("frame_matches_twin", frame_matches_twin),
+        trial("tonemap_matches_twin", tonemap_matches_twin),
+        trial("bands_do_not_show", bands_do_not_show),
+        trial(
+            "one_encoder_holds_several_frames",
+            one_encoder_holds_several_frames,
+        ),
+        trial(
+            "srgb_targets_are_encoded_once",
+            srgb_targets_are_encoded_once,
+        ),
+        trial(
+            "materials_change_without_upload",
+            materials_change_without_upload,
+        ),
+        trial("errors_name_what_is_wrong", errors_name_what_is_wrong),
+        trial("limits_are_checked", limits_are_checked),
+    ];
+    libtest_mimic::run(&libtest_mimic::Arguments::from_args(), trials).exit_code()
+}
+
+/// A warm sun, a blue sky and a dim ground.
+fn lights() -> Vec<SphericalGaussian> {
+    let lobe = |axis: Vec3, sharpness, amplitude: [f32; 3]| SphericalGaussian {
+        axis: axis.normalize(),
+        sharpness,
+        amplitude: amplitude.into(),
+    };
+    vec![
+        lobe(Vec3::new(1.0, 1.2, 0.3), 120.0, [40.0, 30.0, 20.0]),
+        lobe(Vec3::new(-0.8, 0.9, 0.6), 12.0, [0.5, 1.5, 3.0]),
+        lobe(Vec3::Y, 1.5, [0.2, 0.25, 0.3]),
+    ]
+}
+
+fn frame(lights: &[SphericalGaussian], method: Method) -> Frame<'_> {
+    Frame {
+        camera: scenes::camera(),
+        lights,
+        rotation: Quat::from_rotation_y(0.4),
+        method,
+        exposure: 0.8,
+    }
+}
+
+const POLAR: Method = Method::Polar(PolarOptions { spokes: 8 });
+
+fn render(gpu: &mut Gpu, frame: &Frame, width: u32, height: u32) -> Result<Picture, Failed> {
+    let scene = gpu.upload(&scenes::sphere_over_plane())?;
+    Ok(gpu.render(&scene, frame, width, height)?)
+}
+
+fn different_pixels(camera: Camera) -> Result<f32, Failed> {
+    let (width, height) = (640, 480);
+    let mut gpu = Gpu::new(&wgpu::Limits::default())?;
+    let scene = scenes::sphere_over_plane();
+    let uploaded = gpu.upload(&scene)?;
+    let frame = Frame {
+        camera,
+        ..frame(&[], Method::Ambient)
+    };
+    gpu.render(&uploaded, &frame, width, height)?;
+    let texture = gpu
+        .renderer
+        .visibility_buffer()
+        .expect("a frame was drawn")
+        .clone();
+    let found: Vec<u32> = gpu
+        .read_texture(&texture)?
+        .chunks_exact(4)
+        .map(|bytes| u32::from_le_bytes(bytes.try_into().expect("four bytes")))
+        .collect();
+    let view = View::new(&camera, width, height, scenes::NEAR);
+    let expected = twin::visibility_buffer(&scene, &view, width, height);
+    assert!(
+        expected.iter().filter(|&&id| id > 0).count() > 10_000,
+        "a nearly empty picture"
+    );
+    let different = found.iter().zip(&expected).filter(|(a, b)| a != b).count();
+    println!("{different} of {} pixels differ", expected.len());
+    Ok(different as f32 / expected.len() as f32)
+}
+
+fn visibility_buffer_matches_twin() -> Result<(), Failed> {
+    assert!(different_pixels(scenes::camera())? <= DIFFERENT_PIXELS);
+    Ok(())
+}
+
+/// The eye just above the plane, which reaches from before the image plane to behind it.
+fn near_clipping_matches_twin() -> Result<(), Failed> {
+    let camera = Camera {
+        position: [0.3, 0.02, 0.7],
+        target: [0.0, 0.1, 0.0],
+        up: [0.2, 1.0, 0.0],
+        field_of_view: FieldOfView::Y(1.4),
+    };
+    assert!(different_pixels(camera)? <= DIFFERENT_PIXELS);
+    Ok(())
+}
+
+/// Root mean square difference over pixels covered in both, over the mean of `b`.
+fn relative_rmse(a: &Image, b: &Image) -> f32 {
+    let (mut square, mut sum) = (0.0f64, 0.0f64);
+    for (a, b) in a.pixels.iter().zip(&b.pixels) {
+        assert!(a.iter().all(|value| value.is_finite()), "{a:?}");
+        if a[3] == 1.0 && b[3] == 1.0 {
+            for channel in 0..3 {
+                square += f64::from(a[channel] - b[channel]).powi(2);
+                sum += f64::from(b[channel]);
+            }
+        }
+    }
+    let count = 3.0 * b.pixels.iter().filter(|pixel| pixel[3] == 1.0).count() as f64;
+    ((square / count).sqrt() / (sum / count)) as f32
+}
+
+fn frame_matches_twin() -> Result<(), Failed> {
+    let (width, height) = (400, 300);
+    let mut gpu = Gpu::new(&wgpu::Limits::default())?;
+    let lights = lights();
+    for method in [Method::Ambient, POLAR] {
+        let frame = frame(&lights, method);
+        let start = std::time::Instant::now();
+        let found = render(&mut gpu, &frame, width, height)?.linear;
+        let gpu_time = start.elapsed();
+        let start = std::time::Instant::now();
+        let expected = twin::render(&scenes::sphere_over_plane(), &frame, width, height)?;
+        let twin_time = start.elapsed();
+        let error = relative_rmse(&found, &expected);
+        println!("{method:?}: relative RMSE {error:e}, GPU {gpu_time:?}, twin {twin_time:?}");
+        if let Some(folder) = std::env::var_os("RELIGHT_TEST_PICTURES") {
+            let folder = std::path::PathBuf::from(folder);
+            let name = if method == POLAR { "polar" } else { "ambient" };
+            for (who, image) in [("gpu", &found), ("twin", &expected)] {
+                let path = folder.join(format!("{name}_{who}.png"));
+                let display = twin::tonemap(image, frame.exposure);
+                image::save_buffer(path, &display, width, height, image::ColorType::Rgba8)?;
+            }
+        }
+        assert!(
+            error <= FRAME_RELATIVE_RMSE,
+            "{method:?}: relative RMSE {error}"
+        );
+    }
+    Ok(())
+}
+
+fn tonemap_matches_twin() -> Result<(), Failed> {
+    let mut gpu = Gpu::new(&wgpu::Limits::default())?;
+    let lights = lights();
+    for exposure in [0.1, 1.0, 20.0] {
+        let frame = Frame {
+            exposure,
+            ..frame(&lights, Method::Ambient)
+        };
+        let picture = render(&mut gpu, &frame, 200, 150)?;
+        let expected = twin::tonemap(&picture.linear, exposure);
+        for (index, (a, b)) in picture.display.iter().zip(&expected).enumerate() {
+            assert!(
+                a.abs_diff(*b) <= DISPLAY_CODES,
+                "byte {index}: GPU {a}, twin {b}"
+            );
+        }
+        assert!(
+            expected.chunks(4).any(|pixel| pixel[3] == 0),
+            "no background"
+        );
+    }
+    Ok(())
+}
+
+fn bands_do_not_show() -> Result<(), Failed> {
+    let mut gpu = Gpu::new(&wgpu::Limits::default())?;
+    let lights = lights();
+    let frame = frame(&lights, Method::Ambient);
+    let mut pictures = Vec::new();
+    for rows_per_dispatch in [1, 56, 4096] {
+        let options = Options {
+            rows_per_dispatch,
+            ..Options::default()
+        };
+        gpu.renderer = Renderer::new(&gpu.device, &gpu.queue, options)?;
+        pictures.push(render(&mut gpu, &frame, 100, 101)?);
+    }
+    assert!(pictures[0] == pictures[1] && pictures[1] == pictures[2]);
+    Ok(())
+}
+
+fn one_encoder_holds_several_frames() -> Result<(), Failed> {
+    let size = [64, 48];
+    let mut gpu = Gpu::new(&wgpu::Limits::default())?;
+    let lights = lights();
+    let scene = gpu.upload(&scenes::sphere_over_plane())?;
+    let first = frame(&lights, Method::Ambient);
+    let second = Frame {
+        rotation: Quat::IDENTITY,
+        exposure: 2.0,
+        ..first.clone()
+    };
+    let expected = [&first, &second].map(|frame| gpu.render(&scene, frame, size[0], size[1]));
+    let mut encoder = gpu.device.create_command_encoder(&Default::default());
+    let mut targets = Vec::new();
+    for frame in [&first, &second] {
+        let target = target(&gpu, size, wgpu::TextureFormat::Rgba8Unorm);
+        let view = target.create_view(&Default::default());
+        gpu.renderer
+            .render(&mut encoder, &scene, frame, &view, size)?;
+        targets.push(target);
+    }
+    gpu.queue.submit([encoder.finish()]);
+    for (target, expected) in targets.iter().zip(expected) {
+        assert!(gpu.read_texture(target)? == expected?.display);
+    }
+    Ok(())
+}
+
+fn target(gpu: &Gpu, size: [u32; 2], format: wgpu::TextureFormat) -> wgpu::Texture {
+    gpu.device.create_texture(&wgpu::TextureDescriptor {
+        label: None,
+        size: wgpu::Extent3d {
+            width: size[0],
+            height: size[1],
+            depth_or_array_layers: 1,
+        },
+        mip_level_count: 1,
+        sample_count: 1,
+        dimension: wgpu::TextureDimension::D2,
+        format,
+        usage: wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC,
+        view_formats: &[],
+    })
+}
+
+fn srgb_targets_are_encoded_once() -> Result<(), Failed> {
+    let mut gpu = Gpu::new(&wgpu::Limits::default())?;
+    let lights = lights();
+    let frame = frame(&lights, Method::Ambient);
+    let plain = render(&mut gpu, &frame, 64, 48)?.display;
+    let options = Options {
+        target_format: wgpu::TextureFormat::Rgba8UnormSrgb,
+        ..Options::default()
+    };
+    gpu.renderer = Renderer::new(&gpu.device, &gpu.queue, options)?;
+    let encoded = render(&mut gpu, &frame, 64, 48)?.display;
+    for (a, b) in plain.iter().zip(&encoded) {
+        assert!(
+            a.abs_diff(*b) <= DISPLAY_CODES,
+            "{a} without, {b} with an sRGB target"
+        );
+    }
+    Ok(())
+}
+
+fn materials_change_without_upload() -> Result<(), Failed> {
+    let mut gpu = Gpu::new(&wgpu::Limits::default())?;
+    let lights = lights();
+    let frame = frame(&lights, Method::Ambient);
+    let mut scene = scenes::sphere_over_plane();
+    let uploaded = gpu.upload(&scene)?;
+    let before = gpu.render(&uploaded, &frame, 64, 48)?;
+    scene.materials[1].surface = Surface::MetallicRoughness {
+        base_color: [0.1, 0.8, 0.2],
+        metallic: 1.0,
+        roughness: 0.3,
+        anisotropy_strength: 0.0,
+        anisotropy_rotation: 0.0,
+    };
+    uploaded.set_material(1, &scene.materials[1])?;
+    let after = gpu.render(&uploaded, &frame, 64, 48)?;
+    assert!(before != after);
+    let fresh = gpu.upload(&scene)?;
+    assert!(after == gpu.render(&fresh, &frame, 64, 48)?);
+    Ok(())
+}
+
+fn errors_name_what_is_wrong() -> Result<(), Failed> {
+    let mut gpu = Gpu::new(&wgpu::Limits::default())?;
+    let mut scene = scenes::sphere_over_plane();
+    let uploaded = gpu.upload(&scene)?;
+    let mut material = scene.materials[0].clone();
+    let error = uploaded
+        .set_material(2, &material)
+        .expect_err("two materials");
+    assert!(matches!(
+        error,
+        Error::NoSuchMaterial { index: 2, count: 2 }
+    ));
+    material
+        .base_color_texture
+        .as_mut()
+        .expect("a texture")
+        .texture = 5;
+    let error = uploaded
+        .set_material(0, &material)
+        .expect_err("two textures");
+    assert!(matches!(
+        error,
+        Error::NoSuchTexture {
+            index: 5,
+            count: 2,
+            ..
+        }
+    ));
+    scene.materials[0] = material;
+    assert!(matches!(
+        gpu.upload(&scene),
+        Err(Error::NoSuchTexture { .. })
+    ));
+    let frame = frame(&[], Method::Ambient);
+    let error = gpu.render(&uploaded, &frame, 0, 5).expect_err("no pixels");
+    assert!(matches!(
+        error,
+        Error::EmptyImage {
+            width: 0,
+            height: 5
+        }
+    ));
+    let error = gpu.render(&uploaded, &frame, 9000, 1);
+    assert!(matches!(error, Err(Error::Frame(limit)) if limit.needed == 9000));
+    Ok(())
+}
+
+fn limits_are_checked() -> Result<(), Failed> {
+    let few = wgpu::Limits {
+        max_storage_buffer_binding_size: 30_000,
+        ..wgpu::Limits::default()
+    };
+    let gpu = Gpu::new(&few)?;
+    match gpu.upload(&scenes::sphere_over_plane()) {
+        Err(Error::Scene(limit)) => {
+            assert_eq!(limit.limit, "max_storage_buffer_binding_size");
+            assert_eq!(limit.allowed, 30_000);
+        }
+        other => return Err(format!("uploaded in spite of limits: {other:?}").into()),
+    }
+    let few = wgpu::Limits {
+        max_storage_buffers_per_shader_stage: 4,
+        ..wgpu::Limits::default()
+    };
+    match Gpu::new(&few) {
+        Err(Error::Device(limit)) => {
+            assert_eq!(limit.limit, "max_storage_buffers_per_shader_stage");
+        }
+        other => return Err(format!("a renderer in spite of limits: {other:?}").into()),
+    }
+    let many = wgpu::Limits {
+        max_texture_dimension_2d: 1 << 30,
+        ..wgpu::Limits::default()
+    };
+    assert!(matches!(Gpu::new(&many), Err(Error::NoAdapter { found }) if !found.is_empty()));
+    Ok(())
+}

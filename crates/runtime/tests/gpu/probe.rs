@@ -1,0 +1,243 @@
+//! SSDF decoding and both integrators, function by function on random input.
+
+use bytemuck::{Pod, Zeroable};
+use glam::Vec3;
+use libtest_mimic::Failed;
+use relight_format::Scene;
+use relight_runtime::offscreen::Gpu;
+use relight_runtime::{PolarOptions, wgpu};
+use relight_shading::camera::View;
+use relight_shading::gpu::{self, pack_scene};
+use relight_shading::spherical_gaussian::energy;
+use relight_shading::ssdf::{SignedDistance as _, Ssdf};
+use relight_shading::tables::Tables;
+use relight_shading::wgsl::{Entry, source};
+use relight_shading::{ambient, polar};
+use wgpu::util::{DeviceExt as _, TextureDataOrder};
+
+use crate::scenes::{self, Random};
+
+/// Signed distances may differ by this fraction of what neighbouring texels may differ by:
+/// GPUs interpolate with 8-bit weights.
+const DECODE_TOLERANCE: f32 = 2.0 / 256.0;
+/// Integrals may differ by this fraction of the lobe's energy.
+const INTEGRAL_TOLERANCE: f32 = 2e-3;
+/// Fraction of integrals that may differ by more: a boundary that a spoke just touches is
+/// seen by one and missed by the other.
+const GRAZING: f32 = 5e-3;
+const QUERIES: usize = 20_000;
+const SPOKES: u32 = 8;
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct Query {
+    barycentrics: [f32; 3],
+    triangle: u32,
+    axis: [f32; 3],
+    sharpness: f32,
+    normal: [f32; 3],
+    reserved: f32,
+}
+
+pub fn ssdf_and_integrators_match_twins() -> Result<(), Failed> {
+    // The probe binds two buffers beside those of the renderer.
+    let gpu = Gpu::new(&wgpu::Limits::default())?;
+    for (name, scene, texel_range) in [
+        ("smooth", scenes::sphere_over_plane(), 0.2),
+        ("noise", scenes::noise(7), 2.0 * 32.0 * 0.02),
+    ] {
+        let queries = queries(&scene);
+        let answers = probe(&gpu, &scene, &queries)?;
+        let mut grazing = [0; 2];
+        let mut worst = 0f32;
+        for (query, answer) in queries.iter().zip(&answers) {
+            let field =
+                Ssdf::interpolate(&scene, query.triangle as usize, query.barycentrics.into());
+            let (axis, normal) = (Vec3::from(query.axis), Vec3::from(query.normal));
+            let options = PolarOptions { spokes: SPOKES };
+            worst = worst.max((field.distance(axis) - answer[0]).abs());
+            let tolerance = INTEGRAL_TOLERANCE * energy(query.sharpness);
+            let expected = [
+                polar::integrate(&field, query.sharpness, axis, normal, &options),
+                ambient::integrate(&field, query.sharpness, axis, normal),
+            ];
+            for method in 0..2 {
+                let found = answer[1 + method];
+                assert!(found.is_finite(), "{name}: {found}");
+                if (found - expected[method]).abs() > tolerance {
+                    grazing[method] += 1;
+                }
+            }
+        }
+        println!("{name}: distance differs by up to {worst:e}; beyond tolerance {grazing:?}");
+        assert!(
+            worst <= DECODE_TOLERANCE * texel_range,
+            "{name}: distance differs by {worst}"
+        );
+        for count in grazing {
+            assert!(
+                count as f32 <= GRAZING * QUERIES as f32,
+                "{name}: {grazing:?} differ"
+            );
+        }
+    }
+    Ok(())
+}
+
+fn queries(scene: &Scene) -> Vec<Query> {
+    let mut random = Random(1);
+    (0..QUERIES)
+        .map(|_| {
+            let (u, v) = (random.unit(), random.unit());
+            let (u, v) = if u + v > 1.0 {
+                (1.0 - u, 1.0 - v)
+            } else {
+                (u, v)
+            };
+            Query {
+                barycentrics: [1.0 - u - v, u, v],
+                triangle: (random.next() % scene.triangles.len() as u64) as u32,
+                axis: random.direction().into(),
+                // From wider than the sky to a sun.
+                sharpness: 2f32.powf(-2.0 + 18.0 * random.unit()),
+                normal: random.direction().into(),
+                reserved: 0.0,
+            }
+        })
+        .collect()
+}
+
+fn probe(gpu: &Gpu, scene: &Scene, queries: &[Query]) -> Result<Vec<[f32; 4]>, Failed> {
+    let device = &gpu.device;
+    let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
+        label: Some("probe"),
+        source: wgpu::ShaderSource::Wgsl(
+            (source(Entry::Library) + include_str!("probe.wgsl")).into(),
+        ),
+    });
+    let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+        label: Some("probe"),
+        layout: None,
+        module: &module,
+        entry_point: Some("probe"),
+        compilation_options: Default::default(),
+        cache: None,
+    });
+    let buffer = |contents: &[u8], usage| {
+        device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+            label: None,
+            contents,
+            usage,
+        })
+    };
+    let storage = |contents: &[u8]| buffer(contents, wgpu::BufferUsages::STORAGE);
+    let packed = pack_scene(scene)?;
+    let view = View::new(&scenes::camera(), 1, 1, 1.0);
+    let mut frame = gpu::Frame::new(&view, &packed.atlas, packed.distance_clamp);
+    frame.spokes = SPOKES;
+    let frame = buffer(bytemuck::bytes_of(&frame), wgpu::BufferUsages::UNIFORM);
+    let tables = storage(bytemuck::cast_slice(Tables::get().values()));
+    let triangles = storage(bytemuck::cast_slice(&packed.triangles));
+    let clusters = storage(bytemuck::cast_slice(&packed.clusters));
+    let coefficients = storage(bytemuck::cast_slice(&packed.coefficients));
+    let input = storage(bytemuck::cast_slice(queries));
+    let size = (queries.len() * 16) as u64;
+    let output = device.create_buffer(&wgpu::BufferDescriptor {
+        label: None,
+        size,
+        usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC,
+        mapped_at_creation: false,
+    });
+    let read_back = device.create_buffer(&wgpu::BufferDescriptor {
+        label: None,
+        size,
+        usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
+        mapped_at_creation: false,
+    });
+    let atlas = device.create_texture_with_data(
+        &gpu.queue,
+        &wgpu::TextureDescriptor {
+            label: None,
+            size: wgpu::Extent3d {
+                width: packed.atlas.width,
+                height: packed.atlas.height,
+                depth_or_array_layers: packed.atlas.layers,
+            },
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format: wgpu::TextureFormat::Rgba8Snorm,
+            usage: wgpu::TextureUsages::TEXTURE_BINDING,
+            view_formats: &[],
+        },
+        TextureDataOrder::LayerMajor,
+        bytemuck::cast_slice(&packed.basis),
+    );
+    let atlas = atlas.create_view(&wgpu::TextureViewDescriptor {
+        dimension: Some(wgpu::TextureViewDimension::D2Array),
+        ..Default::default()
+    });
+    let sampler = device.create_sampler(&wgpu::SamplerDescriptor {
+        mag_filter: wgpu::FilterMode::Linear,
+        min_filter: wgpu::FilterMode::Linear,
+        ..Default::default()
+    });
+    let group = |index: u32, resources: Vec<(u32, wgpu::BindingResource)>| {
+        let entries: Vec<_> = resources
+            .into_iter()
+            .map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource })
+            .collect();
+        device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: None,
+            layout: &pipeline.get_bind_group_layout(index),
+            entries: &entries,
+        })
+    };
+    let groups = [
+        (
+            0,
+            group(
+                0,
+                vec![
+                    (0, frame.as_entire_binding()),
+                    (2, tables.as_entire_binding()),
+                ],
+            ),
+        ),
+        (
+            1,
+            group(
+                1,
+                vec![
+                    (1, triangles.as_entire_binding()),
+                    (2, clusters.as_entire_binding()),
+                    (3, coefficients.as_entire_binding()),
+                    (6, wgpu::BindingResource::TextureView(&atlas)),
+                    (7, wgpu::BindingResource::Sampler(&sampler)),
+                ],
+            ),
+        ),
+        (
+            3,
+            group(
+                3,
+                vec![
+                    (0, input.as_entire_binding()),
+                    (1, output.as_entire_binding()),
+                ],
+            ),
+        ),
+    ];
+    let mut encoder = device.create_command_encoder(&Default::default());
+    {
+        let mut pass = encoder.begin_compute_pass(&Default::default());
+        pass.set_pipeline(&pipeline);
+        for (index, group) in &groups {
+            pass.set_bind_group(*index, group, &[]);
+        }
+        pass.dispatch_workgroups((queries.len() as u32).div_ceil(64), 1, 1);
+    }
+    encoder.copy_buffer_to_buffer(&output, 0, &read_back, 0, size);
+    gpu.queue.submit([encoder.finish()]);
+    Ok(bytemuck::pod_collect_to_vec(&gpu.read_buffer(&read_back)?))
+}

@@ -5,12 +5,13 @@
 //! is made by [`support::with_data`] or [`support::with_gpu`] and counts as skipped there,
 //! never as passed.
 
+mod import;
 #[allow(dead_code)]
 mod support;
 
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    let trials = Vec::new();
+    let trials = import::trials();
     libtest_mimic::run(&libtest_mimic::Arguments::from_args(), trials).exit_code()
 }

@@ -95,7 +95,7 @@ fn divide(mesh: &mut Mesh, bound: f32) {
         // Turn the triangle so that its cut edges come first.
         let turned = match halves {
             [None, Some(_), _] => 1,
-            [Some(_), None, Some(_)] | [None, None, Some(_)] => 2,
+            [Some(_) | None, None, Some(_)] => 2,
             _ => 0,
         };
         let [a, b, c] = [0, 1, 2].map(|i| corners[(i + turned) % 3]);
@@ -130,5 +130,159 @@ fn average(a: &Vertex, b: &Vertex, position: Vec3) -> Vertex {
         normal: ((Vec3::from(a.normal) + Vec3::from(b.normal)) * 0.5).into(),
         tangent: tangent.extend(sign).into(),
         uv: ((Vec2::from(a.uv) + Vec2::from(b.uv)) * 0.5).into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::{HashMap, HashSet};
+
+    use super::*;
+
+    /// Areas and interpolated values go through about ten halvings, each rounded once.
+    const TOLERANCE: f32 = 1e-5;
+
+    fn vertex(position: Vec3) -> Vertex {
+        Vertex {
+            position: position.into(),
+            normal: position.normalize_or(Vec3::Y).into(),
+            tangent: [1.0, 0.0, 0.0, -1.0],
+            uv: [position.x * 3.0 - position.y, position.z + 0.25],
+        }
+    }
+
+    /// An irregular octahedron whose eight faces share no vertex.
+    fn soup() -> Mesh {
+        let [x, y, z] = [1.3f32, 0.37, 2.1];
+        let mut mesh = Mesh::default();
+        for octant in 0..8u16 {
+            let sign = |bit: u16| if octant >> bit & 1 == 0 { 1.0 } else { -0.61 };
+            let corners = [
+                Vec3::X * x * sign(0),
+                Vec3::Y * y * sign(1),
+                Vec3::Z * z * sign(2),
+            ];
+            let base = mesh.vertices.len() as u32;
+            mesh.vertices.extend(corners.map(vertex));
+            let flipped = (octant.count_ones() % 2) as usize;
+            let mut vertices = [base, base + 1, base + 2];
+            vertices.swap(1, 1 + flipped);
+            mesh.triangles.push(ImportedTriangle { vertices, material: octant });
+        }
+        mesh
+    }
+
+    fn bits(vertex: &Vertex) -> [u32; 3] {
+        vertex.position.map(|x| (x + 0.0).to_bits())
+    }
+
+    fn areas(mesh: &Mesh) -> HashMap<u16, f32> {
+        let mut areas = HashMap::new();
+        for triangle in &mesh.triangles {
+            let [a, b, c] =
+                triangle.vertices.map(|index| Vec3::from(mesh.vertices[index as usize].position));
+            *areas.entry(triangle.material).or_default() += (b - a).cross(c - a).length() * 0.5;
+        }
+        areas
+    }
+
+    fn assert_closed(mesh: &Mesh) {
+        let mut edges: HashMap<_, i32> = HashMap::new();
+        let positions: HashSet<_> = mesh.vertices.iter().map(bits).collect();
+        for triangle in &mesh.triangles {
+            let corners = triangle.vertices.map(|index| mesh.vertices[index as usize]);
+            for (a, b) in [(0, 1), (1, 2), (2, 0)] {
+                let (a, b) = (&corners[a], &corners[b]);
+                *edges.entry((bits(a), bits(b))).or_default() += 1;
+                *edges.entry((bits(b), bits(a))).or_default() -= 1;
+                let middle = (Vec3::from(a.position) + Vec3::from(b.position)) * 0.5;
+                assert!(
+                    !positions.contains(&bits(&vertex(middle))),
+                    "a vertex lies in the middle of the edge {a:?} {b:?}"
+                );
+            }
+        }
+        assert!(edges.values().all(|count| *count == 0), "an edge has no partner");
+    }
+
+    #[test]
+    fn neighbours_without_common_vertices_stay_joined() {
+        assert_closed(&soup());
+        for max_edge in [1.5, 0.7, 0.3, 0.05] {
+            let mesh = refine(soup(), max_edge, usize::MAX);
+            assert_closed(&mesh);
+            assert!(mesh.warnings.is_empty());
+            for triangle in &mesh.triangles {
+                let [a, b, c] = triangle
+                    .vertices
+                    .map(|index| Vec3::from(mesh.vertices[index as usize].position));
+                let longest = a.distance(b).max(b.distance(c)).max(c.distance(a));
+                assert!(longest <= max_edge, "{longest} is above {max_edge}");
+            }
+        }
+    }
+
+    #[test]
+    fn area_material_and_attributes_are_kept() {
+        let before = areas(&soup());
+        let mesh = refine(soup(), 0.1, usize::MAX);
+        let after = areas(&mesh);
+        assert_eq!(before.len(), after.len());
+        for (material, area) in before {
+            assert!((after[&material] / area - 1.0).abs() < TOLERANCE);
+        }
+        for triangle in &mesh.triangles {
+            let base = 3 * usize::from(triangle.material);
+            let face = &soup().vertices[base..base + 3];
+            for index in triangle.vertices {
+                // The face's corners lie on the axes, so coordinates are barycentrics.
+                let found = mesh.vertices[index as usize];
+                let normal: Vec3 = (0..3)
+                    .map(|axis| {
+                        let weight = found.position[axis] / face[axis].position[axis];
+                        Vec3::from(face[axis].normal) * weight
+                    })
+                    .sum();
+                assert!(normal.distance(found.normal.into()) < TOLERANCE);
+                let expected = vertex(found.position.into());
+                assert!(Vec2::from(expected.uv).distance(found.uv.into()) < TOLERANCE);
+                assert_eq!(found.tangent, expected.tangent);
+            }
+        }
+    }
+
+    #[test]
+    fn orientation_is_kept() {
+        let mesh = refine(soup(), 0.2, usize::MAX);
+        for triangle in &mesh.triangles {
+            let [a, b, c] =
+                triangle.vertices.map(|index| Vec3::from(mesh.vertices[index as usize].position));
+            assert!((b - a).cross(c - a).dot(a + b + c) > 0.0);
+        }
+    }
+
+    #[test]
+    fn the_vertex_bound_holds_and_leaves_no_crack() {
+        for bound in [0, 24, 31, 100, 1000] {
+            let mesh = refine(soup(), 0.05, bound);
+            assert!(mesh.vertices.len() <= bound.max(24), "{} of {bound}", mesh.vertices.len());
+            assert_eq!(mesh.warnings.len(), 1);
+            assert_closed(&mesh);
+        }
+        // What is left of the bound goes to the longest edges.
+        assert!(refine(soup(), 0.05, 31).vertices.len() > 24);
+    }
+
+    #[test]
+    fn nothing_happens_to_short_edges_or_to_edges_that_cannot_be_halved() {
+        assert_eq!(refine(soup(), 10.0, usize::MAX), soup());
+        let mut tiny = soup();
+        let up = |x: f32| f32::from_bits(x.to_bits() + 1);
+        tiny.triangles.truncate(1);
+        tiny.vertices[0].position = [1e6, 1e6, 1e6];
+        tiny.vertices[1].position = [up(1e6), 1e6, 1e6];
+        tiny.vertices[2].position = [1e6, up(1e6), 1e6];
+        let refined = refine(tiny.clone(), 1e-9, usize::MAX);
+        assert!(refined.triangles.len() < 100);
     }
 }

@@ -355,6 +355,7 @@ impl Checker<'_> {
     }
 
     fn material(&self, place: &str, material: &MaterialOverride) -> Result<(), Error> {
+        use MaterialOverride as M;
         let at = |key: &str| format!("{place}.{key}");
         let unit = |key: &str, value: f32| {
             self.require((0.0..=1.0).contains(&value), &at(key), "a number in [0, 1]", value)
@@ -375,7 +376,6 @@ impl Checker<'_> {
             self.require(pair.is_some(), place, expected, found)?;
             pair.into_iter().flatten().try_for_each(|value| roughness("alpha", value))
         };
-        use MaterialOverride as M;
         match *material {
             M::Diffuse { diffuse } => color("diffuse", diffuse),
             M::BlinnPhong { diffuse, specular, exponent } => {
@@ -414,6 +414,98 @@ impl Checker<'_> {
                 self.finite(&at("anisotropy_rotation_degrees"), &rotation)
             }
             M::Measured { .. } => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(text: &str) -> Result<SceneFile, Error> {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("scene.toml");
+        std::fs::write(&path, text).expect("a writable folder");
+        load(&path)
+    }
+
+    #[test]
+    fn the_documented_example_is_valid_and_shows_every_model() {
+        let document = include_str!("../SCENE.md");
+        let (_, rest) = document.split_once("```toml\n").expect("an example");
+        let (example, _) = rest.split_once("```").expect("its end");
+        let scene = parse(example).expect("a valid example");
+        let mut models = [false; 7];
+        for material in scene.materials.values() {
+            models[match material {
+                MaterialOverride::Diffuse { .. } => 0,
+                MaterialOverride::BlinnPhong { .. } => 1,
+                MaterialOverride::Ward { .. } => 2,
+                MaterialOverride::CookTorrance { .. } => 3,
+                MaterialOverride::Ggx { .. } => 4,
+                MaterialOverride::MetallicRoughness { .. } => 5,
+                MaterialOverride::Measured { .. } => 6,
+            }] = true;
+        }
+        assert_eq!(models, [true; 7]);
+        assert!(scene.environment.is_some() && scene.refinement.is_some());
+        let camera = scene.camera.expect("a camera").to_format().expect("one field of view");
+        assert_eq!(camera.field_of_view, format::FieldOfView::X(28f32.to_radians()));
+    }
+
+    #[test]
+    fn a_mesh_is_enough() {
+        let scene = parse("mesh = 'a.obj'").expect("a valid file");
+        assert_eq!(scene.mesh, Path::new("a.obj"));
+        assert_eq!(scene.transform, Transform::default());
+        assert_eq!((scene.ground, scene.camera, scene.refinement), (None, None, None));
+    }
+
+    #[test]
+    fn what_is_wrong_is_named() {
+        let cases = [
+            ("", "mesh"),
+            ("mesh = 1", "mesh"),
+            ("mesh = 'a'\nmehs = 'b'", "mehs"),
+            ("mesh = 'a'\n[transform]\nsize = 1", "size"),
+            ("mesh = 'a'\n[transform]\nscale = 0", "transform.scale"),
+            ("mesh = 'a'\n[transform]\nrotation_axis = [0, 0, 0]", "rotation_axis"),
+            ("mesh = 'a'\n[ground]\nwidth = 1", "width"),
+            ("mesh = 'a'\n[ground]\nspacing = -1", "ground.spacing"),
+            ("mesh = 'a'\n[ground]\nmaterial = { model = 'diffuse', diffuse = 2 }", "ground.mat"),
+            ("mesh = 'a'\n[refinement]\nmax_edge = inf", "refinement.max_edge"),
+            ("mesh = 'a'\n[refinement]\nmax_vertices = 5", "max_edge"),
+            ("mesh = 'a'\n[camera]\nposition = [0, 0, 1]\ntarget = [0, 0, 0]", "fov_x_degrees"),
+            (
+                "mesh = 'a'\n[camera]\nposition = [0, 1, 0]\ntarget = [0, 0, 0]\nfov_x_degrees = 9",
+                "camera.up",
+            ),
+            (
+                "mesh = 'a'\n[camera]\nposition = [0, 0, 1]\ntarget = [0, 0, 0]\nfov_x_degrees = 9\n\
+                 fov_y_degrees = 9",
+                "one of fov_x_degrees and fov_y_degrees",
+            ),
+            (
+                "mesh = 'a'\n[camera]\nposition = [0, 0, 1]\ntarget = [0, 0, 0]\n\
+                 fov_x_degrees = 180",
+                "field of view",
+            ),
+            ("mesh = 'a'\n[materials.m]\nmodel = 'plastic'", "plastic"),
+            ("mesh = 'a'\n[materials.m]\ndiffuse = 0.5", "model"),
+            ("mesh = 'a'\n[materials.m]\nmodel = 'diffuse'\ndiffuse = 0.5\nf0 = 1", "f0"),
+            ("mesh = 'a'\n[materials.m]\nmodel = 'diffuse'\ndiffuse = [1, 2]", "three numbers"),
+            ("mesh = 'a'\n[materials.m]\nmodel = 'ggx'\nf0 = 1", "materials.m"),
+            ("mesh = 'a'\n[materials.m]\nmodel = 'ggx'\nf0 = 1\nalpha = 0.1\nalpha_x = 0.1", "alpha"),
+            ("mesh = 'a'\n[materials.m]\nmodel = 'ggx'\nf0 = 1\nalpha = 0", "roughness in (0, 1]"),
+            (
+                "mesh = 'a'\n[materials.m]\nmodel = 'blinn-phong'\nspecular = 1\nexponent = 0.5",
+                "materials.m.exponent",
+            ),
+        ];
+        for (text, expected) in cases {
+            let message = parse(text).expect_err(text).to_string();
+            assert!(message.contains(expected), "{text}: {message}");
+            assert!(message.contains("scene.toml"), "{message}");
         }
     }
 }

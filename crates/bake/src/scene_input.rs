@@ -7,6 +7,7 @@ use relight_format as format;
 
 use crate::ground;
 use crate::import::{self, Error, Mesh};
+use crate::measured::{self, Rgl, StandIn};
 use crate::scene_file::{self, MaterialOverride, SceneFile, alpha_pair};
 
 /// A scene, ready to bake.
@@ -52,6 +53,14 @@ pub fn load(path: &Path) -> Result<SceneInput, Error> {
     let folder = path.parent().unwrap_or(Path::new(""));
     let mut mesh = import::mesh(&folder.join(&file.mesh))?;
     place(&mut mesh, &file.transform);
+    if let Some(position) = Mesh::distant_position(&mesh.vertices) {
+        return Err(Error::invalid(
+            path,
+            "transform",
+            format_args!("coordinates within {} m of the origin", import::MAX_COORDINATE),
+            format_args!("{position:?}"),
+        ));
+    }
     let mut measured = Vec::new();
     override_materials(path, &file, &mut mesh, &mut measured)?;
     let object_diagonal = diagonal(&mesh);
@@ -166,16 +175,107 @@ fn surface(material: &MaterialOverride, folder: &Path) -> Result<format::Surface
     })
 }
 
-/// Until a table is fitted: a grey plastic, in the middle of what measured BRDFs look like.
+/// What renderers that do not hold the table show instead.
 fn measured_stand_in(file: &Path, folder: &Path) -> Result<format::Surface, Error> {
     let path = folder.join(file);
-    std::fs::metadata(&path).map_err(|source| Error::read(&path, source))?;
+    let table = Rgl::load(&path).map_err(|error| match error {
+        measured::Error::Io { source, .. } => Error::read(&path, source),
+        measured::Error::Invalid { place, expected, found } => {
+            Error::invalid(&path, place, expected, found)
+        }
+    })?;
+    let StandIn { diffuse, f0, alpha } = table.stand_in();
     Ok(format::Surface::Layered {
-        diffuse: [0.4; 3],
+        diffuse,
         specular: format::Specular::Measured {
             path: file.to_string_lossy().into_owned(),
-            f0: [0.04; 3],
-            alpha: 0.3,
+            f0,
+            alpha,
         },
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Rotation and scale in f32.
+    const TOLERANCE: f32 = 1e-5;
+
+    const BOX: &str = "v 0 0 0\nv 2 0 0\nv 2 0 1\nv 0 0 1\nv 0 3 0\nv 2 3 0\nv 2 3 1\nv 0 3 1\n\
+                       usemtl lid\nf 5 8 7 6\nusemtl wall\nf 1 5 6 2\nf 2 6 7 3\nf 3 7 8 4\n\
+                       f 4 8 5 1\n";
+
+    fn load_text(scene: &str) -> Result<SceneInput, Error> {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        std::fs::write(folder.path().join("box.obj"), BOX).expect("a writable folder");
+        std::fs::write(folder.path().join("box scene.toml"), scene).expect("a writable folder");
+        load(&folder.path().join("box scene.toml"))
+    }
+
+    #[test]
+    fn ground_appears_under_the_placed_mesh() {
+        let input = load_text(
+            "mesh = 'box.obj'\nenvironment = 'sky.hdr'\n[transform]\nscale = 2\n\
+             rotation_axis = [1, 0, 0]\nrotation_degrees = 90\ntranslation = [0, 5, 0]\n[ground]",
+        )
+        .expect("a good scene");
+        assert_eq!(input.name, "box scene");
+        assert!(input.environment.expect("an environment").ends_with("sky.hdr"));
+        let ground = input.mesh.materials.len() - 1;
+        assert_eq!(input.mesh.materials[ground].name, "ground");
+        let (mut mesh, mut plane) = (Vec::new(), Vec::new());
+        for triangle in &input.mesh.triangles {
+            let list = if usize::from(triangle.material) == ground { &mut plane } else { &mut mesh };
+            list.extend(triangle.vertices.map(|index| {
+                Vec3::from(input.mesh.vertices[index as usize].position)
+            }));
+        }
+        let bounds = |points: &[Vec3]| {
+            let first = (points[0], points[0]);
+            points.iter().fold(first, |(low, high), p| (low.min(*p), high.max(*p)))
+        };
+        // The box of 2 by 3 by 1 is turned so that its y becomes z, and its z becomes -y.
+        let (low, high) = bounds(&mesh);
+        assert!(low.distance(Vec3::new(0.0, 3.0, 0.0)) < TOLERANCE, "{low}");
+        assert!(high.distance(Vec3::new(4.0, 5.0, 6.0)) < TOLERANCE, "{high}");
+        let (plane_low, plane_high) = bounds(&plane);
+        assert_eq!((plane_low.y, plane_high.y), (low.y, low.y));
+        // Three times the longest extent, 6, about (2, 3).
+        assert!(plane_low.distance(Vec3::new(-7.0, low.y, -6.0)) < TOLERANCE, "{plane_low}");
+        assert!(plane_high.distance(Vec3::new(11.0, low.y, 12.0)) < TOLERANCE, "{plane_high}");
+        for corner in plane.as_chunks::<3>().0 {
+            assert!((corner[1] - corner[0]).cross(corner[2] - corner[0]).y > 0.0);
+        }
+    }
+
+    #[test]
+    fn materials_are_replaced_by_name_or_by_default() {
+        let input = load_text(
+            "mesh = 'box.obj'\n[materials.lid]\nmodel = 'ggx'\nf0 = 1\nalpha_x = 0.1\nalpha_y = 0.2\n\
+             [materials.default]\nmodel = 'diffuse'\ndiffuse = [0.1, 0.2, 0.3]",
+        )
+        .expect("a good scene");
+        let surfaces: Vec<_> = input.mesh.materials.iter().map(|m| m.surface.clone()).collect();
+        let ggx = format::Specular::Ggx { f0: [1.0; 3], alpha: [0.1, 0.2] };
+        let expected = [([0.0; 3], ggx), ([0.1, 0.2, 0.3], format::Specular::None)]
+            .map(|(diffuse, specular)| format::Surface::Layered { diffuse, specular });
+        assert_eq!(surfaces, expected);
+    }
+
+    #[test]
+    fn what_does_not_fit_the_mesh_is_named() {
+        let cases = [
+            ("mesh = 'none.obj'", "none.obj"),
+            ("mesh = 'box.fbx'", ".gltf, .glb or .obj"),
+            ("mesh = 'box.obj'\n[materials.floor]\nmodel = 'diffuse'\ndiffuse = 1", "\"lid\", \"wall\""),
+            ("mesh = 'box.obj'\n[materials.lid]\nmodel = 'measured'\nfile = 'x.bsdf'", "x.bsdf"),
+            ("mesh = 'box.obj'\n[ground]\nspacing = 1e-4", "ground.spacing"),
+            ("mesh = 'box.obj'\n[transform]\nscale = 1e38", "transform"),
+        ];
+        for (text, expected) in cases {
+            let message = load_text(text).expect_err(text).to_string();
+            assert!(message.contains(expected), "{text}: {message}");
+        }
+    }
 }

@@ -129,3 +129,86 @@ impl mikktspace::Geometry for Corners<'_> {
         self.tangents[face * 3 + corner] = tangent;
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Rounding of a few products in f32.
+    const TOLERANCE: f32 = 1e-5;
+
+    /// Two unit squares side by side in z = 0, their u running away from each other from the
+    /// shared edge x = 0, v down.
+    fn mirrored_pair() -> (Vec<Vertex>, Vec<[u32; 3]>) {
+        let mut vertices = Vec::new();
+        for x in [-1f32, 0.0, 1.0] {
+            for y in [0f32, 1.0] {
+                vertices.push(Vertex {
+                    position: [x, y, 0.0],
+                    normal: [0.0, 0.0, 1.0],
+                    tangent: [0.0; 4],
+                    uv: [x.abs(), 1.0 - y],
+                });
+            }
+        }
+        (vertices, vec![[0, 2, 3], [0, 3, 1], [2, 4, 5], [2, 5, 3]])
+    }
+
+    fn assert_frame(vertex: &Vertex, tangent: Vec3, bitangent: Vec3) {
+        let found = Vec3::from_slice(&vertex.tangent[..3]);
+        assert!(found.distance(tangent) < TOLERANCE, "{vertex:?}");
+        let across = Vec3::from(vertex.normal).cross(found) * vertex.tangent[3];
+        assert!(across.distance(bitangent) < TOLERANCE, "{vertex:?}");
+    }
+
+    #[test]
+    fn both_methods_follow_u_and_rise_against_v() {
+        let (mut vertices, mut triangles) = mirrored_pair();
+        set_from_uv(&mut vertices, &triangles);
+        for vertex in [&vertices[0], &vertices[1], &vertices[4], &vertices[5]] {
+            assert_frame(vertex, Vec3::X * vertex.position[0], Vec3::Y);
+        }
+        set_mikktspace(&mut vertices, &mut triangles);
+        // The two vertices on the shared edge are split.
+        assert_eq!(vertices.len(), 8);
+        for (index, triangle) in triangles.iter().enumerate() {
+            let side = if index < 2 { Vec3::NEG_X } else { Vec3::X };
+            for corner in triangle {
+                assert_frame(&vertices[*corner as usize], side, Vec3::Y);
+            }
+        }
+    }
+
+    #[test]
+    fn without_usable_texture_coordinates_tangents_run_around_the_axis() {
+        let (mut vertices, mut triangles) = mirrored_pair();
+        for vertex in &mut vertices {
+            vertex.uv = [0.5; 2];
+            vertex.normal = Vec3::new(1.0, 0.5, 2.0).normalize().into();
+        }
+        let around = Vec3::new(2.0, 0.0, -1.0).normalize();
+        for method in 0..3 {
+            match method {
+                0 => set_around_axis(&mut vertices),
+                1 => set_from_uv(&mut vertices, &triangles),
+                _ => set_mikktspace(&mut vertices, &mut triangles),
+            }
+            for vertex in &vertices {
+                let tangent = Vec3::from_slice(&vertex.tangent[..3]);
+                assert!(tangent.is_normalized(), "method {method}: {vertex:?}");
+                assert!(tangent.dot(vertex.normal.into()).abs() < TOLERANCE);
+                if method < 2 {
+                    assert!(tangent.distance(around) < TOLERANCE, "method {method}: {vertex:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn poles_have_a_tangent() {
+        for normal in [Vec3::Y, Vec3::NEG_Y] {
+            let tangent = around_axis(normal);
+            assert!(tangent.is_normalized() && tangent.dot(normal).abs() < TOLERANCE);
+        }
+    }
+}

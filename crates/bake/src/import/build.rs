@@ -5,7 +5,7 @@ use std::path::Path;
 use glam::{DVec3, Vec3};
 use relight_format::{Material, Texture, Vertex};
 
-use super::{Error, ImportedTriangle, MAX_VERTICES, Mesh};
+use super::{Error, ImportedTriangle, MAX_COORDINATE, MAX_VERTICES, Mesh};
 use crate::tangent;
 
 /// Triangles of one material, in world space.
@@ -68,6 +68,14 @@ impl<'a> Builder<'a> {
     /// Cleans, completes and appends a part. Its indices must be in range and its numbers
     /// finite.
     pub fn push(&mut self, mut part: Part) -> Result<(), Error> {
+        if let Some(position) = Mesh::distant_position(&part.vertices) {
+            return Err(Error::invalid(
+                self.file,
+                "mesh, in world space",
+                format_args!("coordinates within {MAX_COORDINATE} m of the origin"),
+                format_args!("{position:?}"),
+            ));
+        }
         let before = part.triangles.len();
         let vertices = &part.vertices;
         part.triangles.retain(|triangle| face_normal(vertices, *triangle).is_some());
@@ -150,7 +158,7 @@ impl<'a> Builder<'a> {
         if self.triangles.is_empty() {
             let found = match self.degenerate {
                 0 => "no triangle".to_owned(),
-                count => format!("{count} triangles of zero area"),
+                count => format!("{count} of zero area"),
             };
             return Err(Error::invalid(self.file, "mesh", "at least one triangle", found));
         }
@@ -178,7 +186,7 @@ impl<'a> Builder<'a> {
             (self.invented_normals, "vertices have a zero normal, which their faces replace"),
             (
                 self.turned_away,
-                "triangles face away from their own vertex normals and will look black",
+                "triangles wind against their own vertex normals and will look dark",
             ),
             (
                 self.second_sheets,

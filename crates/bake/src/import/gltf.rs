@@ -34,6 +34,9 @@ const HARMLESS: [&str; 6] = [
 const READ: [&str; 3] =
     ["KHR_materials_anisotropy", "KHR_mesh_quantization", "KHR_texture_transform"];
 
+/// Most nodes of a scene, those that several parents share counted once per parent.
+const MAX_NODES: usize = 1 << 20;
+
 /// Imports the bytes of a glTF file and what it refers to.
 pub(super) fn import(file: &Path, bytes: &[u8]) -> Result<Mesh, Error> {
     let (json, blob) = split_glb(file, bytes)?;
@@ -236,7 +239,8 @@ impl Document<'_> {
         })
     }
 
-    /// The nodes of the scene in depth-first order, with their transforms to world space.
+    /// The nodes of the scene in depth-first order, with their transforms to world space. The
+    /// specification wants trees; files with shared nodes exist and mean copies.
     fn nodes(&self) -> Result<Vec<(usize, DMat4)>, Error> {
         let roots = match self.root.scene {
             Some(index) => self.get(index, "scene")?.nodes.clone(),
@@ -245,15 +249,15 @@ impl Document<'_> {
                 None => self.parentless_nodes(),
             },
         };
-        let mut visited = vec![false; self.root.nodes.len()];
         let mut found = Vec::new();
         let mut stack: Vec<_> =
-            roots.into_iter().rev().map(|root| (root, DMat4::IDENTITY)).collect();
-        while let Some((index, parent)) = stack.pop() {
+            roots.into_iter().rev().map(|root| (root, DMat4::IDENTITY, 1)).collect();
+        while let Some((index, parent, depth)) = stack.pop() {
             let place = format!("nodes[{}]", index.value());
             let node = self.get(index, &place)?;
-            if std::mem::replace(&mut visited[index.value()], true) {
-                return Err(self.invalid(place, "one parent", "several, or a cycle"));
+            if depth > self.root.nodes.len() || found.len() == MAX_NODES {
+                let expected = format!("no cycle and at most {MAX_NODES} nodes");
+                return Err(self.invalid(place, expected, format_args!("depth {depth}")));
             }
             let matrix = parent * local_transform(node);
             if !matrix.is_finite() {
@@ -261,7 +265,7 @@ impl Document<'_> {
             }
             found.push((index.value(), matrix));
             let children = node.children.iter().flatten().rev();
-            stack.extend(children.map(|child| (*child, matrix)));
+            stack.extend(children.map(|child| (*child, matrix, depth + 1)));
         }
         Ok(found)
     }
@@ -402,7 +406,9 @@ impl Document<'_> {
         };
         let mut triangles = assemble(mode, &indices);
         if mirrored {
-            triangles.iter_mut().for_each(|triangle| triangle.swap(1, 2));
+            for triangle in &mut triangles {
+                triangle.swap(1, 2);
+            }
         }
         if normals.is_none() {
             (vertices, triangles) = flat_shaded(&vertices, &triangles);
@@ -726,11 +732,14 @@ impl TextureTransform {
 
 /// `KHR_materials_anisotropy`.
 #[derive(Default, Deserialize)]
-#[serde(default, rename_all = "camelCase")]
+#[serde(default)]
 struct Anisotropy {
-    anisotropy_strength: f32,
-    anisotropy_rotation: f32,
-    anisotropy_texture: Option<texture::Info>,
+    #[serde(rename = "anisotropyStrength")]
+    strength: f32,
+    #[serde(rename = "anisotropyRotation")]
+    rotation: f32,
+    #[serde(rename = "anisotropyTexture")]
+    texture: Option<texture::Info>,
 }
 
 impl Materials<'_> {
@@ -767,7 +776,7 @@ impl Materials<'_> {
         }
 
         let metallic_roughness = &source.pbr_metallic_roughness;
-        let rotation = anisotropy.anisotropy_rotation;
+        let rotation = anisotropy.rotation;
         let numbers = [source.normal_texture.as_ref().map_or(1.0, |t| t.scale), rotation];
         if !numbers.iter().all(|number| number.is_finite()) {
             let expected = "a finite normal scale and anisotropy rotation";
@@ -784,7 +793,7 @@ impl Materials<'_> {
             base_color: [red, green, blue].map(&mut unit),
             metallic: unit(metallic_roughness.metallic_factor.0),
             roughness: unit(metallic_roughness.roughness_factor.0),
-            anisotropy_strength: unit(anisotropy.anisotropy_strength),
+            anisotropy_strength: unit(anisotropy.strength),
             anisotropy_rotation: rotation,
         };
 
@@ -820,7 +829,7 @@ impl Materials<'_> {
             info(base_color, "baseColorTexture", TextureEncoding::Srgb),
             info(packed, "metallicRoughnessTexture", TextureEncoding::Linear),
             normal,
-            info(&anisotropy.anisotropy_texture, "anisotropyTexture", TextureEncoding::Linear),
+            info(&anisotropy.texture, "anisotropyTexture", TextureEncoding::Linear),
         ];
         let set = |reference: &Reference| reference.transform.tex_coord.unwrap_or(reference.uv_set);
         let uv_set = references.iter().flatten().next().map_or(0, set);
@@ -848,7 +857,7 @@ impl Materials<'_> {
             ..plain_material(&name, surface)
         };
         self.list.push(Converted {
-            needs_tangents: normal_texture.is_some() || anisotropy.anisotropy_strength > 0.0,
+            needs_tangents: normal_texture.is_some() || anisotropy.strength > 0.0,
             material,
             uv_set,
             double_sided: source.double_sided,

@@ -10,6 +10,8 @@ mod gltf;
 mod image;
 mod mtl;
 mod obj;
+#[cfg(test)]
+mod tests;
 
 use std::path::{Path, PathBuf};
 
@@ -19,6 +21,9 @@ use relight_format as format;
 pub const MAX_VERTICES: usize = 1 << 25;
 /// Most texels per side of a texture.
 pub const MAX_IMAGE_SIZE: u32 = 16384;
+
+/// Largest absolute coordinate, so that products of three coordinates fit an f32.
+pub const MAX_COORDINATE: f32 = 1e12;
 
 /// A triangle of an imported mesh.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -59,6 +64,13 @@ pub(crate) fn plain_material(name: &str, surface: format::Surface) -> format::Ma
 }
 
 impl Mesh {
+    /// A position outside [`MAX_COORDINATE`], if any.
+    pub(crate) fn distant_position(vertices: &[format::Vertex]) -> Option<[f32; 3]> {
+        let mut positions = vertices.iter().map(|vertex| vertex.position);
+        // Written so that NaN counts as outside.
+        positions.find(|position| !position.iter().all(|x| x.abs() <= MAX_COORDINATE))
+    }
+
     /// Removes textures that no material refers to.
     pub(crate) fn drop_unused_textures(&mut self) {
         let mut moved: Vec<Option<u32>> = vec![None; self.textures.len()];

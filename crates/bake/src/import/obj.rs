@@ -19,6 +19,9 @@ use super::{Error, Mesh, image, plain_material};
 /// Most corners of a face that is not convex, which bounds the time to triangulate it.
 const MAX_CONCAVE_CORNERS: usize = 1024;
 
+/// Name of the material of faces before any `usemtl`.
+const DEFAULT_MATERIAL: &str = "default";
+
 /// Imports the bytes of an OBJ file and what it refers to.
 pub(super) fn import(file: &Path, bytes: &[u8]) -> Result<Mesh, Error> {
     let text = String::from_utf8_lossy(bytes);
@@ -107,11 +110,9 @@ fn parse(file: &Path, text: &str) -> Result<Obj, Error> {
                 obj.positions.push(position.into());
             }
             "vt" => {
-                let [u] = numbers(rest).ok_or_else(|| wrong("vt and finite numbers"))?;
-                let [_, v] = match rest.split_whitespace().nth(1) {
-                    Some(_) => numbers(rest).ok_or_else(|| wrong("vt and finite numbers"))?,
-                    None => [u, 0.0],
-                };
+                // v may be left out, and is 0 then.
+                let padded = format!("{rest} 0");
+                let [u, v] = numbers(&padded).ok_or_else(|| wrong("vt and finite numbers"))?;
                 obj.uvs.push([u, 1.0 - v]);
             }
             "vn" => {
@@ -128,7 +129,7 @@ fn parse(file: &Path, text: &str) -> Result<Obj, Error> {
                     obj.corners.push(corner);
                 }
                 let material = *material.get_or_insert_with(|| {
-                    material_index(&mut obj.materials, &mut material_indices, "default")
+                    material_index(&mut obj.materials, &mut material_indices, DEFAULT_MATERIAL)
                 });
                 obj.faces.push(Face {
                     corners: [start, obj.corners.len()],
@@ -145,7 +146,9 @@ fn parse(file: &Path, text: &str) -> Result<Obj, Error> {
             "s" => {
                 // Faces before the first statement are in no group once there is one.
                 if smoothing.is_none() {
-                    obj.faces.iter_mut().for_each(|face| face.smoothing = 0);
+                    for face in &mut obj.faces {
+                        face.smoothing = 0;
+                    }
                 }
                 smoothing = Some(rest.parse().unwrap_or(0));
             }
@@ -415,26 +418,29 @@ fn load_materials(
         } else {
             names.split_whitespace().map(|name| folder.join(name.replace('\\', "/"))).collect()
         };
+        let mut missing = Vec::new();
         for path in paths {
             match std::fs::read(&path) {
                 Ok(bytes) => {
                     library.extend(mtl::parse(&path, &String::from_utf8_lossy(&bytes))?);
                 }
-                Err(error) => {
-                    let path = path.display();
-                    builder.warn(format!("material library {path} cannot be read: {error}"));
-                }
+                Err(error) => missing.push(format!("{}: {error}", path.display())),
             }
         }
+        if !missing.is_empty() {
+            builder.warn(format!("material libraries cannot be read: {}", missing.join("; ")));
+        }
+    }
+    let undefined = |name: &&String| !library.contains_key(*name) && *name != DEFAULT_MATERIAL;
+    let undefined: Vec<_> = obj.materials.iter().filter(undefined).cloned().collect();
+    if !undefined.is_empty() {
+        let names = undefined.join(", ");
+        builder.warn(format!("materials are not defined and become grey: {names}"));
     }
     let mut textures = Textures { folder, images: BTreeMap::new(), list: Vec::new(), texels: 0 };
     let mut materials = Vec::new();
     for name in &obj.materials {
-        let described = library.get(name);
-        if described.is_none() && name != "default" {
-            builder.warn(format!("material {name:?} is not defined; a grey one stands in"));
-        }
-        let described = described.cloned().unwrap_or_default();
+        let described = library.get(name).cloned().unwrap_or_default();
         materials.push(convert(name, &described, &mut textures, builder)?);
     }
     Ok((materials, textures.list))
@@ -471,12 +477,10 @@ fn convert(
             anisotropy_rotation: 0.0,
         }
     } else {
-        let specular = match shines {
-            true => Specular::BlinnPhong {
-                specular,
-                exponent: mtl.exponent.unwrap_or(1.0).max(1.0),
-            },
-            false => Specular::None,
+        let specular = if shines {
+            Specular::BlinnPhong { specular, exponent: mtl.exponent.unwrap_or(1.0).max(1.0) }
+        } else {
+            Specular::None
         };
         Surface::Layered { diffuse, specular }
     };
@@ -532,26 +536,24 @@ impl Textures<'_> {
         builder: &mut Builder,
     ) -> Result<Option<TextureSlot>, Error> {
         let key = (map.file.clone(), encoding == TextureEncoding::Srgb);
-        let index = match self.images.get(&key) {
-            Some(index) => *index,
-            None => {
-                let path = self.folder.join(&map.file);
-                let index = match std::fs::read(&path) {
-                    Ok(bytes) => {
-                        let image =
-                            image::decode(&path, "image", &bytes, encoding, &mut self.texels)?;
-                        self.list.push(image);
-                        Some(self.list.len() as u32 - 1)
-                    }
-                    Err(error) => {
-                        let path = path.display();
-                        builder.warn(format!("texture {path} cannot be read: {error}"));
-                        None
-                    }
-                };
-                self.images.insert(key, index);
-                index
-            }
+        let index = if let Some(index) = self.images.get(&key) {
+            *index
+        } else {
+            let path = self.folder.join(&map.file);
+            let index = match std::fs::read(&path) {
+                Ok(bytes) => {
+                    let image = image::decode(&path, "image", &bytes, encoding, &mut self.texels)?;
+                    self.list.push(image);
+                    Some(self.list.len() as u32 - 1)
+                }
+                Err(error) => {
+                    let path = path.display();
+                    builder.warn(format!("texture {path} cannot be read: {error}"));
+                    None
+                }
+            };
+            self.images.insert(key, index);
+            index
         };
         let ([su, sv], [ou, ov]) = (map.scale, map.offset);
         // OBJ's v points up: v' = 1 - ((1 - v) sv + ov).

@@ -1,0 +1,613 @@
+//! Small files made in memory. Real ones are read by the workspace's test suite.
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use glam::Vec3;
+use relight_format::{Specular, Surface, Vertex};
+use serde_json::{Value, json};
+
+use super::build::face_normal;
+use super::{Error, Mesh, gltf, obj};
+
+/// Vectors that should be equal or orthogonal are computed along different paths in f32.
+const TOLERANCE: f32 = 1e-5;
+
+fn glb(json: &Value, blob: &[u8]) -> Vec<u8> {
+    let mut json = serde_json::to_vec(json).expect("JSON values serialise");
+    json.resize(json.len().next_multiple_of(4), b' ');
+    let mut bytes = b"glTF\x02\0\0\0".to_vec();
+    bytes.extend((28 + json.len() as u32 + blob.len() as u32).to_le_bytes());
+    bytes.extend((json.len() as u32).to_le_bytes());
+    bytes.extend(b"JSON");
+    bytes.extend(json);
+    bytes.extend((blob.len() as u32).to_le_bytes());
+    bytes.extend(b"BIN\0");
+    bytes.extend(blob);
+    bytes
+}
+
+/// A unit square in the plane z = 0, facing +Z, with everything a vertex can have: buffer
+/// view 0 holds indices, 1 positions, 2 normals, 3 tangents, 4 texture coordinates.
+fn square() -> (Value, Vec<u8>) {
+    let corners = [[0f32, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]];
+    let mut blob: Vec<u8> = [0u16, 1, 2, 0, 2, 3].iter().flat_map(|i| i.to_le_bytes()).collect();
+    let mut views = vec![json!({"buffer": 0, "byteLength": 12})];
+    let attributes: [Vec<f32>; 4] = [
+        corners.iter().flat_map(|[x, y]| [*x, *y, 0.0]).collect(),
+        corners.iter().flat_map(|_| [0.0, 0.0, 1.0]).collect(),
+        corners.iter().flat_map(|_| [1.0, 0.0, 0.0, 1.0]).collect(),
+        corners.iter().flat_map(|[x, y]| [*x, 1.0 - *y]).collect(),
+    ];
+    for values in attributes {
+        views.push(json!({
+            "buffer": 0, "byteOffset": blob.len(), "byteLength": values.len() * 4,
+        }));
+        blob.extend(values.iter().flat_map(|value| value.to_le_bytes()));
+    }
+    let accessor = |view: usize, kind: &str, component: u32, count: usize| {
+        json!({"bufferView": view, "type": kind, "componentType": component, "count": count})
+    };
+    let json = json!({
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{
+            "indices": 0,
+            "attributes": {"POSITION": 1, "NORMAL": 2, "TANGENT": 3, "TEXCOORD_0": 4},
+            "material": 0,
+        }]}],
+        "materials": [{"name": "paint"}],
+        "accessors": [
+            accessor(0, "SCALAR", 5123, 6),
+            accessor(1, "VEC3", 5126, 4),
+            accessor(2, "VEC3", 5126, 4),
+            accessor(3, "VEC4", 5126, 4),
+            accessor(4, "VEC2", 5126, 4),
+        ],
+        "bufferViews": views,
+        "buffers": [{"byteLength": blob.len()}],
+    });
+    (json, blob)
+}
+
+fn import(json: &Value, blob: &[u8]) -> Result<Mesh, Error> {
+    gltf::import(Path::new("test.glb"), &glb(json, blob))
+}
+
+fn import_good(json: &Value, blob: &[u8]) -> Mesh {
+    import(json, blob).expect("a good file")
+}
+
+fn import_obj(text: &str) -> Result<Mesh, Error> {
+    obj::import(Path::new("test.obj"), text.as_bytes())
+}
+
+fn area_normals(mesh: &Mesh) -> Vec<Vec3> {
+    let normal = |t: &super::ImportedTriangle| face_normal(&mesh.vertices, t.vertices);
+    mesh.triangles.iter().map(|t| normal(t).expect("an area").as_vec3()).collect()
+}
+
+fn frame(vertex: &Vertex) -> [Vec3; 3] {
+    let normal = Vec3::from(vertex.normal);
+    let tangent = Vec3::from_slice(&vertex.tangent[..3]);
+    [tangent, normal.cross(tangent) * vertex.tangent[3], normal]
+}
+
+fn assert_close(a: Vec3, b: Vec3) {
+    assert!(a.distance(b) < TOLERANCE, "{a} is not {b}");
+}
+
+#[test]
+fn a_square_arrives_as_it_is() {
+    let (json, blob) = square();
+    let mesh = import_good(&json, &blob);
+    assert_eq!((mesh.vertices.len(), mesh.triangles.len()), (4, 2));
+    assert_eq!(mesh.warnings, Vec::<String>::new());
+    assert_eq!(mesh.materials[0].name, "paint");
+    for vertex in &mesh.vertices {
+        let [x, y, _] = vertex.position;
+        assert_eq!(vertex.uv, [x, 1.0 - y]);
+        assert_eq!(frame(vertex), [Vec3::X, Vec3::Y, Vec3::Z]);
+    }
+    for normal in area_normals(&mesh) {
+        assert_close(normal, Vec3::Z);
+    }
+}
+
+#[test]
+fn transforms_carry_the_whole_frame_mirrors_included() {
+    let (mut json, blob) = square();
+    // Node 0 mirrors x, stretches y; its parent turns x to y, y to -x and moves.
+    let half = std::f32::consts::FRAC_1_SQRT_2;
+    json["nodes"] = json!([
+        {"mesh": 0, "scale": [-1, 3, 2]},
+        {"children": [0], "rotation": [0, 0, half, half], "translation": [5, 0, 0]},
+    ]);
+    json["scenes"][0]["nodes"] = json!([1]);
+    let mesh = import_good(&json, &blob);
+    assert_eq!(mesh.warnings, Vec::<String>::new());
+    for vertex in &mesh.vertices {
+        let [u, v] = vertex.uv;
+        let expected = Vec3::new(5.0 - 3.0 * (1.0 - v), -u, 0.0);
+        assert_close(vertex.position.into(), expected);
+        let [tangent, bitangent, normal] = frame(vertex);
+        assert_close(tangent, Vec3::NEG_Y);
+        assert_close(bitangent, Vec3::NEG_X);
+        assert_close(normal, Vec3::Z);
+    }
+    for normal in area_normals(&mesh) {
+        assert_close(normal, Vec3::Z);
+    }
+}
+
+#[test]
+fn a_shear_keeps_normals_orthogonal() {
+    let (mut json, blob) = square();
+    json["nodes"][0]["matrix"] = json!([1, 0, 1, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]);
+    let mesh = import_good(&json, &blob);
+    for (vertex, face) in mesh.vertices.iter().zip([area_normals(&mesh)[0]; 4]) {
+        assert_close(vertex.normal.into(), face);
+    }
+}
+
+#[test]
+fn strips_and_fans_face_one_way() {
+    for (mode, order) in [(5, [0u16, 1, 3, 2]), (6, [0, 1, 2, 3])] {
+        let (mut json, mut blob) = square();
+        json["meshes"][0]["primitives"][0]["mode"] = json!(mode);
+        json["accessors"][0]["count"] = json!(4);
+        for (bytes, index) in blob.chunks_mut(2).zip(order) {
+            bytes.copy_from_slice(&index.to_le_bytes());
+        }
+        let mesh = import_good(&json, &blob);
+        assert_eq!(mesh.triangles.len(), 2, "mode {mode}");
+        for normal in area_normals(&mesh) {
+            assert_close(normal, Vec3::Z);
+        }
+    }
+}
+
+#[test]
+fn missing_normals_are_flat_and_void_the_tangents() {
+    let (mut json, mut blob) = square();
+    let attributes = &mut json["meshes"][0]["primitives"][0]["attributes"];
+    attributes.as_object_mut().expect("an object").remove("NORMAL");
+    // Lift one corner, which only the second triangle has, so that the two faces differ.
+    let corner = 12 + 3 * 12 + 8;
+    blob[corner..corner + 4].copy_from_slice(&1f32.to_le_bytes());
+    let mesh = import_good(&json, &blob);
+    assert_eq!(mesh.vertices.len(), 6);
+    let faces = area_normals(&mesh);
+    assert!(faces[0].distance(faces[1]) > 0.1);
+    for (triangle, face) in mesh.triangles.iter().zip(faces) {
+        for index in triangle.vertices {
+            assert_close(mesh.vertices[index as usize].normal.into(), face);
+        }
+    }
+}
+
+#[test]
+fn quantised_attributes_are_scaled() {
+    let (mut json, mut blob) = square();
+    json["extensionsRequired"] = json!(["KHR_mesh_quantization"]);
+    let start = blob.len();
+    // Positions as unsigned shorts padded to 8 bytes, normals as normalised bytes, texture
+    // coordinates as normalised unsigned shorts.
+    for [x, y] in [[0u16, 0], [1000, 0], [1000, 1000], [0, 1000]] {
+        for value in [x, y, 7, 0] {
+            blob.extend(value.to_le_bytes());
+        }
+    }
+    blob.extend([0u8, 0, 127, 0].repeat(4));
+    for [u, v] in [[0u16, 65535], [65535, 65535], [65535, 0], [0, 0]] {
+        blob.extend([u, v].iter().flat_map(|value| value.to_le_bytes()));
+    }
+    json["buffers"][0]["byteLength"] = json!(blob.len());
+    let views = json["bufferViews"].as_array_mut().expect("an array");
+    for (offset, length, stride) in [(0, 32, 8), (32, 16, 4), (48, 16, 4)] {
+        views.push(json!({
+            "buffer": 0, "byteOffset": start + offset, "byteLength": length, "byteStride": stride,
+        }));
+    }
+    for (accessor, view, component, normalized) in
+        [(1, 5, 5123, false), (2, 6, 5120, true), (4, 7, 5123, true)]
+    {
+        let accessor = &mut json["accessors"][accessor];
+        accessor["bufferView"] = json!(view);
+        accessor["componentType"] = json!(component);
+        accessor["normalized"] = json!(normalized);
+    }
+    json["nodes"][0]["scale"] = json!([0.001, 0.001, 0.001]);
+    let mesh = import_good(&json, &blob);
+    for vertex in &mesh.vertices {
+        let [u, v] = vertex.uv;
+        assert_close(vertex.position.into(), Vec3::new(u, 1.0 - v, 0.007));
+        assert_close(vertex.normal.into(), Vec3::Z);
+    }
+}
+
+#[test]
+fn sparse_accessors_replace_elements() {
+    let (mut json, mut blob) = square();
+    let start = blob.len();
+    blob.extend([2u8, 0, 0, 0]);
+    blob.extend([2f32, 2.0, 0.0].iter().flat_map(|value| value.to_le_bytes()));
+    json["buffers"][0]["byteLength"] = json!(blob.len());
+    let views = json["bufferViews"].as_array_mut().expect("an array");
+    views.push(json!({"buffer": 0, "byteOffset": start, "byteLength": 4}));
+    views.push(json!({"buffer": 0, "byteOffset": start + 4, "byteLength": 12}));
+    json["accessors"][1]["sparse"] = json!({
+        "count": 1,
+        "indices": {"bufferView": 5, "componentType": 5121},
+        "values": {"bufferView": 6},
+    });
+    let mesh = import_good(&json, &blob);
+    assert_eq!(mesh.vertices[2].position, [2.0, 2.0, 0.0]);
+    assert_eq!(mesh.vertices[1].position, [1.0, 0.0, 0.0]);
+}
+
+#[test]
+fn a_double_sided_square_becomes_two_sheets() {
+    let (mut json, blob) = square();
+    json["materials"][0]["doubleSided"] = json!(true);
+    let mesh = import_good(&json, &blob);
+    assert_eq!((mesh.vertices.len(), mesh.triangles.len()), (8, 4));
+    assert!(mesh.warnings.iter().any(|warning| warning.contains("double-sided")));
+    let faces = area_normals(&mesh);
+    for (triangle, face) in mesh.triangles.iter().zip(&faces) {
+        for index in triangle.vertices {
+            let [tangent, bitangent, normal] = frame(&mesh.vertices[index as usize]);
+            assert_close(normal, *face);
+            // The whole frame is negated on the back, so it has the other handedness.
+            assert_close(tangent.cross(bitangent) * face.z, normal);
+        }
+    }
+    assert_close(faces[0], Vec3::Z);
+    assert_close(faces[2], Vec3::NEG_Z);
+}
+
+#[test]
+fn materials_and_their_textures_are_read() {
+    let (mut json, mut blob) = square();
+    let start = blob.len();
+    let mut png = std::io::Cursor::new(Vec::new());
+    let image = image::ImageBuffer::from_fn(2, 1, |x, _| {
+        image::Rgba([65535u16, 257 * 128, 257 * x as u16, 65535])
+    });
+    image::DynamicImage::ImageRgba16(image)
+        .write_to(&mut png, image::ImageFormat::Png)
+        .expect("PNG encodes");
+    blob.extend(png.get_ref());
+    json["buffers"][0]["byteLength"] = json!(blob.len());
+    let views = json["bufferViews"].as_array_mut().expect("an array");
+    views.push(json!({"buffer": 0, "byteOffset": start, "byteLength": png.get_ref().len()}));
+    json["images"] = json!([{"bufferView": 5, "mimeType": "image/png"}]);
+    json["textures"] = json!([{"source": 0}]);
+    json["materials"][0] = json!({
+        "pbrMetallicRoughness": {
+            "baseColorFactor": [0.5, 0.25, 1, 1],
+            "metallicFactor": 0.75,
+            "roughnessFactor": 0.5,
+            "baseColorTexture": {"index": 0, "extensions": {"KHR_texture_transform": {
+                "offset": [0.25, 0.5], "rotation": std::f32::consts::FRAC_PI_2, "scale": [2, 3],
+            }}},
+        },
+        "normalTexture": {"index": 0, "scale": 0.5},
+        "extensions": {"KHR_materials_anisotropy": {
+            "anisotropyStrength": 0.6, "anisotropyRotation": 0.3,
+        }},
+    });
+    let mesh = import_good(&json, &blob);
+    let material = &mesh.materials[0];
+    assert_eq!(
+        material.surface,
+        Surface::MetallicRoughness {
+            base_color: [0.5, 0.25, 1.0],
+            metallic: 0.75,
+            roughness: 0.5,
+            anisotropy_strength: 0.6,
+            anisotropy_rotation: 0.3,
+        }
+    );
+    let slot = material.base_color_texture.expect("a base colour texture");
+    // (u, v) is scaled, then turned counter-clockwise on an image whose v points down.
+    let expected = [[0.0, 3.0, 0.25], [-2.0, 0.0, 0.5]];
+    for (row, expected) in slot.transform.iter().flatten().zip(expected.iter().flatten()) {
+        assert!((row - expected).abs() < TOLERANCE, "{:?}", slot.transform);
+    }
+    assert_eq!(material.normal_scale, 0.5);
+    // One image, two encodings.
+    assert_eq!(mesh.textures.len(), 2);
+    assert_eq!(mesh.textures[slot.texture as usize].texels, [255, 128, 0, 255, 255, 128, 1, 255]);
+}
+
+#[test]
+fn unreadable_extensions_are_named() {
+    for extension in ["KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_texture_basisu"]
+    {
+        let (mut json, blob) = square();
+        json["extensionsRequired"] = json!(["KHR_texture_transform", extension]);
+        let message = import(&json, &blob).expect_err("an extension").to_string();
+        assert!(message.contains(extension) && message.contains("test.glb"), "{message}");
+    }
+}
+
+#[test]
+fn broken_gltf_ends_in_an_error_that_names_the_place() {
+    // A JSON pointer, what to put there, and what the message must contain.
+    let cases = [
+        ("/asset/version", json!("1.0"), "asset.version"),
+        ("/scene", json!(3), "scene"),
+        ("/scenes/0/nodes", json!([9]), "nodes[9]"),
+        ("/nodes/0/mesh", json!(4), "nodes[0].mesh"),
+        ("/nodes/0/children", json!([0]), "cycle"),
+        ("/nodes/0/scale", json!([1e39, 1, 1]), "finite"),
+        ("/meshes/0/primitives/0/mode", json!(9), "mode"),
+        ("/meshes/0/primitives/0/indices", json!(77), "indices"),
+        ("/meshes/0/primitives/0/material", json!(1), "materials[1]"),
+        ("/meshes/0/primitives/0/attributes", json!({}), "POSITION"),
+        ("/meshes/0/primitives/0/attributes/NORMAL", json!(0), "NORMAL"),
+        ("/accessors/0/count", json!(7), "bufferViews[0]"),
+        ("/accessors/0/count", json!(u64::MAX), "accessors[0]"),
+        ("/accessors/0/componentType", json!(5122), "component type"),
+        ("/accessors/0/bufferView", json!(4), "indices below 4"),
+        ("/accessors/1/count", json!(3), "indices below 3"),
+        ("/accessors/2/count", json!(3), "NORMAL"),
+        ("/accessors/1/byteOffset", json!(u64::MAX), "bufferViews[1]"),
+        ("/accessors/1/max", json!([1, 1]), "accessors[1].max"),
+        ("/accessors/1/sparse", json!({
+            "count": 5, "indices": {"bufferView": 0, "componentType": 5121},
+            "values": {"bufferView": 1},
+        }), "sparse"),
+        ("/bufferViews/1/byteOffset", json!(u64::MAX), "bufferViews[1]"),
+        ("/bufferViews/1/byteLength", json!(1000), "bufferViews[1]"),
+        ("/bufferViews/1/byteStride", json!(4), "stride"),
+        ("/bufferViews/1/buffer", json!(2), "bufferViews[1]"),
+        ("/buffers/0/byteLength", json!(100_000), "buffers[0]"),
+        ("/buffers/0/uri", json!("http://example.invalid/a.bin"), "buffers[0]"),
+        ("/buffers/0/uri", json!("data:;base64,A"), "data URI"),
+        ("/buffers/0/uri", json!("no such file.bin"), "no such file.bin"),
+        ("/materials/0/normalTexture", json!({"index": 0}), "normalTexture"),
+    ];
+    for (pointer, value, expected) in cases {
+        let (mut json, blob) = square();
+        if let Some(target) = json.pointer_mut(pointer) {
+            *target = value.clone();
+        } else {
+            let (parent, key) = pointer.rsplit_once('/').expect("a path");
+            json.pointer_mut(parent).expect("a parent")[key] = value.clone();
+        }
+        let error = import(&json, &blob).expect_err(pointer);
+        let message = error.to_string();
+        assert!(message.contains(expected), "{pointer} = {value}: {message}");
+        assert!(message.contains("test.glb") || message.contains(expected), "{message}");
+    }
+}
+
+#[test]
+fn not_a_number_is_refused() {
+    for offset in [12, 12 + 48, 12 + 96] {
+        let (json, mut blob) = square();
+        blob[offset..offset + 4].copy_from_slice(&f32::NAN.to_le_bytes());
+        let message = import(&json, &blob).expect_err("a NaN").to_string();
+        assert!(message.contains("finite"), "{message}");
+    }
+}
+
+/// Numbers for mutations, the same on every run.
+struct Random(u64);
+
+impl Random {
+    fn below(&mut self, bound: usize) -> usize {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+        (self.0 >> 33) as usize % bound
+    }
+}
+
+/// Feeds every prefix of a file and a number of mutations to an importer, which must return.
+fn fuzz(bytes: &[u8], mutations: usize, import: impl Fn(&[u8]) -> Result<Mesh, Error>) {
+    for length in 0..bytes.len() {
+        let _ = import(&bytes[..length]);
+    }
+    let mut random = Random(1);
+    let mut good = 0;
+    for _ in 0..mutations {
+        let mut mutated = bytes.to_vec();
+        for _ in 0..=random.below(4) {
+            let at = random.below(mutated.len());
+            match random.below(4) {
+                0 => mutated[at] = random.below(256) as u8,
+                1 => mutated[at] ^= 1 << random.below(8),
+                // Digits make JSON and OBJ that parse but say something else.
+                2 => mutated[at] = b"0123456789-.e/"[random.below(14)],
+                _ => {
+                    let from = random.below(mutated.len());
+                    let length = random.below(16).min(mutated.len() - at.max(from));
+                    mutated.copy_within(from..from + length, at);
+                }
+            }
+        }
+        good += usize::from(import(&mutated).is_ok());
+    }
+    // Otherwise the mutations stop at the front door.
+    assert!(good * 20 > mutations, "{good} of {mutations} mutations still import");
+}
+
+#[test]
+fn no_mutation_of_a_glb_panics() {
+    let (mut json, blob) = square();
+    json["materials"][0]["doubleSided"] = json!(true);
+    json["nodes"][0]["rotation"] = json!([0, 0.6, 0, 0.8]);
+    fuzz(&glb(&json, &blob), 5000, |bytes| gltf::import(Path::new("test.glb"), bytes));
+}
+
+#[test]
+fn no_mutation_of_an_obj_panics() {
+    let text = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0.2 0.1 0\nv 0 1 0\nvt 0 0\nvt 1 1\nvn 0 0 1\n\
+                s 1\nf 1/1/1 2/2/1 3/1/1 4/2/1 5/1/1\ns off\nf -1 -2 -3\ns 2\nf 1/1 2/2 \\\n3/1\n";
+    fuzz(text.as_bytes(), 20_000, |bytes| obj::import(Path::new("test.obj"), bytes));
+}
+
+#[test]
+fn corner_normals_of_a_cube_are_its_diagonals() {
+    let mesh = import_obj(
+        "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 0 0 1\nv 1 0 1\nv 1 1 1\nv 0 1 1\n\
+         f 4 3 2 1\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n",
+    )
+    .expect("a cube");
+    // Whatever the diagonals of the faces are, the angles at a corner sum to 90° per face.
+    assert_eq!((mesh.vertices.len(), mesh.triangles.len()), (8, 12));
+    for vertex in &mesh.vertices {
+        let diagonal = (Vec3::from(vertex.position) - 0.5).normalize();
+        assert_close(vertex.normal.into(), diagonal);
+    }
+}
+
+#[test]
+fn smoothing_groups_keep_edges() {
+    let corner = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 0 0 1\nv 0 1 1\n";
+    let faces = ["f 1 2 3 4\n", "f 1 4 6 5\n"];
+    let vertices = |text: String| import_obj(&text).expect("two squares").vertices.len();
+    assert_eq!(vertices(format!("{corner}{}{}", faces[0], faces[1])), 6);
+    assert_eq!(vertices(format!("{corner}s 1\n{}s 2\n{}", faces[0], faces[1])), 8);
+    assert_eq!(vertices(format!("{corner}s 1\n{}s 1\n{}", faces[0], faces[1])), 6);
+    assert_eq!(vertices(format!("{corner}{}s off\n{}", faces[0], faces[1])), 8);
+}
+
+#[test]
+fn concave_faces_are_covered_once() {
+    // An arrowhead, an L and a comb, each with its area; in the plane x + z = const.
+    let outlines: [(&[[f64; 2]], f64); 4] = [
+        (&[[0.0, 0.0], [2.0, 1.0], [0.0, 2.0], [1.0, 1.0]], 1.0),
+        (&[[0.0, 0.0], [3.0, 0.0], [3.0, 1.0], [1.0, 1.0], [1.0, 3.0], [0.0, 3.0]], 5.0),
+        (
+            &[
+                [0.0, 0.0], [5.0, 0.0], [5.0, 3.0], [4.0, 3.0], [4.0, 1.0], [3.0, 1.0],
+                [3.0, 3.0], [2.0, 3.0], [2.0, 1.0], [1.0, 1.0], [1.0, 3.0], [0.0, 3.0],
+            ],
+            11.0,
+        ),
+        // A corner in the middle of a side must not give a triangle without area.
+        (&[[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]], 4.0),
+    ];
+    for (outline, area) in outlines {
+        for start in 0..outline.len() {
+            let mut text = String::new();
+            for i in 0..outline.len() {
+                let [s, t] = outline[(start + i) % outline.len()];
+                writeln!(text, "v {s} {t} {}", 7.0 - s).expect("strings grow");
+            }
+            text += "f";
+            for i in 1..=outline.len() {
+                write!(text, " {i}").expect("strings grow");
+            }
+            let mesh = import_obj(&text).expect("a polygon");
+            assert_eq!(mesh.warnings, Vec::<String>::new());
+            assert_eq!(mesh.triangles.len(), outline.len() - 2);
+            let total: f32 = mesh
+                .triangles
+                .iter()
+                .map(|triangle| {
+                    let [a, b, c] = triangle
+                        .vertices
+                        .map(|index| Vec3::from(mesh.vertices[index as usize].position));
+                    let vector = (b - a).cross(c - a) * 0.5;
+                    assert!(vector.z > 0.0, "a triangle faces backwards or has no area");
+                    vector.z
+                })
+                .sum();
+            assert!((total - area as f32).abs() < TOLERANCE, "{total} is not {area}");
+        }
+    }
+}
+
+#[test]
+fn obj_indices_may_be_relative_and_lines_continued() {
+    let mesh = import_obj(
+        "v 0 0 0\nv 1 0 0 0.5 0.5 0.5\nv 0 1 0 1\nvt 0.25 0.75\nvt 1\nvn 0 0 2\n\
+         f -3/-2/-1 \\\n  -2/1/-1 3/2/1 # end\n"
+            .replace(" # end", "")
+            .as_str(),
+    )
+    .expect("a triangle");
+    assert_eq!(mesh.vertices.len(), 3);
+    assert_eq!(mesh.vertices[0].uv, [0.25, 0.25]);
+    assert_eq!(mesh.vertices[2].uv, [1.0, 1.0]);
+    assert_eq!(mesh.vertices[1].normal, [0.0, 0.0, 1.0]);
+}
+
+#[test]
+fn broken_obj_files_name_the_line() {
+    let triangle = "v 0 0 0\nv 1 0 0\nv 0 1 0\n";
+    let cases = [
+        ("v 0 0\n", "line 1"),
+        ("v 0 nan 0\n", "line 1"),
+        ("v 0 1e99 0\n", "line 1"),
+        ("v 0 0 0\nvn 0 0\n", "line 2"),
+        ("v 0 0 0\nv 1e20 0 0\nv 0 1 0\nf 1 2 3\n", "coordinates"),
+        (&format!("{triangle}f 1 2 4\n"), "line 4"),
+        (&format!("{triangle}f 1 2 -4\n"), "line 4"),
+        (&format!("{triangle}f 0 1 2\n"), "line 4"),
+        (&format!("{triangle}f 1 2 x\n"), "line 4"),
+        (&format!("{triangle}f 1/2/3/4 2 3\n"), "line 4"),
+        (&format!("{triangle}vt 0 0\nf 1/2 2/1 3/1\n"), "line 5"),
+        (&format!("{triangle}f 1 1 2\n"), "zero area"),
+        (&format!("{triangle}f 1 2\nl 1 2\n"), "no triangle"),
+        ("", "no triangle"),
+    ];
+    for (text, expected) in cases {
+        let message = import_obj(text).expect_err(text).to_string();
+        assert!(message.contains(expected) && message.contains("test.obj"), "{text}: {message}");
+    }
+}
+
+#[test]
+fn material_libraries_are_read() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let write = |name: &str, text: &str| {
+        std::fs::write(folder.path().join(name), text).expect("a writable folder");
+    };
+    let square = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\n";
+    let faces = ["matte", "shiny", "metal", "absent", "textured"]
+        .map(|name| format!("usemtl {name}\nf 1/1 2/2 3/3\n"));
+    write("a b.obj", &format!("mtllib a b.mtl\nmtllib none.mtl\n{square}{}", faces.concat()));
+    write(
+        "a b.mtl",
+        "Kd 9 9\nnewmtl matte\nKd 0.25\nKs 1 1 1\nillum 1\nnewmtl shiny\nKd 0.1 0.2 0.3\n\
+         Ks 0.5 0.5 0.5\nNs 40\nnewmtl metal\n Kd 1 2 0\n Pr 0.4\n Pm 1\nnewmtl textured\n\
+         Kd 0 0 0\nmap_Kd -s 2 4 1 -o 0.5 0.25 -clamp on red dot.png\nbump -bm 2 none.png\n",
+    );
+    let red = image::RgbImage::from_pixel(1, 1, image::Rgb([255, 0, 0]));
+    red.save(folder.path().join("red dot.png")).expect("PNG encodes");
+    let mesh = super::mesh(&folder.path().join("a b.obj")).expect("a good file");
+    let surface = |name: &str| {
+        let material = mesh.materials.iter().find(|material| material.name == name);
+        material.map(|material| material.surface.clone()).expect(name)
+    };
+    let layered = |diffuse, specular| Surface::Layered { diffuse, specular };
+    assert_eq!(surface("matte"), layered([0.25; 3], Specular::None));
+    let shine = Specular::BlinnPhong { specular: [0.5; 3], exponent: 40.0 };
+    assert_eq!(surface("shiny"), layered([0.1, 0.2, 0.3], shine));
+    assert_eq!(surface("absent"), layered([0.5; 3], Specular::None));
+    assert_eq!(surface("textured"), layered([1.0; 3], Specular::None));
+    let Surface::MetallicRoughness { base_color, metallic, roughness, .. } = surface("metal")
+    else {
+        panic!("Pr and Pm make a metallic-roughness material")
+    };
+    assert_eq!((base_color, metallic, roughness), ([1.0, 1.0, 0.0], 1.0, 0.4));
+    let textured = mesh.materials.iter().find(|material| material.name == "textured");
+    let slot = textured.and_then(|material| material.base_color_texture).expect("a texture");
+    assert_eq!(mesh.textures[slot.texture as usize].texels, [255, 0, 0, 255]);
+    // v up: 1 - ((1 - v) 4 + 0.25).
+    assert_eq!(slot.transform, [[2.0, 0.0, 0.5], [0.0, 4.0, -3.25]]);
+    for expected in ["none.mtl", "absent", "clamped", "none.png"] {
+        let found = mesh.warnings.iter().any(|warning| warning.contains(expected));
+        assert!(found, "{expected}: {:?}", mesh.warnings);
+    }
+    write("bad.mtl", "newmtl x\nKd 1 2\n");
+    write("bad.obj", &format!("mtllib bad.mtl\n{square}usemtl x\nf 1 2 3\n"));
+    let message = super::mesh(&folder.path().join("bad.obj")).expect_err("bad Kd").to_string();
+    assert!(message.contains("bad.mtl: line 2"), "{message}");
+}

@@ -94,9 +94,9 @@ pub fn integrate(
         let mut start = 0.0;
         let mut end = radius;
         if cosine >= 0.0 {
-            end = end.min(cosine.atan2(-slope));
+            end = end.min(cosine.abs().atan2(-slope));
         } else {
-            start = (-cosine).atan2(slope);
+            start = cosine.abs().atan2(slope);
         }
         if start >= end {
             continue;
@@ -203,6 +203,7 @@ pub fn wgsl_constants() -> String {
 
 #[cfg(test)]
 mod tests {
+    use std::cell::Cell;
     use std::f64::consts::PI;
 
     use glam::DVec3;
@@ -213,6 +214,8 @@ mod tests {
     /// Root mean square error over random lobes across rims, as a fraction of the root mean
     /// square truth: measured 3.7, 1.6 and 0.4 %, and a third more for other compilers.
     const TOLERANCES: [(u32, f64); 3] = [(4, 0.05), (8, 0.021), (16, 0.006)];
+    /// Mean cost over the same lobes, those that end early included: measured 1.6 at most.
+    const SAMPLES_PER_SPOKE: f64 = 2.0;
     /// The share of a field without boundary is 1 up to rounding of a sum over spokes.
     const ROUNDING: f32 = 1e-5;
     /// What a lobe cut at [`CUT`] can leave above a horizon that it does not reach, as a
@@ -225,6 +228,21 @@ mod tests {
         circles: Vec<(DVec3, f64)>,
         all: bool,
         limit: f64,
+        samples: Cell<u32>,
+    }
+
+    impl Caps {
+        fn new(circles: Vec<(DVec3, f64)>, all: bool) -> Self {
+            // As assets are clamped by default.
+            let limit = 0.5;
+            let samples = Cell::new(0);
+            Self {
+                circles,
+                all,
+                limit,
+                samples,
+            }
+        }
     }
 
     impl Caps {
@@ -242,6 +260,7 @@ mod tests {
 
     impl SignedDistance for Caps {
         fn distance(&self, direction: Vec3) -> f32 {
+            self.samples.set(self.samples.get() + 1);
             self.exact(direction.as_dvec3())
                 .clamp(-self.limit, self.limit) as f32
         }
@@ -290,11 +309,7 @@ mod tests {
                 let aside = center.cross(random.direction()).normalize();
                 let angle = radius + 3.0 * (2.0 * random.uniform() - 1.0) / sharpness.sqrt();
                 let axis = center * angle.cos() + aside * angle.sin();
-                let field = Caps {
-                    circles,
-                    all: index % 8 < 4,
-                    limit: 0.5,
-                };
+                let field = Caps::new(circles, index % 8 < 4);
                 let truth = truth(&field, sharpness, axis, normal);
                 Case {
                     field,
@@ -354,7 +369,13 @@ mod tests {
                 total += (case.truth / energy).powi(2);
             }
             let relative = (error / total).sqrt();
-            println!("{spokes} spokes: {:.2} %", 100.0 * relative);
+            let samples: u32 = cases.iter().map(|case| case.field.samples.take()).sum();
+            let samples_per_spoke = f64::from(samples) / (cases.len() as f64 * f64::from(spokes));
+            println!(
+                "{spokes} spokes: {:.2} %, {samples_per_spoke:.2} samples per spoke",
+                100.0 * relative
+            );
+            assert!(samples_per_spoke < SAMPLES_PER_SPOKE);
             assert!(relative < tolerance, "{spokes} spokes: {relative}");
             assert!(
                 relative < previous,
@@ -373,11 +394,7 @@ mod tests {
             let normal = random.direction().as_vec3();
             let sign = if index % 2 == 0 { 1.0 } else { -1.0 };
             // All visible, or all blocked, as far as a clamped field can say.
-            let field = Caps {
-                circles: vec![(DVec3::Y, -sign * 10.0)],
-                all: true,
-                limit: 0.5,
-            };
+            let field = Caps::new(vec![(DVec3::Y, -sign * 10.0)], true);
             let found = integrate(&field, sharpness, axis, normal, &PolarOptions::default());
             let whole = Tables::get().cosine_integral(sharpness, normal.dot(axis));
             let expected = if sign > 0.0 { whole } else { 0.0 };
@@ -395,11 +412,7 @@ mod tests {
 
     #[test]
     fn extremes_stay_finite_and_within_bounds() {
-        let field = Caps {
-            circles: vec![(DVec3::X, 1.0)],
-            all: true,
-            limit: 0.5,
-        };
+        let field = Caps::new(vec![(DVec3::X, 1.0)], true);
         let directions = [Vec3::X, Vec3::NEG_X, Vec3::Y, Vec3::new(0.6, 0.8, 0.0)];
         for sharpness in [0.0, 1e-30, 1e-6, 0.1, 10.0, 1e5, 1e9, 1e30] {
             for axis in directions {

@@ -33,9 +33,9 @@ fn polar_integrate(sharpness: f32, axis: vec3<f32>, normal: vec3<f32>, spokes: u
         var start = 0.0;
         var end = radius;
         if cosine >= 0.0 {
-            end = min(end, atan2(cosine, -slope));
+            end = min(end, atan2(abs(cosine), -slope));
         } else {
-            start = atan2(-cosine, slope);
+            start = atan2(abs(cosine), slope);
         }
         if start >= end {
             continue;

@@ -441,8 +441,8 @@ fn tabulated_albedo(model: Model, alpha: Vec2, angle: usize) -> [f32; 2] {
 /// ∫ f(wi, wo) n·wi dwi of the specular part for a colour of 1, and the same weighted by
 /// Schlick's (1 − h·o)⁵ (zero for models without Fresnel).
 fn reference_albedo(appearance: &Appearance, wo: Vec3) -> [f64; 2] {
-    const RADII: usize = 32;
-    const ANGLES: usize = 24;
+    const RADII: usize = 24;
+    const ANGLES: usize = 16;
     let mut sum = [0.0; 2];
     for radius in 0..RADII {
         for angle in 0..ANGLES {
@@ -485,7 +485,7 @@ mod fit {
 
     /// Points per axis of the quarter plane.
     const POINTS: usize = 32;
-    const MAX_ITERATIONS: usize = 60;
+    const MAX_ITERATIONS: usize = 30;
     /// Relative decrease of the cost that ends the iteration.
     const CONVERGED: f64 = 1e-6;
     /// Largest step of a parameter in one iteration.
@@ -535,22 +535,17 @@ mod fit {
         }
     }
 
-    /// Residuals of the profile over a quarter of the plane, relative to its norm, and of
-    /// its integral.
-    fn normal_equations(
-        profile: fn(f64) -> f64,
-        ratio: f64,
-        pairs: usize,
-        p: &Parameters,
-    ) -> Normal {
-        let n = 2 + 3 * pairs;
-        let spacing = (ratio * ratio - 1.0).sqrt();
-        let mut normal = Normal {
-            cost: 0.0,
-            matrix: [[0.0; MAX_PARAMETERS]; MAX_PARAMETERS],
-            gradient: [0.0; MAX_PARAMETERS],
-        };
-        // Dense near the centre, reaching far into the tail.
+    /// A point of the quarter plane.
+    struct Sample {
+        x: f64,
+        y: f64,
+        target: f64,
+        /// Area over ∫ target², which makes the cost relative.
+        weight: f64,
+    }
+
+    /// Points dense near the centre and reaching far into the tail.
+    fn samples(profile: fn(f64) -> f64, ratio: f64) -> Vec<Sample> {
         let nodes: [(f64, f64); POINTS] = std::array::from_fn(|i| {
             let u = (i as f64 + 0.5) / POINTS as f64;
             (
@@ -558,17 +553,48 @@ mod fit {
                 1.2 / ((1.0 - u).powi(2) * POINTS as f64),
             )
         });
-        let points = || nodes.iter().flat_map(|x| nodes.iter().map(move |y| (x, y)));
-        let norm: f64 = points()
-            .map(|((x, dx), (y, dy))| profile(x * x + y * y).powi(2) * dx * dy)
-            .sum();
-        for ((x, dx), (y, dy)) in points() {
-            let target = profile(x * x + y * y);
-            let x = x * ratio;
+        let mut samples = Vec::with_capacity(POINTS * POINTS);
+        for (x, dx) in nodes {
+            for (y, dy) in nodes {
+                let target = profile(x * x + y * y);
+                samples.push(Sample {
+                    x: x * ratio,
+                    y,
+                    target,
+                    weight: dx * dy,
+                });
+            }
+        }
+        let norm: f64 = samples.iter().map(|s| s.weight * s.target * s.target).sum();
+        for sample in &mut samples {
+            sample.weight /= norm;
+        }
+        samples
+    }
+
+    /// Residuals of the profile, and of its integral over the plane.
+    fn normal_equations(samples: &[Sample], ratio: f64, n: usize, p: &Parameters) -> Normal {
+        let spacing = (ratio * ratio - 1.0).sqrt();
+        let mut normal = Normal {
+            cost: 0.0,
+            matrix: [[0.0; MAX_PARAMETERS]; MAX_PARAMETERS],
+            gradient: [0.0; MAX_PARAMETERS],
+        };
+        let mut sharpness = [0.0; MAX_PARAMETERS];
+        for k in std::iter::once(0).chain((2..n).step_by(3)) {
+            sharpness[k] = p[k].exp();
+        }
+        for &Sample {
+            x,
+            y,
+            target,
+            weight,
+        } in samples
+        {
             let mut row = [0.0; MAX_PARAMETERS];
             let mut sum = 0.0;
             let mut gaussian = |k: usize, d: f64, derivative: f64| {
-                let s = p[k].exp();
+                let s = sharpness[k];
                 let r_squared = (x - d) * (x - d) + y * y;
                 let value = (p[k + 1] - s * r_squared).exp();
                 row[k] -= s * r_squared * value;
@@ -583,7 +609,7 @@ mod fit {
                 gaussian(k, spacing * p[k + 2], spacing);
                 gaussian(k, -spacing * p[k + 2], -spacing);
             }
-            normal.add(n, &row, sum - target, dx * dy / norm);
+            normal.add(n, &row, sum - target, weight);
         }
         // Over the whole plane both profiles integrate to π ratio.
         let mut row = [0.0; MAX_PARAMETERS];
@@ -605,8 +631,9 @@ mod fit {
         mut p: Parameters,
     ) -> Parameters {
         let n = 2 + 3 * pairs;
+        let samples = samples(profile, ratio);
         let mut damping = 1e-3;
-        let mut normal = normal_equations(profile, ratio, pairs, &p);
+        let mut normal = normal_equations(&samples, ratio, n, &p);
         for _ in 0..MAX_ITERATIONS {
             let mut damped = normal.matrix;
             for (i, row) in damped.iter_mut().enumerate().take(n) {
@@ -618,7 +645,7 @@ mod fit {
             for i in 0..n {
                 candidate[i] -= step[i].clamp(-MAX_STEP, MAX_STEP);
             }
-            let next = normal_equations(profile, ratio, pairs, &candidate);
+            let next = normal_equations(&samples, ratio, n, &candidate);
             if next.cost < normal.cost {
                 let converged = next.cost > normal.cost * (1.0 - CONVERGED);
                 (p, normal) = (candidate, next);

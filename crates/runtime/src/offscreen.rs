@@ -85,9 +85,7 @@ impl Gpu {
         width: u32,
         height: u32,
     ) -> Result<Picture, Error> {
-        if width == 0 || height == 0 {
-            return Err(Error::EmptyImage { width, height });
-        }
+        self.renderer.check_size(width, height)?;
         let guard = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
         let target = self.device.create_texture(&wgpu::TextureDescriptor {
             label: Some("relight offscreen target"),

@@ -2,8 +2,7 @@
 
 use relight_format::Scene;
 use relight_shading::gpu::{self, LimitError};
-use relight_shading::shade::Method;
-use relight_shading::tables::Tables;
+use relight_shading::shade::{self, Method};
 use relight_shading::wgsl::{Entry, source};
 use wgpu::util::DeviceExt as _;
 
@@ -88,7 +87,7 @@ impl Renderer {
             tonemap_pipeline: tonemap_pipeline(device, &tonemap_layout, options.target_format),
             tables: device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
                 label: Some("relight tables"),
-                contents: bytemuck::cast_slice(Tables::get().values()),
+                contents: bytemuck::cast_slice(&shade::gpu_tables()),
                 usage: wgpu::BufferUsages::STORAGE,
             }),
             device: device.clone(),
@@ -120,16 +119,7 @@ impl Renderer {
         target: &wgpu::TextureView,
         [width, height]: [u32; 2],
     ) -> Result<(), Error> {
-        if width == 0 || height == 0 {
-            return Err(Error::EmptyImage { width, height });
-        }
-        let limits = self.device.limits();
-        LimitError::check(
-            "max_texture_dimension_2d",
-            u64::from(width.max(height)),
-            u64::from(limits.max_texture_dimension_2d),
-        )
-        .map_err(Error::Frame)?;
+        self.check_size(width, height)?;
         let band = self
             .options
             .rows_per_dispatch
@@ -211,6 +201,19 @@ impl Renderer {
     /// The options that the renderer was made with.
     pub fn options(&self) -> &Options {
         &self.options
+    }
+
+    pub(crate) fn check_size(&self, width: u32, height: u32) -> Result<(), Error> {
+        if width == 0 || height == 0 {
+            return Err(Error::EmptyImage { width, height });
+        }
+        let allowed = self.device.limits().max_texture_dimension_2d;
+        LimitError::check(
+            "max_texture_dimension_2d",
+            u64::from(width.max(height)),
+            u64::from(allowed),
+        )
+        .map_err(Error::Frame)
     }
 
     /// Uniforms and lights of one call, in buffers of its own, so that several calls may

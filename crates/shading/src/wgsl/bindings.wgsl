@@ -102,7 +102,7 @@ struct Material {
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<storage, read> lights: array<Light>;
-// tables::Tables::values().
+// shade::gpu_tables().
 @group(0) @binding(2) var<storage, read> tables: array<f32>;
 
 @group(1) @binding(0) var<storage, read> vertices: array<Vertex>;

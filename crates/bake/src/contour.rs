@@ -12,7 +12,7 @@
 use std::collections::HashMap;
 
 use glam::{DVec3, Vec3};
-use pulp::Arch;
+use pulp::{Arch, Simd, WithSimd};
 
 use crate::ray::RayCaster;
 use crate::visibility::{Bitmap, Directions};
@@ -195,24 +195,7 @@ impl ContourMesh {
 
     /// One bit per triangle: whether the eye is in front of it.
     fn find_facing(&self, eye: DVec3, facing: &mut [u64]) {
-        let [x, y, z] = &self.normals;
-        Arch::new().dispatch(
-            #[inline(always)]
-            || {
-                let blocks = (x.chunks(BLOCK).zip(y.chunks(BLOCK)))
-                    .zip(z.chunks(BLOCK).zip(self.offsets.chunks(BLOCK)));
-                for (word, ((x, y), (z, d))) in facing.iter_mut().zip(blocks) {
-                    let mut in_front = [0u8; BLOCK];
-                    for (bit, ((x, y), (z, d))) in in_front
-                        .iter_mut()
-                        .zip((x.iter().zip(y)).zip(z.iter().zip(d)))
-                    {
-                        *bit = u8::from(x * eye.x + y * eye.y + z * eye.z > *d);
-                    }
-                    *word = pack_bits(&in_front);
-                }
-            },
-        );
+        Arch::new().dispatch(FindFacing { mesh: self, eye, facing });
     }
 
     fn for_each_contour(&self, facing: &[u64], mut contour: impl FnMut([u32; 2])) {
@@ -243,6 +226,34 @@ impl ContourMesh {
             if sides.iter().all(|other| side(other) == first) {
                 contour(*vertices);
             }
+        }
+    }
+}
+
+/// The vectorised body of [`ContourMesh::find_facing`].
+struct FindFacing<'a> {
+    mesh: &'a ContourMesh,
+    eye: DVec3,
+    facing: &'a mut [u64],
+}
+
+impl WithSimd for FindFacing<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { mesh, eye, facing } = self;
+        let [x, y, z] = &mesh.normals;
+        let blocks = (x.chunks(BLOCK).zip(y.chunks(BLOCK)))
+            .zip(z.chunks(BLOCK).zip(mesh.offsets.chunks(BLOCK)));
+        for (word, ((x, y), (z, d))) in facing.iter_mut().zip(blocks) {
+            let mut in_front = [0u8; BLOCK];
+            for (bit, ((x, y), (z, d))) in
+                in_front.iter_mut().zip((x.iter().zip(y)).zip(z.iter().zip(d)))
+            {
+                *bit = u8::from(x * eye.x + y * eye.y + z * eye.z > *d);
+            }
+            *word = pack_bits(&in_front);
         }
     }
 }

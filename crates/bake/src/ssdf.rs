@@ -8,7 +8,7 @@
 //! can be nearest to any of them.
 
 use glam::{Vec2, Vec3};
-use pulp::Arch;
+use pulp::{Arch, Simd, WithSimd};
 use relight_shading::octahedral;
 
 use crate::visibility::{Bitmap, Directions};
@@ -92,10 +92,16 @@ impl Candidates {
         let reach = angle_of_squared_chord(nearest) + ANGLE_SLACK + 2.0 * block.radius;
         let widest = (2.0 * (0.5 * reach.min(std::f32::consts::PI)).sin()).powi(2);
         for group in &self.groups {
-            for (lane, squared) in squared_chords(group, block.centre).into_iter().enumerate() {
-                if squared <= widest {
-                    out.push([group[0][lane], group[1][lane], group[2][lane]]);
-                }
+            let squared = squared_chords(group, block.centre);
+            let mut inside = [false; LANES];
+            for (inside, squared) in inside.iter_mut().zip(squared) {
+                *inside = squared <= widest;
+            }
+            if inside == [false; LANES] {
+                continue;
+            }
+            for (lane, _) in inside.iter().enumerate().filter(|(_, inside)| **inside) {
+                out.push([group[0][lane], group[1][lane], group[2][lane]]);
             }
         }
         nearest
@@ -161,24 +167,13 @@ impl Transform {
             }
         }
         let mut distances = vec![0.0; self.directions.len()];
-        Arch::new().dispatch(
-            #[inline(always)]
-            || {
-                let mut lists = [Candidates::default(), Candidates::default()];
-                for (side, candidates) in candidates.iter().enumerate() {
-                    for block in &self.blocks {
-                        if !block.texels.iter().any(|&i| class[i as usize] == (side == 1)) {
-                            continue;
-                        }
-                        let [coarse, fine] = &mut lists;
-                        candidates.select(block, coarse);
-                        for block in &block.children {
-                            self.apply_block(block, side == 1, &class, coarse, fine, limit, &mut distances);
-                        }
-                    }
-                }
-            },
-        );
+        Arch::new().dispatch(ApplyBlocks {
+            transform: self,
+            class: &class,
+            candidates: &candidates,
+            limit,
+            distances: &mut distances,
+        });
         distances
     }
 
@@ -208,6 +203,38 @@ impl Transform {
             let squared = near.nearest(self.directions[texel as usize]);
             let distance = angle_of_squared_chord(squared) - self.half_spacing[texel as usize];
             distances[texel as usize] = sign * distance.clamp(MIN_DISTANCE, limit);
+        }
+    }
+}
+
+/// The vectorised part of [`Transform::apply`].
+struct ApplyBlocks<'a> {
+    transform: &'a Transform,
+    class: &'a [bool],
+    candidates: &'a [Candidates; 2],
+    limit: f32,
+    distances: &'a mut [f32],
+}
+
+impl WithSimd for ApplyBlocks<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { transform, class, candidates, limit, distances } = self;
+        let mut lists = [Candidates::default(), Candidates::default()];
+        for (side, candidates) in candidates.iter().enumerate() {
+            let side = side == 1;
+            for block in &transform.blocks {
+                if !block.texels.iter().any(|&i| class[i as usize] == side) {
+                    continue;
+                }
+                let [coarse, fine] = &mut lists;
+                candidates.select(block, coarse);
+                for block in &block.children {
+                    transform.apply_block(block, side, class, coarse, fine, limit, distances);
+                }
+            }
         }
     }
 }

@@ -17,8 +17,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 
     // What an app has already: a device, a queue and something to draw into.
     let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
-    let adapter = pollster::block_on(instance.request_adapter(&Default::default()))?;
-    let (device, queue) = pollster::block_on(adapter.request_device(&Default::default()))?;
+    let adapter =
+        pollster::block_on(instance.request_adapter(&wgpu::RequestAdapterOptions::default()))?;
+    let (device, queue) =
+        pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor::default()))?;
     let target = device.create_texture(&wgpu::TextureDescriptor {
         label: None,
         size: wgpu::Extent3d {
@@ -46,8 +48,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             method: Method::Polar(PolarOptions::default()),
             exposure: 1.0,
         };
-        let view = target.create_view(&Default::default());
-        let mut encoder = device.create_command_encoder(&Default::default());
+        let view = target.create_view(&wgpu::TextureViewDescriptor::default());
+        let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         renderer.render(&mut encoder, &uploaded, &frame, &view, SIZE)?;
         queue.submit([encoder.finish()]);
     }

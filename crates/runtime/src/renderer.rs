@@ -369,7 +369,8 @@ impl Images {
         let visibility = texture("relight visibility buffer", VISIBILITY_FORMAT, drawn | read);
         let depth = texture("relight depth", DEPTH_FORMAT, drawn);
         let radiance = texture("relight radiance", RADIANCE_FORMAT, written | read);
-        let view = |texture: &wgpu::Texture| texture.create_view(&Default::default());
+        let view =
+            |texture: &wgpu::Texture| texture.create_view(&wgpu::TextureViewDescriptor::default());
         let visibility_view = view(&visibility);
         let radiance_view = view(&radiance);
         let bind_group = device.create_bind_group(&wgpu::BindGroupDescriptor {
@@ -565,7 +566,7 @@ fn visibility_pipeline(
         vertex: wgpu::VertexState {
             module: &module,
             entry_point: Some("visibility_buffer_vertex"),
-            compilation_options: Default::default(),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
             buffers: &[],
         },
         primitive: wgpu::PrimitiveState {
@@ -577,14 +578,14 @@ fn visibility_pipeline(
             format: DEPTH_FORMAT,
             depth_write_enabled: Some(true),
             depth_compare: Some(wgpu::CompareFunction::Greater),
-            stencil: Default::default(),
-            bias: Default::default(),
+            stencil: wgpu::StencilState::default(),
+            bias: wgpu::DepthBiasState::default(),
         }),
-        multisample: Default::default(),
+        multisample: wgpu::MultisampleState::default(),
         fragment: Some(wgpu::FragmentState {
             module: &module,
             entry_point: Some("visibility_buffer_fragment"),
-            compilation_options: Default::default(),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
             targets: &[Some(VISIBILITY_FORMAT.into())],
         }),
         multiview_mask: None,
@@ -601,7 +602,7 @@ fn shade_pipeline(
         layout: Some(&pipeline_layout(device, groups)),
         module: &shader(device, Entry::Shade),
         entry_point: Some("shade_main"),
-        compilation_options: Default::default(),
+        compilation_options: wgpu::PipelineCompilationOptions::default(),
         cache: None,
     })
 }
@@ -618,16 +619,16 @@ fn tonemap_pipeline(
         vertex: wgpu::VertexState {
             module: &module,
             entry_point: Some("tonemap_vertex"),
-            compilation_options: Default::default(),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
             buffers: &[],
         },
-        primitive: Default::default(),
+        primitive: wgpu::PrimitiveState::default(),
         depth_stencil: None,
-        multisample: Default::default(),
+        multisample: wgpu::MultisampleState::default(),
         fragment: Some(wgpu::FragmentState {
             module: &module,
             entry_point: Some("tonemap_fragment"),
-            compilation_options: Default::default(),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
             targets: &[Some(target_format.into())],
         }),
         multiview_mask: None,

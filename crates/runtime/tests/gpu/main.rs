@@ -5,6 +5,7 @@ mod probe;
 mod scenes;
 
 use std::process::ExitCode;
+use std::sync::{Mutex, PoisonError};
 
 use glam::{Quat, Vec3};
 use libtest_mimic::{Completion, Failed, Trial};
@@ -24,44 +25,55 @@ const DISPLAY_CODES: u8 = 1;
 /// `exp` differ in the last bits, and a spoke that grazes a boundary amplifies them.
 const FRAME_RELATIVE_RMSE: f32 = 2e-3;
 
+/// A device at WebGPU's default limits, opened once.
+static GPU: Mutex<Option<Gpu>> = Mutex::new(None);
+
+type Outcome = Result<(), Failed>;
+
 fn main() -> ExitCode {
     let no_gpu = std::env::var_os("RELIGHT_NO_GPU").is_some_and(|value| value == "1");
-    let trial = |name: &str, run: fn() -> Result<(), Failed>| {
+    let with_gpu = |name: &str, run: fn(&mut Gpu) -> Outcome| {
         Trial::ignorable_test(name, move || {
             if no_gpu {
                 println!("skipped: RELIGHT_NO_GPU=1");
                 return Ok(Completion::ignored_with("RELIGHT_NO_GPU=1"));
             }
-            run().map(|()| Completion::Completed)
+            // A test that failed leaves the device as good as it was.
+            let mut gpu = GPU.lock().unwrap_or_else(PoisonError::into_inner);
+            if gpu.is_none() {
+                *gpu = Some(Gpu::new(&wgpu::Limits::default())?);
+            }
+            run(gpu.as_mut().expect("just opened")).map(|()| Completion::Completed)
         })
     };
     let trials = vec![
-        trial(
+        Trial::test("twin_ignores_thread_count", twin_ignores_thread_count),
+        with_gpu(
             "visibility_buffer_matches_twin",
             visibility_buffer_matches_twin,
         ),
-        trial("near_clipping_matches_twin", near_clipping_matches_twin),
-        trial(
+        with_gpu("near_clipping_matches_twin", near_clipping_matches_twin),
+        with_gpu(
             "ssdf_and_integrators_match_twins",
             probe::ssdf_and_integrators_match_twins,
         ),
-        trial("frame_matches_twin", frame_matches_twin),
-        trial("tonemap_matches_twin", tonemap_matches_twin),
-        trial("bands_do_not_show", bands_do_not_show),
-        trial(
+        with_gpu("frame_matches_twin", frame_matches_twin),
+        with_gpu("tonemap_matches_twin", tonemap_matches_twin),
+        with_gpu("bands_do_not_show", bands_do_not_show),
+        with_gpu(
             "one_encoder_holds_several_frames",
             one_encoder_holds_several_frames,
         ),
-        trial(
+        with_gpu(
             "srgb_targets_are_encoded_once",
             srgb_targets_are_encoded_once,
         ),
-        trial(
+        with_gpu(
             "materials_change_without_upload",
             materials_change_without_upload,
         ),
-        trial("errors_name_what_is_wrong", errors_name_what_is_wrong),
-        trial("limits_are_checked", limits_are_checked),
+        with_gpu("errors_name_what_is_wrong", errors_name_what_is_wrong),
+        with_gpu("limits_are_checked", limits_are_checked),
     ];
     libtest_mimic::run(&libtest_mimic::Arguments::from_args(), trials).exit_code()
 }
@@ -97,9 +109,8 @@ fn render(gpu: &mut Gpu, frame: &Frame, width: u32, height: u32) -> Result<Pictu
     Ok(gpu.render(&scene, frame, width, height)?)
 }
 
-fn different_pixels(camera: Camera) -> Result<f32, Failed> {
+fn different_pixels(gpu: &mut Gpu, camera: Camera) -> Result<f32, Failed> {
     let (width, height) = (640, 480);
-    let mut gpu = Gpu::new(&wgpu::Limits::default())?;
     let scene = scenes::sphere_over_plane();
     let uploaded = gpu.upload(&scene)?;
     let frame = Frame {
@@ -128,20 +139,20 @@ fn different_pixels(camera: Camera) -> Result<f32, Failed> {
     Ok(different as f32 / expected.len() as f32)
 }
 
-fn visibility_buffer_matches_twin() -> Result<(), Failed> {
-    assert!(different_pixels(scenes::camera())? <= DIFFERENT_PIXELS);
+fn visibility_buffer_matches_twin(gpu: &mut Gpu) -> Outcome {
+    assert!(different_pixels(gpu, scenes::camera())? <= DIFFERENT_PIXELS);
     Ok(())
 }
 
 /// The eye just above the plane, which reaches from before the image plane to behind it.
-fn near_clipping_matches_twin() -> Result<(), Failed> {
+fn near_clipping_matches_twin(gpu: &mut Gpu) -> Outcome {
     let camera = Camera {
         position: [0.3, 0.02, 0.7],
         target: [0.0, 0.1, 0.0],
         up: [0.2, 1.0, 0.0],
         field_of_view: FieldOfView::Y(1.4),
     };
-    assert!(different_pixels(camera)? <= DIFFERENT_PIXELS);
+    assert!(different_pixels(gpu, camera)? <= DIFFERENT_PIXELS);
     Ok(())
 }
 
@@ -161,14 +172,31 @@ fn relative_rmse(a: &Image, b: &Image) -> f32 {
     ((square / count).sqrt() / (sum / count)) as f32
 }
 
-fn frame_matches_twin() -> Result<(), Failed> {
+fn twin_ignores_thread_count() -> Outcome {
+    let scene = scenes::sphere_over_plane();
+    let lights = lights();
+    let mut images = Vec::new();
+    for threads in [1, 3] {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()?;
+        images.push(pool.install(|| twin::render(&scene, &frame(&lights, POLAR), 80, 60))?);
+    }
+    assert!(images[0] == images[1]);
+    assert!(images[0].pixels.iter().any(|pixel| pixel[3] == 1.0));
+    assert!(images[0].pixels.contains(&[0.0; 4]), "no background");
+    Ok(())
+}
+
+fn frame_matches_twin(gpu: &mut Gpu) -> Outcome {
     let (width, height) = (400, 300);
-    let mut gpu = Gpu::new(&wgpu::Limits::default())?;
     let lights = lights();
     for method in [Method::Ambient, POLAR] {
         let frame = frame(&lights, method);
+        // The first frame at a size makes its images.
+        render(gpu, &frame, width, height)?;
         let start = std::time::Instant::now();
-        let found = render(&mut gpu, &frame, width, height)?.linear;
+        let found = render(gpu, &frame, width, height)?.linear;
         let gpu_time = start.elapsed();
         let start = std::time::Instant::now();
         let expected = twin::render(&scenes::sphere_over_plane(), &frame, width, height)?;
@@ -192,15 +220,14 @@ fn frame_matches_twin() -> Result<(), Failed> {
     Ok(())
 }
 
-fn tonemap_matches_twin() -> Result<(), Failed> {
-    let mut gpu = Gpu::new(&wgpu::Limits::default())?;
+fn tonemap_matches_twin(gpu: &mut Gpu) -> Outcome {
     let lights = lights();
     for exposure in [0.1, 1.0, 20.0] {
         let frame = Frame {
             exposure,
             ..frame(&lights, Method::Ambient)
         };
-        let picture = render(&mut gpu, &frame, 200, 150)?;
+        let picture = render(gpu, &frame, 200, 150)?;
         let expected = twin::tonemap(&picture.linear, exposure);
         for (index, (a, b)) in picture.display.iter().zip(&expected).enumerate() {
             assert!(
@@ -216,26 +243,34 @@ fn tonemap_matches_twin() -> Result<(), Failed> {
     Ok(())
 }
 
-fn bands_do_not_show() -> Result<(), Failed> {
-    let mut gpu = Gpu::new(&wgpu::Limits::default())?;
+fn bands_do_not_show(gpu: &mut Gpu) -> Outcome {
     let lights = lights();
     let frame = frame(&lights, Method::Ambient);
-    let mut pictures = Vec::new();
-    for rows_per_dispatch in [1, 56, 4096] {
-        let options = Options {
-            rows_per_dispatch,
-            ..Options::default()
-        };
-        gpu.renderer = Renderer::new(&gpu.device, &gpu.queue, options)?;
-        pictures.push(render(&mut gpu, &frame, 100, 101)?);
-    }
-    assert!(pictures[0] == pictures[1] && pictures[1] == pictures[2]);
+    let whole = render(gpu, &frame, 100, 101)?;
+    let options = Options {
+        rows_per_dispatch: 33,
+        ..Options::default()
+    };
+    let bands = with_options(gpu, options, |gpu| render(gpu, &frame, 100, 101))?;
+    assert!(whole == bands);
     Ok(())
 }
 
-fn one_encoder_holds_several_frames() -> Result<(), Failed> {
+/// Runs with another renderer in place of the shared one.
+fn with_options<T>(
+    gpu: &mut Gpu,
+    options: Options,
+    run: impl FnOnce(&mut Gpu) -> Result<T, Failed>,
+) -> Result<T, Failed> {
+    let renderer = Renderer::new(&gpu.device, &gpu.queue, options)?;
+    let shared = std::mem::replace(&mut gpu.renderer, renderer);
+    let result = run(gpu);
+    gpu.renderer = shared;
+    result
+}
+
+fn one_encoder_holds_several_frames(gpu: &mut Gpu) -> Outcome {
     let size = [64, 48];
-    let mut gpu = Gpu::new(&wgpu::Limits::default())?;
     let lights = lights();
     let scene = gpu.upload(&scenes::sphere_over_plane())?;
     let first = frame(&lights, Method::Ambient);
@@ -245,11 +280,13 @@ fn one_encoder_holds_several_frames() -> Result<(), Failed> {
         ..first.clone()
     };
     let expected = [&first, &second].map(|frame| gpu.render(&scene, frame, size[0], size[1]));
-    let mut encoder = gpu.device.create_command_encoder(&Default::default());
+    let mut encoder = gpu
+        .device
+        .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
     let mut targets = Vec::new();
     for frame in [&first, &second] {
-        let target = target(&gpu, size, wgpu::TextureFormat::Rgba8Unorm);
-        let view = target.create_view(&Default::default());
+        let target = target(gpu, size, wgpu::TextureFormat::Rgba8Unorm);
+        let view = target.create_view(&wgpu::TextureViewDescriptor::default());
         gpu.renderer
             .render(&mut encoder, &scene, frame, &view, size)?;
         targets.push(target);
@@ -278,17 +315,15 @@ fn target(gpu: &Gpu, size: [u32; 2], format: wgpu::TextureFormat) -> wgpu::Textu
     })
 }
 
-fn srgb_targets_are_encoded_once() -> Result<(), Failed> {
-    let mut gpu = Gpu::new(&wgpu::Limits::default())?;
+fn srgb_targets_are_encoded_once(gpu: &mut Gpu) -> Outcome {
     let lights = lights();
     let frame = frame(&lights, Method::Ambient);
-    let plain = render(&mut gpu, &frame, 64, 48)?.display;
+    let plain = render(gpu, &frame, 64, 48)?.display;
     let options = Options {
         target_format: wgpu::TextureFormat::Rgba8UnormSrgb,
         ..Options::default()
     };
-    gpu.renderer = Renderer::new(&gpu.device, &gpu.queue, options)?;
-    let encoded = render(&mut gpu, &frame, 64, 48)?.display;
+    let encoded = with_options(gpu, options, |gpu| render(gpu, &frame, 64, 48))?.display;
     for (a, b) in plain.iter().zip(&encoded) {
         assert!(
             a.abs_diff(*b) <= DISPLAY_CODES,
@@ -298,8 +333,7 @@ fn srgb_targets_are_encoded_once() -> Result<(), Failed> {
     Ok(())
 }
 
-fn materials_change_without_upload() -> Result<(), Failed> {
-    let mut gpu = Gpu::new(&wgpu::Limits::default())?;
+fn materials_change_without_upload(gpu: &mut Gpu) -> Outcome {
     let lights = lights();
     let frame = frame(&lights, Method::Ambient);
     let mut scene = scenes::sphere_over_plane();
@@ -320,8 +354,7 @@ fn materials_change_without_upload() -> Result<(), Failed> {
     Ok(())
 }
 
-fn errors_name_what_is_wrong() -> Result<(), Failed> {
-    let mut gpu = Gpu::new(&wgpu::Limits::default())?;
+fn errors_name_what_is_wrong(gpu: &mut Gpu) -> Outcome {
     let mut scene = scenes::sphere_over_plane();
     let uploaded = gpu.upload(&scene)?;
     let mut material = scene.materials[0].clone();
@@ -367,7 +400,7 @@ fn errors_name_what_is_wrong() -> Result<(), Failed> {
     Ok(())
 }
 
-fn limits_are_checked() -> Result<(), Failed> {
+fn limits_are_checked(_: &mut Gpu) -> Outcome {
     let few = wgpu::Limits {
         max_storage_buffer_binding_size: 30_000,
         ..wgpu::Limits::default()

@@ -39,15 +39,13 @@ struct Query {
     reserved: f32,
 }
 
-pub fn ssdf_and_integrators_match_twins() -> Result<(), Failed> {
-    // The probe binds two buffers beside those of the renderer.
-    let gpu = Gpu::new(&wgpu::Limits::default())?;
+pub fn ssdf_and_integrators_match_twins(gpu: &mut Gpu) -> Result<(), Failed> {
     for (name, scene, texel_range) in [
         ("smooth", scenes::sphere_over_plane(), 0.2),
         ("noise", scenes::noise(7), 2.0 * 32.0 * 0.02),
     ] {
         let queries = queries(&scene);
-        let answers = probe(&gpu, &scene, &queries)?;
+        let answers = probe(gpu, &scene, &queries)?;
         let mut grazing = [0; 2];
         let mut worst = 0f32;
         for (query, answer) in queries.iter().zip(&answers) {
@@ -120,7 +118,7 @@ fn probe(gpu: &Gpu, scene: &Scene, queries: &[Query]) -> Result<Vec<[f32; 4]>, F
         layout: None,
         module: &module,
         entry_point: Some("probe"),
-        compilation_options: Default::default(),
+        compilation_options: wgpu::PipelineCompilationOptions::default(),
         cache: None,
     });
     let buffer = |contents: &[u8], usage| {
@@ -228,9 +226,9 @@ fn probe(gpu: &Gpu, scene: &Scene, queries: &[Query]) -> Result<Vec<[f32; 4]>, F
             ),
         ),
     ];
-    let mut encoder = device.create_command_encoder(&Default::default());
+    let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
     {
-        let mut pass = encoder.begin_compute_pass(&Default::default());
+        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
         pass.set_pipeline(&pipeline);
         for (index, group) in &groups {
             pass.set_bind_group(*index, group, &[]);

@@ -248,7 +248,7 @@ fn sphere_material() -> Material {
 
 fn checkerboard() -> Texture {
     let texel = |i: u32| {
-        if (i % 8 / 4 + i / 32) % 2 == 0 {
+        if (i % 8 / 4 + i / 32).is_multiple_of(2) {
             [230, 220, 200, 255]
         } else {
             [70, 90, 160, 255]

@@ -5,13 +5,27 @@
 //! is made by [`support::with_data`] or [`support::with_gpu`] and counts as skipped there,
 //! never as passed.
 
+#![expect(
+    clippy::unnecessary_wraps,
+    reason = "every trial has the same signature"
+)]
+
+mod cli;
+mod determinism;
 mod import;
-#[allow(dead_code)]
+mod meshes;
+mod real_meshes;
 mod support;
 
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    let trials = import::trials();
+    let trials = [
+        cli::trials(),
+        determinism::trials(),
+        import::trials(),
+        real_meshes::trials(),
+    ];
+    let trials = trials.into_iter().flatten().collect();
     libtest_mimic::run(&libtest_mimic::Arguments::from_args(), trials).exit_code()
 }

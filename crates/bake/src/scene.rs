@@ -106,7 +106,7 @@ pub struct Statistics {
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// Asked to stop.
-    #[error(transparent)]
+    #[error("stopped")]
     Interrupted(#[from] Interrupted),
     /// The options contradict each other or the scene.
     #[error("{place}: expected {expected}, found {found}")]

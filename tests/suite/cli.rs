@@ -1,0 +1,333 @@
+//! `bake` as a user meets it: exit codes, messages, files left behind.
+
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use libtest_mimic::Trial;
+
+use crate::meshes::sphere_over_ground;
+use crate::support::{Outcome, binary, describe};
+
+/// Exit codes of `bake`, as README.md lists them.
+const OK: i32 = 0;
+const BAD_INPUT: i32 = 1;
+const USAGE: i32 = 2;
+const INPUT_OUTPUT: i32 = 3;
+const INTERRUPTED: i32 = 130;
+
+/// Cheapest settings: these trials ask what happens, not how good it looks.
+const CHEAP: [&str; 8] = [
+    "--preset",
+    "draft",
+    "--sample-resolution",
+    "16",
+    "--basis-resolution",
+    "8",
+    "--max-edge",
+    "1",
+];
+
+pub fn trials() -> Vec<Trial> {
+    vec![
+        Trial::test("cli::usage", usage),
+        Trial::test("cli::scene", scene),
+        Trial::test("cli::environment", environment),
+        Trial::test("cli::missing_input", missing_input),
+        Trial::test("cli::unwritable_output", unwritable_output),
+        Trial::test("cli::broken_mesh_keeps_the_old_output", broken_mesh),
+        Trial::test("cli::broken_image", broken_image),
+        Trial::test("cli::damaged_asset", damaged_asset),
+        Trial::test("cli::interrupt", interrupt),
+    ]
+}
+
+/// `bake scene`, cheap.
+pub fn bake_scene(input: &Path, output: &Path) -> Command {
+    let mut bake = binary("bake");
+    bake.arg("scene")
+        .arg(input)
+        .arg("-o")
+        .arg(output)
+        .args(CHEAP);
+    bake
+}
+
+/// `bake environment`.
+pub fn bake_environment(image: &Path, output: &Path, lobes: usize) -> Command {
+    let mut bake = binary("bake");
+    bake.arg("environment").arg(image).arg("-o").arg(output);
+    bake.args(["--lobes", &lobes.to_string()]);
+    bake
+}
+
+/// Runs a command that must succeed.
+pub fn expect_success(command: &mut Command) -> Output {
+    expect(OK, command)
+}
+
+/// Runs a command that must refuse `file`, and returns the line that says why.
+pub fn expect_refusal(command: &mut Command, file: &Path) -> String {
+    error_line(&expect(BAD_INPUT, command), file)
+}
+
+fn expect(code: i32, command: &mut Command) -> Output {
+    let output = command
+        .stdin(Stdio::null())
+        .output()
+        .expect("the binary starts");
+    assert_eq!(
+        output.status.code(),
+        Some(code),
+        "{command:?}: {}",
+        describe(&output)
+    );
+    output
+}
+
+/// The one line that says why, which must name `file`.
+fn error_line(output: &Output, file: &Path) -> String {
+    let errors = String::from_utf8(output.stderr.clone()).expect("messages are UTF-8");
+    let lines: Vec<&str> = errors
+        .lines()
+        .filter(|line| line.starts_with("error"))
+        .collect();
+    let [line] = lines[..] else {
+        panic!("not one error line: {}", describe(output))
+    };
+    assert_eq!(
+        errors.lines().last(),
+        Some(line),
+        "more after the error: {}",
+        describe(output)
+    );
+    let name = file.file_name().unwrap().to_str().unwrap();
+    assert!(line.contains(name), "{line:?} does not name {name}");
+    line.to_owned()
+}
+
+fn names(folder: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name());
+    let mut names: Vec<String> = entries.map(|name| name.into_string().unwrap()).collect();
+    names.sort();
+    names
+}
+
+fn usage() -> Outcome {
+    for arguments in [
+        &[][..],
+        &["boil"],
+        &["scene"],
+        &["scene", "mesh.obj"],
+        &["scene", "mesh.obj", "-o", "out.relight", "--no-such-option"],
+        &[
+            "environment",
+            "image.hdr",
+            "-o",
+            "out.relight",
+            "--lobes",
+            "many",
+        ],
+    ] {
+        let output = expect(USAGE, binary("bake").args(arguments));
+        assert!(!output.stderr.is_empty(), "silent about {arguments:?}");
+    }
+    let help = expect(OK, binary("bake").arg("--help"));
+    for subcommand in ["scene", "environment", "inspect", "validate"] {
+        assert!(
+            String::from_utf8_lossy(&help.stdout).contains(subcommand),
+            "{subcommand}"
+        );
+    }
+    Ok(())
+}
+
+fn scene() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let (mesh, asset) = (
+        folder.path().join("sphere.obj"),
+        folder.path().join("sphere.relight"),
+    );
+    std::fs::write(&mesh, sphere_over_ground(12))?;
+    expect(OK, &mut bake_scene(&mesh, &asset));
+    assert_eq!(names(folder.path()), ["sphere.obj", "sphere.relight"]);
+    let limits = relight_format::Limits::default();
+    let scene = relight_format::read_scene(&std::fs::read(&asset)?, &limits)?;
+    // 264 triangles of the sphere and 288 of the ground; refinement may add more.
+    assert!(
+        scene.triangles.len() >= 552,
+        "{} triangles",
+        scene.triangles.len()
+    );
+    assert_eq!(scene.report.source_triangles, 552);
+    expect(OK, binary("bake").arg("validate").arg(&asset));
+    let inspected = expect(OK, binary("bake").arg("inspect").arg(&asset));
+    assert!(!inspected.stdout.is_empty());
+    let inspected = expect(OK, binary("bake").arg("inspect").arg(&asset).arg("--json"));
+    let json: serde_json::Value = serde_json::from_slice(&inspected.stdout)?;
+    assert!(json.is_object(), "{json}");
+    Ok(())
+}
+
+/// A 32×16 image, grey with one bright pixel.
+pub fn write_hdr(path: &Path) -> Outcome {
+    let mut image = image::Rgb32FImage::from_pixel(32, 16, image::Rgb([0.5, 0.5, 0.5]));
+    image.put_pixel(20, 5, image::Rgb([100.0, 50.0, 25.0]));
+    image.save(path)?;
+    Ok(())
+}
+
+fn environment() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let (image, asset) = (
+        folder.path().join("sky.hdr"),
+        folder.path().join("sky.relight"),
+    );
+    write_hdr(&image)?;
+    let mut bake = bake_environment(&image, &asset, 4);
+    expect(OK, &mut bake);
+    let limits = relight_format::Limits::default();
+    let environment = relight_format::read_environment(&std::fs::read(&asset)?, &limits)?;
+    assert!(
+        (1..=4).contains(&environment.lobes.len()),
+        "{} lobes",
+        environment.lobes.len()
+    );
+    assert_eq!(environment.report.source, "sky.hdr");
+    assert_eq!(environment.report.source_size, [32, 16]);
+    expect(OK, binary("bake").arg("validate").arg(&asset));
+    expect(OK, binary("bake").arg("inspect").arg(&asset).arg("--json"));
+    Ok(())
+}
+
+fn missing_input() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let (missing, asset) = (
+        folder.path().join("missing.obj"),
+        folder.path().join("out.relight"),
+    );
+    error_line(
+        &expect(INPUT_OUTPUT, &mut bake_scene(&missing, &asset)),
+        &missing,
+    );
+    let image = folder.path().join("missing.hdr");
+    let mut bake = bake_environment(&image, &asset, 4);
+    error_line(&expect(INPUT_OUTPUT, &mut bake), &image);
+    for subcommand in ["inspect", "validate"] {
+        let output = expect(INPUT_OUTPUT, binary("bake").arg(subcommand).arg(&asset));
+        error_line(&output, &asset);
+    }
+    assert!(names(folder.path()).is_empty());
+    Ok(())
+}
+
+fn unwritable_output() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let mesh = folder.path().join("sphere.obj");
+    std::fs::write(&mesh, sphere_over_ground(4))?;
+    let nowhere = folder.path().join("no such folder");
+    let mut bake = bake_scene(&mesh, &nowhere.join("out.relight"));
+    error_line(&expect(INPUT_OUTPUT, &mut bake), &nowhere);
+    assert_eq!(names(folder.path()), ["sphere.obj"]);
+    Ok(())
+}
+
+fn broken_mesh() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let (mesh, asset) = (
+        folder.path().join("broken.obj"),
+        folder.path().join("out.relight"),
+    );
+    std::fs::write(&mesh, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n")?;
+    std::fs::write(&asset, "what was there before")?;
+    error_line(&expect(BAD_INPUT, &mut bake_scene(&mesh, &asset)), &mesh);
+    assert_eq!(std::fs::read(&asset)?, b"what was there before");
+    assert_eq!(names(folder.path()), ["broken.obj", "out.relight"]);
+    Ok(())
+}
+
+fn broken_image() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let (image, asset) = (
+        folder.path().join("broken.hdr"),
+        folder.path().join("out.relight"),
+    );
+    std::fs::write(
+        &image,
+        "#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 1000 +X 2000\nshort",
+    )?;
+    let mut bake = bake_environment(&image, &asset, 4);
+    error_line(&expect(BAD_INPUT, &mut bake), &image);
+    assert_eq!(names(folder.path()), ["broken.hdr"]);
+    Ok(())
+}
+
+fn damaged_asset() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let asset = folder.path().join("damaged.relight");
+    let environment = relight_format::Environment::default();
+    let mut bytes = relight_format::write_environment(&environment)?;
+    let last = bytes.len() - 1;
+    bytes[last] ^= 1;
+    std::fs::write(&asset, &bytes)?;
+    let line = error_line(
+        &expect(BAD_INPUT, binary("bake").arg("validate").arg(&asset)),
+        &asset,
+    );
+    assert!(line.contains("BadChecksum"), "{line}");
+    std::fs::write(&asset, &bytes[..last])?;
+    let line = error_line(
+        &expect(BAD_INPUT, binary("bake").arg("inspect").arg(&asset)),
+        &asset,
+    );
+    assert!(line.contains("Truncated"), "{line}");
+    Ok(())
+}
+
+/// Ctrl-C in the middle: the old file stays, nothing half-written is left.
+fn interrupt() -> Outcome {
+    /// Longer than any bake takes to be interrupted, shorter than a hung test's patience.
+    const PATIENCE: Duration = Duration::from_mins(1);
+    let folder = tempfile::tempdir()?;
+    let (mesh, asset) = (
+        folder.path().join("sphere.obj"),
+        folder.path().join("out.relight"),
+    );
+    // Enough work for many seconds, were it left alone.
+    std::fs::write(&mesh, sphere_over_ground(250))?;
+    std::fs::write(&asset, "what was there before")?;
+    let mut bake = binary("bake");
+    bake.arg("scene").arg(&mesh).arg("-o").arg(&asset);
+    let mut child = bake
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()?;
+    std::thread::sleep(Duration::from_secs(1));
+    assert!(
+        child.try_wait()?.is_none(),
+        "finished before it could be interrupted"
+    );
+    let kill = Command::new("sh")
+        .arg("-c")
+        .arg(format!("kill -INT {}", child.id()))
+        .status()?;
+    assert!(kill.success());
+    let start = Instant::now();
+    let status = loop {
+        if let Some(status) = child.try_wait()? {
+            break status;
+        }
+        if start.elapsed() > PATIENCE {
+            child.kill()?;
+            return Err("still running a minute after the interrupt".into());
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    };
+    assert_eq!(status.code(), Some(INTERRUPTED), "{status}");
+    assert_eq!(std::fs::read(&asset)?, b"what was there before");
+    assert_eq!(names(folder.path()), ["out.relight", "sphere.obj"]);
+    Ok(())
+}

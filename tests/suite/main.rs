@@ -16,6 +16,7 @@ mod import;
 mod meshes;
 mod real_meshes;
 mod support;
+mod truth;
 
 use std::process::ExitCode;
 
@@ -25,6 +26,7 @@ fn main() -> ExitCode {
         determinism::trials(),
         import::trials(),
         real_meshes::trials(),
+        truth::trials(),
     ];
     let trials = trials.into_iter().flatten().collect();
     libtest_mimic::run(&libtest_mimic::Arguments::from_args(), trials).exit_code()

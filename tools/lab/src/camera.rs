@@ -8,16 +8,35 @@ use relight_format::{Camera, FieldOfView};
 
 /// Why a camera file could not be used.
 #[derive(Debug, thiserror::Error)]
-#[error("{path}: {reason}")]
-pub struct Error {
-    path: String,
-    reason: String,
+pub enum Error {
+    /// The file could not be read.
+    #[error("{path}: {source}")]
+    Io {
+        /// The file.
+        path: String,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// The file does not describe a camera.
+    #[error("{path}: {reason}")]
+    Invalid {
+        /// The file.
+        path: String,
+        /// What is wrong with it.
+        reason: String,
+    },
 }
 
 /// Reads a camera file: TOML with the keys of a scene file's `[camera]` table.
 pub fn load(path: &Path) -> Result<Camera, Error> {
-    let error = |reason: String| Error { path: path.display().to_string(), reason };
-    let text = std::fs::read_to_string(path).map_err(|reason| error(reason.to_string()))?;
+    let error = |reason: String| Error::Invalid {
+        path: path.display().to_string(),
+        reason,
+    };
+    let text = std::fs::read_to_string(path).map_err(|source| Error::Io {
+        path: path.display().to_string(),
+        source,
+    })?;
     let camera: scene_file::Camera =
         toml::from_str(&text).map_err(|reason| error(reason.to_string()))?;
     let found = camera.to_format().ok_or_else(|| {
@@ -32,15 +51,21 @@ pub fn check(camera: &Camera) -> Result<(), String> {
     let (FieldOfView::X(angle) | FieldOfView::Y(angle)) = camera.field_of_view;
     if !(angle > 0.0 && angle < std::f32::consts::PI) {
         let degrees = angle.to_degrees();
-        return Err(format!("field of view: expected degrees in (0, 180), found {degrees}"));
+        return Err(format!(
+            "field of view: expected degrees in (0, 180), found {degrees}"
+        ));
     }
     let [position, target, up] = [camera.position, camera.target, camera.up].map(Vec3::from);
     let forward = target - position;
     if !(position.is_finite() && forward.is_finite() && forward.length_squared() > 0.0) {
-        return Err(format!("target: expected a point other than {position}, found {target}"));
+        return Err(format!(
+            "target: expected a point other than {position}, found {target}"
+        ));
     }
     if !(up.is_finite() && forward.cross(up).length_squared() > 0.0) {
-        return Err(format!("up: expected a direction other than {forward}, found {up}"));
+        return Err(format!(
+            "up: expected a direction other than {forward}, found {up}"
+        ));
     }
     Ok(())
 }
@@ -73,7 +98,10 @@ mod tests {
             let corner = low + (high - low) * Vec3::new(pick(0), pick(1), pick(2));
             let clip = view.view_projection * corner.extend(1.0);
             let place = clip.truncate() / clip.w;
-            assert!(place.x.abs() < 1.0 && place.y.abs() < 1.0 && clip.w > 0.0, "{place}");
+            assert!(
+                place.x.abs() < 1.0 && place.y.abs() < 1.0 && clip.w > 0.0,
+                "{place}"
+            );
         }
     }
 
@@ -90,8 +118,16 @@ mod tests {
         assert_eq!(camera.field_of_view, FieldOfView::X(28f32.to_radians()));
         assert_eq!(camera.up, [0.0, 1.0, 0.0]);
         assert!(read(place).unwrap_err().contains("fov_x_degrees"));
-        assert!(read(&format!("{place}fov_x_degrees = 280")).unwrap_err().contains("280"));
+        assert!(
+            read(&format!("{place}fov_x_degrees = 280"))
+                .unwrap_err()
+                .contains("280")
+        );
         assert!(read(&format!("{place}fov_y_degrees = 30\nup = [0, 1, 4]")).is_err());
-        assert!(read("position = [0, 0, 0]\nzoom = 1").unwrap_err().contains("zoom"));
+        assert!(
+            read("position = [0, 0, 0]\nzoom = 1")
+                .unwrap_err()
+                .contains("zoom")
+        );
     }
 }

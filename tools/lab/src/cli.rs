@@ -12,51 +12,37 @@ use indicatif::{ProgressBar, ProgressStyle};
 use relight_bake::{hdr, scene_input};
 use relight_format::{Camera, Environment, FieldOfView, Limits, Scene};
 use relight_lab::truth::{self, Filter, Geometry, full, lobes};
-#[cfg(any())]
-use relight_lab::render;
-use relight_lab::{camera, compare, image_file};
+use relight_lab::{camera, compare, image_file, render};
 use relight_shading::camera::View;
 use relight_shading::polar::PolarOptions;
 use relight_shading::shade::Method;
 use relight_shading::spherical_gaussian::SphericalGaussian;
-use serde_json::json;
-
-/// Every way a command ends. The text of the exit codes in the help is this table.
-#[derive(Debug)]
-enum Failure {
-    /// 1: the work itself failed.
-    Work(anyhow::Error),
-    /// 3: an input file cannot be read or is not valid.
-    Input(anyhow::Error),
-    /// 4: a GPU was demanded and none can do it.
-    Gpu(anyhow::Error),
-}
+use serde_json::{Value, json};
 
 const EXIT_CODES: &str = "\
 Exit codes:
   0  done
-  1  the work failed: an image cannot be compared or written, a device failed
-  2  wrong command line
-  3  an input file cannot be read or is not valid
-  4  --device gpu, and no usable GPU";
+  1  the input is not what it should be; the message says where and why
+  2  the command line is wrong
+  3  a file could not be read or written
+  4  --device gpu, and no GPU that can do it";
 
-impl Failure {
-    fn code(&self) -> u8 {
-        match self {
-            Self::Work(_) => 1,
-            Self::Input(_) => 3,
-            Self::Gpu(_) => 4,
+fn exit_code(error: &anyhow::Error) -> u8 {
+    for cause in error.chain() {
+        if cause.is::<NoGpu>() {
+            return 4;
+        }
+        if cause.is::<std::io::Error>() {
+            return 3;
         }
     }
+    1
 }
 
-fn work<E: Into<anyhow::Error>>(error: E) -> Failure {
-    Failure::Work(error.into())
-}
-
-fn input<E: Into<anyhow::Error>>(error: E) -> Failure {
-    Failure::Input(error.into())
-}
+/// A GPU was demanded.
+#[derive(Debug, thiserror::Error)]
+#[error("--device gpu")]
+struct NoGpu(#[source] relight_runtime::Error);
 
 /// Renders baked scenes, ray-traces truth and compares the two.
 #[derive(Parser)]
@@ -72,7 +58,6 @@ struct Cli {
 #[derive(Subcommand)]
 enum Command {
     /// Render a baked scene with the runtime.
-    #[cfg(any())]
     Render(Render),
     /// Ray-trace a scene: direct light, mean and variance.
     Truth(Truth),
@@ -208,41 +193,33 @@ enum FilterName {
 pub fn run() -> ExitCode {
     let cli = Cli::parse();
     let result = match &cli.command {
-        #[cfg(any())]
         Command::Render(arguments) => run_render(arguments),
         Command::Truth(arguments) => run_truth(arguments),
         Command::Compare(arguments) => run_compare(arguments),
     };
     match result {
-        Ok(report) => {
-            if cli.json {
-                println!("{report}");
-            } else {
-                print_plain(&report);
-            }
-            ExitCode::SUCCESS
-        }
-        Err(failure) => {
-            let (Failure::Work(error) | Failure::Input(error) | Failure::Gpu(error)) = &failure;
+        Ok(report) if cli.json => println!("{report}"),
+        Ok(report) => print_plain(&report),
+        Err(error) => {
             eprintln!("error: {error:#}");
-            ExitCode::from(failure.code())
+            return ExitCode::from(exit_code(&error));
         }
     }
+    ExitCode::SUCCESS
 }
 
 /// One line per entry of a JSON object.
-fn print_plain(report: &serde_json::Value) {
+fn print_plain(report: &Value) {
     for (name, value) in report.as_object().into_iter().flatten() {
         match value {
-            serde_json::Value::Null => {}
-            serde_json::Value::String(text) => println!("{name}: {text}"),
+            Value::Null => {}
+            Value::String(text) => println!("{name}: {text}"),
             other => println!("{name}: {other}"),
         }
     }
 }
 
-#[cfg(any())]
-fn run_render(arguments: &Render) -> Result<serde_json::Value, Failure> {
+fn run_render(arguments: &Render) -> anyhow::Result<Value> {
     let scene = read_scene(&arguments.scene)?;
     let lights = read_lights(&arguments.environment)?;
     let picture = &arguments.picture;
@@ -250,7 +227,9 @@ fn run_render(arguments: &Render) -> Result<serde_json::Value, Failure> {
         MethodName::Ambient => Method::Ambient,
         MethodName::Polar => {
             let default = PolarOptions::default();
-            Method::Polar(PolarOptions { spokes: arguments.spokes.unwrap_or(default.spokes) })
+            Method::Polar(PolarOptions {
+                spokes: arguments.spokes.unwrap_or(default.spokes),
+            })
         }
     };
     let device = match arguments.device {
@@ -258,7 +237,7 @@ fn run_render(arguments: &Render) -> Result<serde_json::Value, Failure> {
         DeviceName::Gpu => render::Device::Gpu,
         DeviceName::Cpu => render::Device::Cpu,
     };
-    let mut renderer = render::Renderer::open(device).map_err(|error| Failure::Gpu(error.into()))?;
+    let mut renderer = render::Renderer::open(device).map_err(NoGpu)?;
     let frame = relight_runtime::Frame {
         camera: choose_camera(&picture.camera, scene.camera, &scene)?,
         lights: &lights,
@@ -267,9 +246,9 @@ fn run_render(arguments: &Render) -> Result<serde_json::Value, Failure> {
         exposure: 1.0,
     };
     let start = Instant::now();
-    let image = renderer.render(&scene, &frame, picture.size).map_err(work)?;
+    let image = renderer.render(&scene, &frame, picture.size)?;
     let seconds = start.elapsed().as_secs_f64();
-    image_file::write(&picture.output, &image, picture.exposure).map_err(work)?;
+    image_file::write(&picture.output, &image, picture.exposure)?;
     Ok(json!({
         "output": picture.output,
         "width": image.width,
@@ -282,7 +261,7 @@ fn run_render(arguments: &Render) -> Result<serde_json::Value, Failure> {
     }))
 }
 
-fn run_truth(arguments: &Truth) -> Result<serde_json::Value, Failure> {
+fn run_truth(arguments: &Truth) -> anyhow::Result<Value> {
     let picture = &arguments.picture;
     let options = truth::Options {
         samples: arguments.samples,
@@ -294,49 +273,66 @@ fn run_truth(arguments: &Truth) -> Result<serde_json::Value, Failure> {
     };
     let rotation = picture.rotate.to_radians();
     let [width, height] = picture.size;
-    let bar = ProgressBar::new(height.into())
-        .with_style(ProgressStyle::with_template("{bar:40} {pos}/{len} rows, {eta} left").expect("a valid template"));
+    let bar = ProgressBar::new(height.into()).with_style(
+        ProgressStyle::with_template("{bar:40} {pos}/{len} rows, {eta} left")
+            .expect("a valid template"),
+    );
     let row_done = || bar.inc(1);
     let start;
     let image = match arguments.kind {
         Kind::Lobes => {
             let scene = read_scene(&arguments.scene)?;
-            let environment = arguments.environment.as_deref().ok_or_else(|| {
-                input(anyhow::anyhow!("--environment: expected a baked environment, found none"))
-            })?;
+            let environment = arguments
+                .environment
+                .as_deref()
+                .context("--environment: expected a baked environment, found none")?;
             let turn = glam::Mat3::from_rotation_y(rotation);
-            let lights: Vec<_> =
-                read_lights(environment)?.iter().map(|light| light.rotate(&turn)).collect();
+            let lights: Vec<_> = read_lights(environment)?
+                .iter()
+                .map(|light| light.rotate(&turn))
+                .collect();
             let camera = choose_camera(&picture.camera, scene.camera, &scene)?;
             start = Instant::now();
             let geometry = Geometry::new(&scene, View::new(&camera, width, height, 1.0));
             lobes::render(&geometry, &lights, picture.size, &options, &row_done)
         }
         Kind::Full => {
-            let loaded = scene_input::load(&arguments.scene).map_err(input)?;
+            let loaded = scene_input::load(&arguments.scene)?;
             for warning in &loaded.warnings {
                 eprintln!("warning: {warning}");
             }
-            let path = arguments.environment.as_ref().or(loaded.environment.as_ref());
-            let path = path.ok_or_else(|| {
-                input(anyhow::anyhow!("--environment: expected a lat-long image, found none"))
-            })?;
-            let environment = hdr::load(path).map_err(input)?;
+            let path = arguments
+                .environment
+                .as_ref()
+                .or(loaded.environment.as_ref());
+            let path = path.context("--environment: expected a lat-long image, found none")?;
+            let environment = hdr::load(path)?;
             if environment.repaired > 0 {
-                eprintln!("warning: {}: repaired {} pixels", path.display(), environment.repaired);
+                eprintln!(
+                    "warning: {}: repaired {} pixels",
+                    path.display(),
+                    environment.repaired
+                );
             }
-            let tables = full::tables(&loaded).map_err(input)?;
+            let tables = full::tables(&loaded)?;
             let scene = full::unbaked(&loaded);
             let camera = choose_camera(&picture.camera, scene.camera, &scene)?;
             start = Instant::now();
             let geometry = Geometry::new(&scene, View::new(&camera, width, height, 1.0));
             let sampler = full::EnvironmentSampler::new(&environment, rotation);
-            full::render(&geometry, &tables, &sampler, picture.size, &options, &row_done)
+            full::render(
+                &geometry,
+                &tables,
+                &sampler,
+                picture.size,
+                &options,
+                &row_done,
+            )
         }
     };
     let seconds = start.elapsed().as_secs_f64();
     bar.finish_and_clear();
-    image_file::write(&picture.output, &image, picture.exposure).map_err(work)?;
+    image_file::write(&picture.output, &image, picture.exposure)?;
     Ok(json!({
         "output": picture.output,
         "width": width,
@@ -349,30 +345,27 @@ fn run_truth(arguments: &Truth) -> Result<serde_json::Value, Failure> {
     }))
 }
 
-fn run_compare(arguments: &Compare) -> Result<serde_json::Value, Failure> {
-    let [candidate, truth] = [&arguments.candidate, &arguments.truth]
-        .map(|path| image_file::read_exr(path).map_err(input));
-    let comparison = compare::compare(&candidate?, &truth?).map_err(work)?;
-    serde_json::to_value(comparison).map_err(work)
+fn run_compare(arguments: &Compare) -> anyhow::Result<Value> {
+    let candidate = image_file::read_exr(&arguments.candidate)?;
+    let truth = image_file::read_exr(&arguments.truth)?;
+    Ok(serde_json::to_value(compare::compare(&candidate, &truth)?)?)
 }
 
-fn read_scene(path: &Path) -> Result<Scene, Failure> {
+fn read_scene(path: &Path) -> anyhow::Result<Scene> {
     let bytes = read(path)?;
     relight_format::read_scene(&bytes, &Limits::default())
         .with_context(|| path.display().to_string())
-        .map_err(input)
 }
 
-fn read_lights(path: &Path) -> Result<Vec<SphericalGaussian>, Failure> {
+fn read_lights(path: &Path) -> anyhow::Result<Vec<SphericalGaussian>> {
     let bytes = read(path)?;
     let environment: Environment = relight_format::read_environment(&bytes, &Limits::default())
-        .with_context(|| path.display().to_string())
-        .map_err(input)?;
+        .with_context(|| path.display().to_string())?;
     Ok(environment.lobes.iter().map(Into::into).collect())
 }
 
-fn read(path: &Path) -> Result<Vec<u8>, Failure> {
-    std::fs::read(path).with_context(|| path.display().to_string()).map_err(input)
+fn read(path: &Path) -> anyhow::Result<Vec<u8>> {
+    std::fs::read(path).with_context(|| path.display().to_string())
 }
 
 /// File, else the scene's own, else one that frames it; then the flags' replacements.
@@ -380,12 +373,15 @@ fn choose_camera(
     arguments: &CameraArguments,
     own: Option<Camera>,
     scene: &Scene,
-) -> Result<Camera, Failure> {
+) -> anyhow::Result<Camera> {
     let mut chosen = match (&arguments.camera, own) {
-        (Some(path), _) => camera::load(path).map_err(input)?,
+        (Some(path), _) => camera::load(path)?,
         (None, Some(own)) => own,
         (None, None) => {
-            let positions = scene.vertices.iter().map(|vertex| Vec3::from(vertex.position));
+            let positions = scene
+                .vertices
+                .iter()
+                .map(|vertex| Vec3::from(vertex.position));
             let bounds = positions.fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), p| {
                 (low.min(p), high.max(p))
             });
@@ -406,7 +402,7 @@ fn choose_camera(
     if let Some(degrees) = arguments.fov_x {
         chosen.field_of_view = FieldOfView::X(degrees.to_radians());
     }
-    camera::check(&chosen).map_err(|reason| input(anyhow::anyhow!("camera: {reason}")))?;
+    camera::check(&chosen).map_err(|reason| anyhow::anyhow!("camera: {reason}"))?;
     Ok(chosen)
 }
 
@@ -415,16 +411,19 @@ fn covered(image: &image_file::Image) -> usize {
 }
 
 fn parse_size(text: &str) -> Result<[u32; 2], String> {
-    let sides = text.split_once('x').and_then(|(width, height)| {
-        Some([width.parse().ok()?, height.parse().ok()?])
-    });
+    let sides = text
+        .split_once('x')
+        .and_then(|(width, height)| Some([width.parse().ok()?, height.parse().ok()?]));
     sides
         .filter(|sides: &[u32; 2]| sides.iter().all(|side| (1..=16384).contains(side)))
         .ok_or_else(|| "expected WIDTHxHEIGHT, each from 1 to 16384".into())
 }
 
 fn parse_point(text: &str) -> Result<Point, String> {
-    let numbers: Vec<f32> = text.split(',').filter_map(|part| part.trim().parse().ok()).collect();
+    let numbers: Vec<f32> = text
+        .split(',')
+        .filter_map(|part| part.trim().parse().ok())
+        .collect();
     <[f32; 3]>::try_from(numbers)
         .ok()
         .filter(|numbers| numbers.iter().all(|number| number.is_finite()))

@@ -18,10 +18,20 @@ pub fn pixels(image: &Image, exposure: f32) -> Vec<[u8; 3]> {
     let show = |&[r, g, b, alpha]: &[f32; 4]| {
         let coverage = alpha.clamp(0.0, 1.0);
         // Only radiance is exposed and tone-mapped; coverage then blends as light does.
-        let radiance = if alpha > 0.0 { Vec3::new(r, g, b) / alpha } else { Vec3::ZERO };
-        let shown = neutral((radiance * scale).max(Vec3::ZERO).min(Vec3::splat(BRIGHTEST)));
+        let radiance = if alpha > 0.0 {
+            Vec3::new(r, g, b) / alpha
+        } else {
+            Vec3::ZERO
+        };
+        let shown = neutral(
+            (radiance * scale)
+                .max(Vec3::ZERO)
+                .min(Vec3::splat(BRIGHTEST)),
+        );
         let linear = Vec3::splat(BACKGROUND).lerp(shown, coverage);
-        linear.to_array().map(|value| (encode_srgb(value.clamp(0.0, 1.0)) * 255.0).round() as u8)
+        linear
+            .to_array()
+            .map(|value| (encode_srgb(value.clamp(0.0, 1.0)) * 255.0).round() as u8)
     };
     image.pixels.iter().map(show).collect()
 }

@@ -27,6 +27,14 @@ pub struct Image {
 /// Why an image could not be read or written.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
+    /// The file could not be read.
+    #[error("{path}: {source}")]
+    Io {
+        /// The file.
+        path: String,
+        /// The system's reason.
+        source: std::io::Error,
+    },
     /// The file is not a readable OpenEXR image.
     #[error("{path}: expected an OpenEXR image with channels R, G and B, found {found}")]
     Exr {
@@ -90,13 +98,17 @@ pub fn read_exr(path: &Path) -> Result<Image, Error> {
         path: path.display().to_string(),
         found,
     };
+    let bytes = std::fs::read(path).map_err(|source| Error::Io {
+        path: path.display().to_string(),
+        source,
+    })?;
     let file = exr::prelude::read()
         .no_deep_data()
         .largest_resolution_level()
         .all_channels()
         .all_layers()
         .all_attributes()
-        .from_file(path)
+        .from_buffered(Cursor::new(bytes))
         .map_err(|reason| error(reason.to_string()))?;
     let channels = |layer: &Layer<AnyChannels<FlatSamples>>, name: &str| -> Option<Vec<f32>> {
         let find = |channel: &&AnyChannel<FlatSamples>| channel.name.eq_case_insensitive(name);
@@ -251,10 +263,8 @@ mod tests {
         let path = folder.path().join("image.exr");
         std::fs::write(&path, b"not an image").unwrap();
         assert!(matches!(read_exr(&path), Err(Error::Exr { .. })));
-        assert!(matches!(
-            read_exr(&folder.path().join("absent.exr")),
-            Err(Error::Exr { .. })
-        ));
+        let absent = read_exr(&folder.path().join("absent.exr"));
+        assert!(matches!(absent, Err(Error::Io { .. })));
         let other = folder.path().join("image.jpeg");
         assert!(matches!(
             write(&other, &gradient(false), 0.0),

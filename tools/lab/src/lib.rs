@@ -5,6 +5,5 @@ pub mod camera;
 pub mod compare;
 pub mod display;
 pub mod image_file;
-#[cfg(any())]
 pub mod render;
 pub mod truth;

@@ -58,6 +58,11 @@ impl Renderer {
             }
             Self::Cpu => twin::render(scene, frame, width, height)?,
         };
-        Ok(Image { width, height, pixels: image.pixels, variance: None })
+        Ok(Image {
+            width,
+            height,
+            pixels: image.pixels,
+            variance: None,
+        })
     }
 }

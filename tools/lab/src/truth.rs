@@ -69,8 +69,9 @@ impl<'a> Geometry<'a> {
         };
         let all: Vec<_> = (0..scene.triangles.len()).map(corners).collect();
         let faces_eye = |[a, b, c]: [Vec3; 3]| (b - a).cross(c - a).dot(view.eye - a) > 0.0;
-        let facing_triangles: Vec<_> =
-            (0..all.len()).filter(|&index| faces_eye(all[index])).collect();
+        let facing_triangles: Vec<_> = (0..all.len())
+            .filter(|&index| faces_eye(all[index]))
+            .collect();
         let facing: Vec<_> = facing_triangles.iter().map(|&index| all[index]).collect();
         Self {
             scene,
@@ -117,16 +118,31 @@ fn estimate_image(
         })
         .collect();
     let (pixels, variance) = rows.into_iter().flatten().unzip();
-    Image { width, height, pixels, variance: Some(variance) }
+    Image {
+        width,
+        height,
+        pixels,
+        variance: Some(variance),
+    }
 }
 
 /// Mean and variance of the mean of independent estimates.
 fn summarise(estimates: &[Estimate; REPLICAS as usize]) -> ([f32; 4], [f32; 3]) {
     let count = REPLICAS as f32;
-    let mean = estimates.iter().map(|(radiance, _)| *radiance).sum::<Vec3>() / count;
+    let mean = estimates
+        .iter()
+        .map(|(radiance, _)| *radiance)
+        .sum::<Vec3>()
+        / count;
     let coverage = estimates.iter().map(|(_, coverage)| coverage).sum::<f32>() / count;
-    let squares: Vec3 = estimates.iter().map(|(radiance, _)| (*radiance - mean).powf(2.0)).sum();
-    (mean.extend(coverage).into(), (squares / (count * (count - 1.0))).into())
+    let squares: Vec3 = estimates
+        .iter()
+        .map(|(radiance, _)| (*radiance - mean).powf(2.0))
+        .sum();
+    (
+        mean.extend(coverage).into(),
+        (squares / (count * (count - 1.0))).into(),
+    )
 }
 
 #[cfg(test)]
@@ -160,7 +176,10 @@ pub(crate) mod test_scene {
             camera: None,
             materials: vec![Material {
                 name: "grey".into(),
-                surface: Surface::Layered { diffuse: albedo, specular: Specular::None },
+                surface: Surface::Layered {
+                    diffuse: albedo,
+                    specular: Specular::None,
+                },
                 base_color_texture: None,
                 metallic_roughness_texture: None,
                 normal_texture: None,
@@ -171,7 +190,11 @@ pub(crate) mod test_scene {
             report: BakeReport::default(),
             vertices: vertices.collect(),
             triangles: (0..triangles.len() as u32)
-                .map(|i| Triangle { vertices: [3 * i, 3 * i + 1, 3 * i + 2], material: 0, cluster: 0 })
+                .map(|i| Triangle {
+                    vertices: [3 * i, 3 * i + 1, 3 * i + 2],
+                    material: 0,
+                    cluster: 0,
+                })
                 .collect(),
             clusters: Vec::new(),
             coefficients: Vec::new(),

@@ -20,15 +20,14 @@ use super::{Estimate, Filter, Geometry, Options, REPLICAS, estimate_image};
 use crate::display::luminance;
 use crate::image_file::Image;
 
-/// Distance that rays start from a surface, in diagonals of the scene's bounding box, as
-/// baking has it.
+/// Distance that rays start from a surface, in diagonals of the scene without its ground,
+/// as baking has it.
 const RAY_OFFSET: f32 = 1e-4;
 
 /// The scene of an input file as the runtime would see it but without visibility: nothing
 /// that [`render`] reads is missing.
 pub fn unbaked(input: &SceneInput) -> Scene {
     let mesh = &input.mesh;
-    let diagonal = mesh.bounds().map_or(0.0, |(low, high)| low.distance(high));
     Scene {
         name: input.name.clone(),
         visibility: VisibilityParameters {
@@ -36,7 +35,7 @@ pub fn unbaked(input: &SceneInput) -> Scene {
             sample_resolution: 1,
             basis_resolution: 2,
             distance_clamp: PI,
-            ray_offset: RAY_OFFSET * diagonal,
+            ray_offset: RAY_OFFSET * input.object_diagonal,
         },
         camera: input.camera,
         materials: mesh.materials.clone(),
@@ -46,7 +45,11 @@ pub fn unbaked(input: &SceneInput) -> Scene {
         triangles: mesh
             .triangles
             .iter()
-            .map(|&ImportedTriangle { vertices, material }| Triangle { vertices, material, cluster: 0 })
+            .map(|&ImportedTriangle { vertices, material }| Triangle {
+                vertices,
+                material,
+                cluster: 0,
+            })
             .collect(),
         clusters: Vec::new(),
         coefficients: Vec::new(),
@@ -81,7 +84,10 @@ pub fn render(
             let (point, triangle) = geometry.seen(x as f32 + u, y as f32 + v)?;
             let material = geometry.scene.triangles[triangle].material as usize;
             let table = measured.get(material).and_then(Option::as_ref);
-            Some(Reflector { point: exact_frame(point, geometry.scene, triangle), table })
+            Some(Reflector {
+                point: exact_frame(point, geometry.scene, triangle),
+                table,
+            })
         };
         let center = (options.filter == Filter::Center).then(|| at([0.5; 2]));
         std::array::from_fn(|replica| -> Estimate {
@@ -119,17 +125,25 @@ fn exact_frame(point: SurfacePoint, scene: &Scene, triangle: usize) -> SurfacePo
     if isotropic || !matches!(material.surface, Surface::Layered { .. }) {
         return point;
     }
-    let [a, b, c] = triangle.vertices.map(|vertex| &scene.vertices[vertex as usize]);
+    let [a, b, c] = triangle
+        .vertices
+        .map(|vertex| &scene.vertices[vertex as usize]);
     let edge = |to: &Vertex| Vec3::from(to.position) - Vec3::from(a.position);
     let step = |to: &Vertex| Vec2::from(to.uv) - Vec2::from(a.uv);
     let (b, c) = ((edge(b), step(b)), (edge(c), step(c)));
     // ∂position/∂u by Cramer's rule, up to its length; zero without texture coordinates.
     let along = (b.0 * c.1.y - c.0 * b.1.y) * b.1.perp_dot(c.1).signum();
-    let tangent = along.reject_from_normalized(point.normal).normalize_or_zero();
+    let tangent = along
+        .reject_from_normalized(point.normal)
+        .normalize_or_zero();
     if tangent == Vec3::ZERO {
         return point;
     }
-    SurfacePoint { tangent, bitangent: point.normal.cross(tangent), ..point }
+    SurfacePoint {
+        tangent,
+        bitangent: point.normal.cross(tangent),
+        ..point
+    }
 }
 
 /// A surface point and the exact way it reflects.
@@ -160,7 +174,11 @@ impl Reflector<'_> {
             let density = light_density + self.density(light, view);
             let value = self.evaluate(light, view) * radiance * (light.z / density);
             let counts = density > 0.0 && value != Vec3::ZERO;
-            if counts && geometry.visible(&self.point, direction) { value } else { Vec3::ZERO }
+            if counts && geometry.visible(&self.point, direction) {
+                value
+            } else {
+                Vec3::ZERO
+            }
         };
         let reflected = self.sample(view, reflection_uniform);
         contribution(environment.sample(light_uniform))
@@ -224,7 +242,11 @@ impl<'a> EnvironmentSampler<'a> {
         }
         let weights = columns.chunks_exact(width).flat_map(|row| {
             row.iter().scan(0.0, move |before, &sum| {
-                let weight = if total > 0.0 { (sum - *before) / total } else { 0.0 };
+                let weight = if total > 0.0 {
+                    (sum - *before) / total
+                } else {
+                    0.0
+                };
                 *before = sum;
                 Some(weight as f32)
             })
@@ -284,15 +306,28 @@ impl<'a> EnvironmentSampler<'a> {
 /// The interval of a running sum that `u` in [0, 1) falls into, and where in it.
 fn draw(sums: &[f64], u: f64) -> (usize, f64) {
     let target = u * sums[sums.len() - 1];
-    let index = sums.partition_point(|&sum| sum <= target).min(sums.len() - 1);
+    let index = sums
+        .partition_point(|&sum| sum <= target)
+        .min(sums.len() - 1);
     let before = if index == 0 { 0.0 } else { sums[index - 1] };
     let size = sums[index] - before;
-    (index, if size > 0.0 { ((target - before) / size).clamp(0.0, 1.0) } else { 0.5 })
+    (
+        index,
+        if size > 0.0 {
+            ((target - before) / size).clamp(0.0, 1.0)
+        } else {
+            0.5
+        },
+    )
 }
 
 /// Maps uniform [0, 1] to the tent density 1 − |t| on [−1, 1].
 fn tent(u: f64) -> f64 {
-    if u < 0.5 { (2.0 * u).sqrt() - 1.0 } else { 1.0 - (2.0 - 2.0 * u).sqrt() }
+    if u < 0.5 {
+        (2.0 * u).sqrt() - 1.0
+    } else {
+        1.0 - (2.0 - 2.0 * u).sqrt()
+    }
 }
 
 #[cfg(test)]
@@ -324,7 +359,12 @@ mod tests {
         for i in 0..count {
             let direction = sampler.sample(sobol_pair(i, 5));
             let (_, density) = sampler.lookup(direction);
-            let tests = [1.0, direction.y * direction.y, direction.y.max(0.0), direction.x.max(0.0)];
+            let tests = [
+                1.0,
+                direction.y * direction.y,
+                direction.y.max(0.0),
+                direction.x.max(0.0),
+            ];
             for (sum, test) in sums.iter_mut().zip(tests) {
                 *sum += f64::from(test / density);
             }
@@ -333,7 +373,10 @@ mod tests {
         for (sum, expected) in sums.iter().zip([4.0 * pi, 4.0 * pi / 3.0, pi, pi]) {
             let mean = sum / f64::from(count);
             // Scrambled Sobol quadrature with 65,536 points of weights up to 100.
-            assert!((mean / expected - 1.0).abs() < 0.01, "{mean}, not {expected}");
+            assert!(
+                (mean / expected - 1.0).abs() < 0.01,
+                "{mean}, not {expected}"
+            );
         }
     }
 
@@ -359,7 +402,10 @@ mod tests {
     }
 
     fn lambert(diffuse: [f32; 3]) -> Surface {
-        Surface::Layered { diffuse, specular: Specular::None }
+        Surface::Layered {
+            diffuse,
+            specular: Specular::None,
+        }
     }
 
     /// Standard errors of the mean of 64 pixels that a correct estimate stays within, but
@@ -368,8 +414,19 @@ mod tests {
 
     fn mean_and_error(image: &Image) -> (Vec3, Vec3) {
         let count = image.pixels.len() as f32;
-        let mean = image.pixels.iter().map(|p| Vec3::new(p[0], p[1], p[2])).sum::<Vec3>() / count;
-        let variance = image.variance.as_ref().unwrap().iter().map(|&v| Vec3::from(v)).sum::<Vec3>();
+        let mean = image
+            .pixels
+            .iter()
+            .map(|p| Vec3::new(p[0], p[1], p[2]))
+            .sum::<Vec3>()
+            / count;
+        let variance = image
+            .variance
+            .as_ref()
+            .unwrap()
+            .iter()
+            .map(|&v| Vec3::from(v))
+            .sum::<Vec3>();
         (mean, variance.powf(0.5) / count)
     }
 
@@ -377,7 +434,11 @@ mod tests {
     fn a_white_furnace_reflects_the_albedo() {
         let furnace = image(8, 4, |_| [1.0; 3]);
         for filter in [Filter::Center, Filter::Box] {
-            let options = Options { samples: 64, filter, seed: 1 };
+            let options = Options {
+                samples: 64,
+                filter,
+                seed: 1,
+            };
             let albedo = Vec3::new(0.9, 0.5, 0.1);
             let (mean, error) =
                 mean_and_error(&render_patch(lambert(albedo.into()), &furnace, &options));
@@ -390,7 +451,11 @@ mod tests {
     #[test]
     fn a_lambertian_plane_sees_the_irradiance() {
         let environment = image(64, 32, mottled);
-        let options = Options { samples: 128, filter: Filter::Center, seed: 2 };
+        let options = Options {
+            samples: 128,
+            filter: Filter::Center,
+            seed: 2,
+        };
         let (mean, error) =
             mean_and_error(&render_patch(lambert([0.5; 3]), &environment, &options));
         let (rows, columns) = (512, 1024);
@@ -410,7 +475,10 @@ mod tests {
         let expected = irradiance * 0.5 / PI;
         // Plus the error of the midpoint rule on a bilinear image: half a percent.
         let most = MOST_STANDARD_ERRORS * error + 5e-3 * expected;
-        assert!((mean - expected).abs().cmple(most).all(), "{mean} ± {error}, not {expected}");
+        assert!(
+            (mean - expected).abs().cmple(most).all(),
+            "{mean} ± {error}, not {expected}"
+        );
     }
 
     #[test]
@@ -423,7 +491,10 @@ mod tests {
         }
         let alpha = |alpha| Surface::Layered {
             diffuse: [0.0; 3],
-            specular: Specular::Ggx { f0: [1.0; 3], alpha },
+            specular: Specular::Ggx {
+                f0: [1.0; 3],
+                alpha,
+            },
         };
         let view = test_scene::view(4);
         let tangent = |scene: &Scene| {
@@ -433,7 +504,12 @@ mod tests {
             (point.tangent, exact.tangent)
         };
         scene.materials[0].surface = alpha([0.1, 0.4]);
-        assert!(tangent(&scene).1.distance(Vec3::new(1.0, 0.0, 2.0).normalize()) < 1e-6);
+        assert!(
+            tangent(&scene)
+                .1
+                .distance(Vec3::new(1.0, 0.0, 2.0).normalize())
+                < 1e-6
+        );
         scene.materials[0].surface = alpha([0.4, 0.4]);
         let (vertex, exact) = tangent(&scene);
         assert_eq!(vertex, exact);
@@ -451,19 +527,29 @@ mod tests {
         // their light is one small source and one that is nearly constant.
         let glossy = |alpha: f32| Surface::Layered {
             diffuse: [0.2; 3],
-            specular: Specular::Ggx { f0: [0.6; 3], alpha: [alpha; 2] },
+            specular: Specular::Ggx {
+                f0: [0.6; 3],
+                alpha: [alpha; 2],
+            },
         };
         for alpha in [0.1, 0.6] {
             let environment = image(32, 16, mottled);
             let render = |seed, samples| {
-                let options = Options { samples, filter: Filter::Center, seed };
+                let options = Options {
+                    samples,
+                    filter: Filter::Center,
+                    seed,
+                };
                 mean_and_error(&render_patch(glossy(alpha), &environment, &options))
             };
             let (few, few_error) = render(1, 32);
             let (many, many_error) = render(2, 512);
             let most =
                 MOST_STANDARD_ERRORS * (few_error * few_error + many_error * many_error).powf(0.5);
-            assert!((few - many).abs().cmple(most).all(), "{few} ± {few_error}, {many}");
+            assert!(
+                (few - many).abs().cmple(most).all(),
+                "{few} ± {few_error}, {many}"
+            );
         }
     }
 }

@@ -39,7 +39,9 @@ pub fn render(
                 &boxed
             };
             let seed = hash(seed, replica as u32);
-            mixture.as_ref().map(|mixture| mixture.trace(geometry, rays, seed))
+            mixture
+                .as_ref()
+                .map(|mixture| mixture.trace(geometry, rays, seed))
         });
         combine(&replicas)
     })
@@ -59,9 +61,7 @@ struct Gathered {
 /// Radiance of every replica. How far its unoccluded estimate is off is known, and what
 /// that says about its radiance is taken out (a control variate), in the proportion of
 /// visible to unoccluded light that the *other* replicas saw, which keeps it unbiased.
-fn combine(
-    replicas: &[Option<Gathered>; REPLICAS as usize],
-) -> [Estimate; REPLICAS as usize] {
+fn combine(replicas: &[Option<Gathered>; REPLICAS as usize]) -> [Estimate; REPLICAS as usize] {
     std::array::from_fn(|own| {
         let Some(gathered) = replicas[own] else {
             return (Vec3::ZERO, 0.0);
@@ -74,7 +74,10 @@ fn combine(
             }
         }
         let share = visible / unoccluded.max(Vec3::splat(f32::MIN_POSITIVE));
-        (gathered.visible + share * (gathered.expected - gathered.unoccluded), 1.0)
+        (
+            gathered.visible + share * (gathered.expected - gathered.unoccluded),
+            1.0,
+        )
     })
 }
 
@@ -90,8 +93,12 @@ struct Mixture {
 
 impl Mixture {
     fn new(point: SurfacePoint, lights: &[SphericalGaussian]) -> Self {
-        let mut mixture =
-            Self { point, lobes: Vec::new(), cumulative: Vec::new(), unoccluded: Vec3::ZERO };
+        let mut mixture = Self {
+            point,
+            lobes: Vec::new(),
+            cumulative: Vec::new(),
+            unoccluded: Vec3::ZERO,
+        };
         let mut total = 0.0;
         product_lobes(&point, lights, |lobe| {
             let cosine = point.normal.dot(lobe.axis);
@@ -113,7 +120,10 @@ impl Mixture {
             return Gathered::default();
         };
         let start = unit(hash(seed, 7));
-        let mut gathered = Gathered { expected: self.unoccluded, ..Gathered::default() };
+        let mut gathered = Gathered {
+            expected: self.unoccluded,
+            ..Gathered::default()
+        };
         let mut lobe = 0;
         for ray in 0..count {
             // Systematic sampling of the lobes; the rays of one lobe are successive.
@@ -121,7 +131,11 @@ impl Mixture {
             while lobe + 1 < self.lobes.len() && self.cumulative[lobe] <= target {
                 lobe += 1;
             }
-            let before = if lobe == 0 { 0.0 } else { self.cumulative[lobe - 1] };
+            let before = if lobe == 0 {
+                0.0
+            } else {
+                self.cumulative[lobe - 1]
+            };
             let probability = (self.cumulative[lobe] - before) / total;
             let gaussian = &self.lobes[lobe];
             let direction = sample(gaussian, kronecker_pair(ray, seed));
@@ -154,7 +168,11 @@ fn cosine_integral(sharpness: f32, cosine: f32) -> f32 {
     let ring = |theta: f32| {
         let (sine, co) = theta.sin_cos();
         let (a, b) = (cosine * co, elevation.cos() * sine);
-        let half = if b > 0.0 { (-a / b).clamp(-1.0, 1.0).acos() } else { 0.0 };
+        let half = if b > 0.0 {
+            (-a / b).clamp(-1.0, 1.0).acos()
+        } else {
+            0.0
+        };
         let chord = (0.5 * theta).sin();
         (-2.0 * sharpness * chord * chord).exp() * sine * 2.0 * (a * half + b * half.sin())
     };
@@ -168,7 +186,11 @@ fn cosine_integral(sharpness: f32, cosine: f32) -> f32 {
         0.0
     };
     // What lies beyond `last` is whole again where the axis is below the horizon.
-    let beyond = if elevation < 0.0 && last < reach { gauss(last, reach, ring) } else { 0.0 };
+    let beyond = if elevation < 0.0 && last < reach {
+        gauss(last, reach, ring)
+    } else {
+        0.0
+    };
     whole + gauss(first, last, ring) + beyond
 }
 
@@ -210,11 +232,19 @@ mod tests {
     use super::*;
 
     fn lobe(axis: Vec3, sharpness: f32, amplitude: Vec3) -> SphericalGaussian {
-        SphericalGaussian { axis: axis.normalize(), sharpness, amplitude }
+        SphericalGaussian {
+            axis: axis.normalize(),
+            sharpness,
+            amplitude,
+        }
     }
 
     fn options(samples: u32, seed: u32) -> Options {
-        Options { samples, filter: Filter::Center, seed }
+        Options {
+            samples,
+            filter: Filter::Center,
+            seed,
+        }
     }
 
     fn render_patch(
@@ -236,10 +266,13 @@ mod tests {
                 .map(|i| gaussian.axis.dot(sample(&gaussian, kronecker_pair(i, 1))))
                 .sum::<f32>()
                 / count as f32;
-            let expected = first_moment(sharpness)
-                / relight_shading::spherical_gaussian::energy(sharpness);
+            let expected =
+                first_moment(sharpness) / relight_shading::spherical_gaussian::energy(sharpness);
             // Quasi-random quadrature of a smooth function with 4,096 points.
-            assert!((mean - expected).abs() < 1e-3, "λ = {sharpness}: {mean}, not {expected}");
+            assert!(
+                (mean - expected).abs() < 1e-3,
+                "λ = {sharpness}: {mean}, not {expected}"
+            );
         }
     }
 
@@ -264,10 +297,18 @@ mod tests {
         // Rounding of f32 sums and the stated error of the quadrature.
         let rounding = 2e-5 * expected;
         let most = MOST_STANDARD_ERRORS * variance.powf(0.5) + count * rounding;
-        assert!(bias.abs().cmple(most).all(), "bias {}, at most {}", bias / count, most / count);
+        assert!(
+            bias.abs().cmple(most).all(),
+            "bias {}, at most {}",
+            bias / count,
+            most / count
+        );
         if variance.min_element() > count * rounding.max_element().powi(2) {
             let ratio = (squares / variance).element_sum() / 3.0;
-            assert!(VARIANCE_RATIO.contains(&ratio), "variance is off by a factor {ratio}");
+            assert!(
+                VARIANCE_RATIO.contains(&ratio),
+                "variance is off by a factor {ratio}"
+            );
         }
     }
 
@@ -286,8 +327,8 @@ mod tests {
                     let chord = (0.5 * theta).sin();
                     let value = (-2.0 * f64::from(sharpness) * chord * chord).exp() * theta.sin();
                     for column in 0..columns {
-                        let phi = std::f64::consts::TAU * (f64::from(column) + 0.5)
-                            / f64::from(columns);
+                        let phi =
+                            std::f64::consts::TAU * (f64::from(column) + 0.5) / f64::from(columns);
                         let n = sine * theta.cos() + cosine * theta.sin() * phi.cos();
                         sum += value * n.max(0.0);
                     }
@@ -297,7 +338,10 @@ mod tests {
                 let energy = f64::from(relight_shading::spherical_gaussian::energy(sharpness));
                 let error = (found - exact).abs() / energy;
                 // The stated error and that of the grid.
-                assert!(error < 2e-5, "λ = {sharpness}, {elevation}: {found}, not {exact}");
+                assert!(
+                    error < 2e-5,
+                    "λ = {sharpness}, {elevation}: {found}, not {exact}"
+                );
             }
         }
     }
@@ -340,8 +384,7 @@ mod tests {
             let radius = (1.0 - height * height).sqrt();
             for column in 0..columns {
                 let azimuth = TAU * (column as f32 + 0.5) / columns as f32;
-                let direction =
-                    Vec3::new(radius * azimuth.cos(), height, radius * azimuth.sin());
+                let direction = Vec3::new(radius * azimuth.cos(), height, radius * azimuth.sin());
                 if direction.x > 0.0 {
                     let sum: Vec3 = lights.iter().map(|light| light.evaluate(direction)).sum();
                     integral += sum * height;
@@ -349,7 +392,10 @@ mod tests {
             }
         }
         let integral = integral * (TAU / (rows * columns) as f32);
-        z_test(&image, integral * Vec3::new(0.8, 0.5, 0.2) / std::f32::consts::PI);
+        z_test(
+            &image,
+            integral * Vec3::new(0.8, 0.5, 0.2) / std::f32::consts::PI,
+        );
     }
 
     #[test]
@@ -357,7 +403,10 @@ mod tests {
         let light = lobe(Vec3::new(-0.5, 1.0, 0.0), 5.0, Vec3::ONE);
         let triangles = test_scene::plane_and_wall();
         let render = |seed| render_patch(&triangles, &[light], &options(32, seed));
-        let threads = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+        let threads = rayon::ThreadPoolBuilder::new()
+            .num_threads(1)
+            .build()
+            .unwrap();
         assert_eq!(render(1), threads.install(|| render(1)));
         assert_ne!(render(1), render(2));
     }

@@ -51,7 +51,13 @@ fn nested_uniform(mut x: u32, seed: u32) -> u32 {
 pub fn kronecker_pair(index: u32, seed: u32) -> [f32; 2] {
     // 1/ρ and 1/ρ² in 0.32 fixed point, ρ the real root of x³ = x + 1.
     const STEPS: [u32; 2] = [0xc13f_a9a9, 0x91e1_0da5];
-    [0, 1].map(|i| unit(index.wrapping_mul(STEPS[i]).wrapping_add(hash(seed, i as u32))))
+    [0, 1].map(|i| {
+        unit(
+            index
+                .wrapping_mul(STEPS[i])
+                .wrapping_add(hash(seed, i as u32)),
+        )
+    })
 }
 
 #[cfg(test)]
@@ -64,7 +70,9 @@ mod tests {
         for i in 1..16 {
             for j in 1..16 {
                 let corner = [i as f32 / 16.0, j as f32 / 16.0];
-                let inside = points.iter().filter(|p| p[0] < corner[0] && p[1] < corner[1]);
+                let inside = points
+                    .iter()
+                    .filter(|p| p[0] < corner[0] && p[1] < corner[1]);
                 let share = inside.count() as f32 / points.len() as f32;
                 worst = worst.max((share - corner[0] * corner[1]).abs());
             }
@@ -79,7 +87,11 @@ mod tests {
             let sobol: Vec<_> = (0..256).map(|i| sobol_pair(i, seed)).collect();
             assert!(discrepancy(&sobol) < 0.02, "{}", discrepancy(&sobol));
             let kronecker: Vec<_> = (999..999 + 256).map(|i| kronecker_pair(i, seed)).collect();
-            assert!(discrepancy(&kronecker) < 0.03, "{}", discrepancy(&kronecker));
+            assert!(
+                discrepancy(&kronecker) < 0.03,
+                "{}",
+                discrepancy(&kronecker)
+            );
         }
     }
 

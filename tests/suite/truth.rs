@@ -1,0 +1,143 @@
+//! The ray-traced truth and the measured tables against what an independent renderer,
+//! Mitsuba 3, computed from the same files.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use glam::Vec3;
+use libtest_mimic::Trial;
+use relight_bake::measured::Rgl;
+use relight_bake::{hdr, scene_input};
+use relight_lab::compare::compare;
+use relight_lab::image_file::read_exr;
+use relight_lab::truth::{Filter, Geometry, Options, full};
+use relight_shading::camera::View;
+
+use crate::support::{Outcome, with_data};
+
+/// Trials of this module.
+pub fn trials() -> Vec<Trial> {
+    let mut trials = vec![with_data("truth::measured_tables", measured_tables)];
+    for (name, material) in [
+        ("bunny_diffuse_grace", "model = \"diffuse\"\ndiffuse = 0.5"),
+        (
+            "walk1_aniso_stpeters",
+            "model = \"ggx\"\nf0 = 1.0\nalpha_x = 0.08\nalpha_y = 0.4",
+        ),
+        (
+            "bunny_rgl_aurora_white_lobby",
+            "model = \"measured\"\nfile = \"{file}\"",
+        ),
+    ] {
+        trials.push(with_data(format!("truth::full::{name}"), move |data| {
+            full_agrees(data, name, material)
+        }));
+    }
+    trials
+}
+
+/// Both evaluate one formula in f32; values near zero are held against this.
+const SMALLEST_REFLECTANCE: f32 = 1e-3;
+/// A few hundred roundings of f32, the inversion of a table's distribution among them.
+const MEASURED_TOLERANCE: f32 = 1e-4;
+
+fn measured_tables(data: &Path) -> Outcome {
+    let csv = std::fs::read_to_string(data.join("reference/rgl_eval.csv"))?;
+    let mut tables: BTreeMap<&str, Option<Rgl>> = BTreeMap::new();
+    let mut compared = 0;
+    for line in csv.lines().skip(1) {
+        let (name, numbers) = line.split_once(',').ok_or("a name before the numbers")?;
+        let path = data.join(format!("brdf/rgl/{name}.bsdf"));
+        if !tables.contains_key(name) {
+            // The reference covers more materials than may be at hand.
+            let table = path.is_file().then(|| Rgl::load(&path)).transpose()?;
+            tables.insert(name, table);
+        }
+        let Some(table) = &tables[name] else { continue };
+        let numbers: Vec<f32> = numbers
+            .split(',')
+            .map(str::parse)
+            .collect::<Result<_, _>>()?;
+        let vector = |first: usize| Vec3::from_slice(&numbers[first..]);
+        let (view, light, expected) = (vector(0), vector(3), vector(6));
+        let found = table.evaluate(light, view);
+        let error =
+            (found - expected).abs() / expected.abs().max(Vec3::splat(SMALLEST_REFLECTANCE));
+        assert!(error.max_element() < MEASURED_TOLERANCE, "{line}: {found}");
+        compared += 1;
+    }
+    assert!(compared > 0, "no table of the reference is there");
+    Ok(())
+}
+
+/// Energy of 24,000 (8,000) pixels of 16 samples each has a standard error of half a percent.
+const ENERGY_TOLERANCE: f64 = 0.02;
+/// The mean square difference over what both noises predict: the two are heavy-tailed, and
+/// the reference states its noise, an estimate itself, to ten percent or so.
+const NOISE_RATIO: std::ops::Range<f64> = 0.75..1.25;
+/// Pixels whose coverage lies so near one half that 16 samples decide it by chance.
+const COVERAGE_TOLERANCE: f64 = 0.01;
+
+fn full_agrees(data: &Path, name: &str, material: &str) -> Outcome {
+    let folder = data.join("reference/mitsuba3_direct");
+    let scenes: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(folder.join("scenes.json"))?)?;
+    let description = &scenes["images"][name];
+    let path = |key: &serde_json::Value| -> Result<String, &str> {
+        Ok(data
+            .join(key.as_str().ok_or("a path")?)
+            .display()
+            .to_string())
+    };
+    let camera = &description["camera"];
+    let mut material = material.to_owned();
+    if let Ok(file) = path(&description["bsdf"]["filename"]) {
+        material = material.replace("{file}", &file);
+    }
+    let text = format!(
+        "mesh = \"{}\"\n[materials.default]\n{material}\n[camera]\nposition = {}\ntarget = {}\n\
+         up = {}\nfov_x_degrees = {}\n",
+        path(&description["mesh"])?,
+        camera["origin"],
+        camera["target"],
+        camera["up"],
+        camera["fov_x_deg"],
+    );
+    let temporary = tempfile::tempdir()?;
+    let scene_path = temporary.path().join("scene.toml");
+    std::fs::write(&scene_path, text)?;
+
+    let input = scene_input::load(&scene_path)?;
+    let environment = hdr::load(path(&description["env"])?.as_ref())?;
+    let reference = read_exr(&folder.join(format!("{name}.exr")))?;
+    let size = [reference.width, reference.height];
+    let scene = full::unbaked(&input);
+    let view = View::new(&scene.camera.ok_or("a camera")?, size[0], size[1], 1.0);
+    let image = full::render(
+        &Geometry::new(&scene, view),
+        &full::tables(&input)?,
+        &full::EnvironmentSampler::new(&environment, 0.0),
+        size,
+        &Options {
+            samples: 16,
+            filter: Filter::Box,
+            seed: 0,
+        },
+        &|| (),
+    );
+
+    let result = compare(&image, &reference)?;
+    let stated = description["rel_rmse_estimate"].as_f64().ok_or("a noise")?;
+    let noise = result.relative_noise.ok_or("variance")?;
+    let ratio = result.relative_rmse.powi(2) / (noise.powi(2) + stated.powi(2));
+    assert!(
+        (result.energy_ratio - 1.0).abs() < ENERGY_TOLERANCE,
+        "{result:?}"
+    );
+    assert!(
+        NOISE_RATIO.contains(&ratio),
+        "{ratio}, stated {stated}: {result:?}"
+    );
+    assert!(result.coverage_mismatch < COVERAGE_TOLERANCE, "{result:?}");
+    Ok(())
+}

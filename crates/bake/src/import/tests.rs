@@ -353,7 +353,7 @@ fn broken_gltf_ends_in_an_error_that_names_the_place() {
         ("/accessors/0/count", json!(u64::MAX), "accessors[0]"),
         ("/accessors/0/componentType", json!(5122), "component type"),
         ("/accessors/0/bufferView", json!(4), "indices below 4"),
-        ("/accessors/1/count", json!(3), "indices below 3"),
+        ("/accessors/1/count", json!(3), "3 elements"),
         ("/accessors/2/count", json!(3), "NORMAL"),
         ("/accessors/1/byteOffset", json!(u64::MAX), "bufferViews[1]"),
         ("/accessors/1/max", json!([1, 1]), "accessors[1].max"),

@@ -7,6 +7,7 @@ use std::time::Instant;
 
 use glam::Vec3;
 use relight_bake::contour::ContourMesh;
+use relight_bake::import;
 use relight_bake::ray::RayCaster;
 use relight_bake::ssdf::Transform;
 use relight_bake::visibility::{self, Directions};
@@ -15,15 +16,9 @@ fn main() {
     let paths = std::env::args().skip(1).filter(|argument| !argument.starts_with("--"));
     println!("mesh, triangles, contours µs, rays µs, ratio, rays per vertex, differing texels, ssdf µs, setup ms");
     for path in paths {
-        let options = tobj::LoadOptions { triangulate: true, ..Default::default() };
-        let (models, _) = tobj::load_obj(&path, &options).expect("an OBJ file");
-        let (mut positions, mut triangles) = (Vec::<Vec3>::new(), Vec::<[u32; 3]>::new());
-        for model in models {
-            let base = positions.len() as u32;
-            positions.extend(model.mesh.positions.chunks_exact(3).map(Vec3::from_slice));
-            let indices = model.mesh.indices.chunks_exact(3);
-            triangles.extend(indices.map(|t| [base + t[0], base + t[1], base + t[2]]));
-        }
+        let mesh = import::mesh(path.as_ref()).expect("a mesh");
+        let positions: Vec<Vec3> = mesh.vertices.iter().map(|v| v.position.into()).collect();
+        let triangles: Vec<[u32; 3]> = mesh.triangles.iter().map(|t| t.vertices).collect();
         let soup: Vec<[Vec3; 3]> =
             triangles.iter().map(|t| t.map(|v| positions[v as usize])).collect();
         let (low, high) = positions

@@ -2,6 +2,7 @@
 //! `RELIGHT_NO_GPU=1` says that there is none: then they count as skipped.
 
 mod probe;
+mod reflection;
 mod scenes;
 
 use std::process::ExitCode;
@@ -56,6 +57,10 @@ fn main() -> ExitCode {
         with_gpu(
             "ssdf_and_integrators_match_twins",
             probe::ssdf_and_integrators_match_twins,
+        ),
+        with_gpu(
+            "surface_and_lobes_match_twins",
+            reflection::surface_and_lobes_match_twins,
         ),
         with_gpu("frame_matches_twin", frame_matches_twin),
         with_gpu("tonemap_matches_twin", tonemap_matches_twin),

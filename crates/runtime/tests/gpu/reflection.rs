@@ -1,0 +1,327 @@
+//! Surface points and specular lobes on random materials, textures and views.
+
+use bytemuck::{Pod, Zeroable};
+use glam::{Vec3, Vec4};
+use libtest_mimic::Failed;
+use relight_format::{
+    Material, Scene, Specular, Surface, Texture, TextureEncoding, TextureSlot, Triangle,
+};
+use relight_runtime::offscreen::Gpu;
+use relight_runtime::wgpu;
+use relight_shading::brdf::{MAX_SPECULAR_LOBES, specular_lobes};
+use relight_shading::camera::View;
+use relight_shading::gpu::{self, pack_scene};
+use relight_shading::shade::gpu_tables;
+use relight_shading::surface::surface_point;
+use relight_shading::wgsl::{Entry, source};
+use wgpu::util::DeviceExt as _;
+
+use crate::scenes::{self, Random};
+
+const QUERIES: usize = 20_000;
+const MATERIALS: usize = 400;
+/// Components of frames and reflectances: `pow` and texture coordinates of a few units.
+const SURFACE_TOLERANCE: f32 = 1e-4;
+/// Lobes, as a fraction of their own sharpness and of the sum's amplitude: logarithms and
+/// exponentials of sharpnesses up to 10⁴, on normals that already differ.
+const LOBE_TOLERANCE: f32 = 5e-3;
+/// Fraction of points that may differ by more: near a ratio at which pairs of lobes merge
+/// one side may merge them and the other not.
+const MERGED: f32 = 1e-3;
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct Query {
+    barycentrics: [f32; 3],
+    triangle: u32,
+}
+
+const WORDS: usize = 5 + 2 * MAX_SPECULAR_LOBES;
+
+pub fn surface_and_lobes_match_twins(gpu: &mut Gpu) -> Result<(), Failed> {
+    let scene = scene();
+    let eye = Vec3::from(scenes::camera().position);
+    let mut random = Random(3);
+    let queries: Vec<_> = (0..QUERIES)
+        .map(|_| {
+            let mut weights = Vec3::new(random.unit(), random.unit(), random.unit()) + 1e-3;
+            weights /= weights.element_sum();
+            Query {
+                barycentrics: weights.into(),
+                triangle: (random.next() % scene.triangles.len() as u64) as u32,
+            }
+        })
+        .collect();
+    let answers = answers(gpu, &scene, &queries)?;
+    let (mut worst_surface, mut worst_lobe, mut different, mut lobes_seen) = (0f32, 0f32, 0, 0);
+    for (query, answer) in queries.iter().zip(answers.chunks_exact(WORDS)) {
+        let point = surface_point(
+            &scene,
+            query.triangle as usize,
+            query.barycentrics.into(),
+            eye,
+        );
+        let lobes = specular_lobes(&point);
+        let appearance = point.appearance;
+        let expected = [
+            point.normal.extend(appearance.model as u32 as f32),
+            point.tangent.extend(answer[1].w),
+            point.view.extend(answer[2].w),
+            appearance.diffuse.extend(answer[3].w),
+            appearance.specular.extend(0.0),
+        ];
+        for (expected, found) in expected.into_iter().zip(answer) {
+            worst_surface = worst_surface.max(expected.distance(*found));
+        }
+        for (expected, found) in appearance
+            .alpha
+            .to_array()
+            .into_iter()
+            .zip([answer[2].w, answer[3].w])
+        {
+            worst_surface = worst_surface.max((expected / found - 1.0).abs());
+        }
+        lobes_seen += lobes.count;
+        let sum: f32 = lobes
+            .as_slice()
+            .iter()
+            .map(|lobe| lobe.amplitude.max_element())
+            .sum();
+        let mut error = if answer[1].w == lobes.count as f32 {
+            0f32
+        } else {
+            1.0
+        };
+        for (lobe, found) in lobes.as_slice().iter().zip(answer[5..].chunks_exact(2)) {
+            // How far the axis is off, in units of the lobe's own width.
+            let axis = lobe.axis.distance(found[0].truncate()) * lobe.sharpness.sqrt();
+            let sharpness = (found[0].w / lobe.sharpness - 1.0).abs();
+            let amplitude = lobe.amplitude.distance(found[1].truncate()) / sum;
+            error = error.max(axis).max(sharpness).max(amplitude);
+        }
+        if error > LOBE_TOLERANCE {
+            different += 1;
+        } else {
+            worst_lobe = worst_lobe.max(error);
+        }
+    }
+    println!(
+        "surface differs by {worst_surface:e}, {lobes_seen} lobes by {worst_lobe:e}, \
+         beyond tolerance {different}"
+    );
+    assert!(
+        worst_surface < SURFACE_TOLERANCE,
+        "surface differs by {worst_surface}"
+    );
+    assert!(
+        different as f32 <= MERGED * QUERIES as f32,
+        "{different} points differ"
+    );
+    assert!(lobes_seen > QUERIES, "only {lobes_seen} lobes");
+    Ok(())
+}
+
+/// Random triangles in front of the camera, every surface kind and every texture slot.
+fn scene() -> Scene {
+    let mut random = Random(2);
+    let mut scene = scenes::sphere_over_plane();
+    scene.textures = (0..4)
+        .map(|i| {
+            let (width, height) = (1 + 3 * i, 5 - i);
+            Texture {
+                width,
+                height,
+                encoding: if i % 2 == 0 {
+                    TextureEncoding::Srgb
+                } else {
+                    TextureEncoding::Linear
+                },
+                texels: (0..width * height * 4)
+                    .map(|_| random.next() as u8)
+                    .collect(),
+            }
+        })
+        .collect();
+    scene.materials = (0..MATERIALS).map(|_| material(&mut random)).collect();
+    let mut vertex = scene.vertices[0];
+    let cluster = scene.triangles[0].cluster;
+    scene.vertices.clear();
+    scene.triangles.clear();
+    let eye = Vec3::from(scenes::camera().position);
+    for material in 0..MATERIALS {
+        let first = scene.vertices.len() as u32;
+        // Facing the eye, more or less, up to grazing.
+        let centre = eye + 3.0 * random.direction();
+        let towards = (eye - centre).normalize() + 0.9 * random.direction();
+        for _ in 0..3 {
+            vertex.position = (centre + 0.3 * random.direction()).into();
+            vertex.normal = (towards + 0.2 * random.direction()).into();
+            let sign = if random.unit() < 0.5 { -1.0 } else { 1.0 };
+            vertex.tangent = random.direction().extend(sign).into();
+            vertex.uv = [4.0 * random.unit() - 2.0, 4.0 * random.unit() - 2.0];
+            scene.vertices.push(vertex);
+        }
+        // All of one triangle's tangents agree on the handedness, as an import's do.
+        for other in 1..3 {
+            scene.vertices[first as usize + other].tangent[3] =
+                scene.vertices[first as usize].tangent[3];
+        }
+        scene.triangles.push(Triangle {
+            vertices: [first, first + 1, first + 2],
+            material: material as u16,
+            cluster,
+        });
+    }
+    scene
+}
+
+fn material(random: &mut Random) -> Material {
+    let mut color = || [random.unit(), random.unit(), random.unit()];
+    let (base_color, specular) = (color(), color());
+    let mut alpha = || 10f32.powf(-2.0 * random.unit());
+    let (x, y) = (alpha(), alpha());
+    let kind = random.next() % 8;
+    let layered = |specular| Surface::Layered {
+        diffuse: base_color,
+        specular,
+    };
+    let surface = match kind {
+        0 => layered(Specular::None),
+        1 => layered(Specular::BlinnPhong {
+            specular,
+            exponent: 1.0 / (x * x),
+        }),
+        2 => layered(Specular::Ward {
+            specular,
+            alpha: [x, y],
+        }),
+        3 => layered(Specular::CookTorrance {
+            f0: specular,
+            roughness: x,
+        }),
+        4 => layered(Specular::Ggx {
+            f0: specular,
+            alpha: [x, y],
+        }),
+        5 => layered(Specular::Measured {
+            path: String::new(),
+            f0: specular,
+            alpha: x,
+        }),
+        _ => Surface::MetallicRoughness {
+            base_color,
+            metallic: random.unit(),
+            roughness: random.unit(),
+            anisotropy_strength: if kind == 6 { random.unit() } else { 0.0 },
+            anisotropy_rotation: 6.0 * random.unit(),
+        },
+    };
+    let mut slot = || {
+        (random.unit() < 0.5).then(|| TextureSlot {
+            texture: (random.next() % 4) as u32,
+            transform: [
+                [random.unit(), random.unit(), random.unit()],
+                [random.unit(), -random.unit(), random.unit()],
+            ],
+        })
+    };
+    Material {
+        name: String::new(),
+        surface,
+        base_color_texture: slot(),
+        metallic_roughness_texture: slot(),
+        normal_texture: slot(),
+        // Random texels are steep normals.
+        normal_scale: 0.3,
+        anisotropy_texture: slot(),
+    }
+}
+
+fn answers(gpu: &Gpu, scene: &Scene, queries: &[Query]) -> Result<Vec<Vec4>, Failed> {
+    let device = &gpu.device;
+    let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
+        label: Some("reflection"),
+        source: wgpu::ShaderSource::Wgsl(
+            (source(Entry::Library) + include_str!("reflection.wgsl")).into(),
+        ),
+    });
+    let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+        label: Some("reflection"),
+        layout: None,
+        module: &module,
+        entry_point: Some("reflection"),
+        compilation_options: Default::default(),
+        cache: None,
+    });
+    let buffer = |contents: &[u8], usage| {
+        device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+            label: None,
+            contents,
+            usage,
+        })
+    };
+    let storage = |contents: &[u8]| buffer(contents, wgpu::BufferUsages::STORAGE);
+    let packed = pack_scene(scene)?;
+    let view = View::new(&scenes::camera(), 1, 1, 1.0);
+    let frame = gpu::Frame::new(&view, &packed.atlas, packed.distance_clamp);
+    let frame = buffer(bytemuck::bytes_of(&frame), wgpu::BufferUsages::UNIFORM);
+    let tables = storage(bytemuck::cast_slice(&gpu_tables()));
+    let vertices = storage(bytemuck::cast_slice(&packed.vertices));
+    let triangles = storage(bytemuck::cast_slice(&packed.triangles));
+    let materials = storage(bytemuck::cast_slice(&packed.materials));
+    let texels = storage(bytemuck::cast_slice(&packed.texels));
+    let input = storage(bytemuck::cast_slice(queries));
+    let size = (queries.len() * WORDS * 16) as u64;
+    let output = device.create_buffer(&wgpu::BufferDescriptor {
+        label: None,
+        size,
+        usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC,
+        mapped_at_creation: false,
+    });
+    let read_back = device.create_buffer(&wgpu::BufferDescriptor {
+        label: None,
+        size,
+        usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
+        mapped_at_creation: false,
+    });
+    let groups = [
+        (0, vec![(0, &frame), (2, &tables)]),
+        (
+            1,
+            vec![
+                (0, &vertices),
+                (1, &triangles),
+                (4, &materials),
+                (5, &texels),
+            ],
+        ),
+        (3, vec![(0, &input), (1, &output)]),
+    ]
+    .map(|(index, buffers)| {
+        let entries: Vec<_> = buffers
+            .into_iter()
+            .map(|(binding, buffer)| wgpu::BindGroupEntry {
+                binding,
+                resource: buffer.as_entire_binding(),
+            })
+            .collect();
+        let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: None,
+            layout: &pipeline.get_bind_group_layout(index),
+            entries: &entries,
+        });
+        (index, group)
+    });
+    let mut encoder = device.create_command_encoder(&Default::default());
+    {
+        let mut pass = encoder.begin_compute_pass(&Default::default());
+        pass.set_pipeline(&pipeline);
+        for (index, group) in &groups {
+            pass.set_bind_group(*index, group, &[]);
+        }
+        pass.dispatch_workgroups((queries.len() as u32).div_ceil(64), 1, 1);
+    }
+    encoder.copy_buffer_to_buffer(&output, 0, &read_back, 0, size);
+    gpu.queue.submit([encoder.finish()]);
+    Ok(bytemuck::pod_collect_to_vec(&gpu.read_buffer(&read_back)?))
+}

@@ -250,7 +250,7 @@ fn answers(gpu: &Gpu, scene: &Scene, queries: &[Query]) -> Result<Vec<Vec4>, Fai
         layout: None,
         module: &module,
         entry_point: Some("reflection"),
-        compilation_options: Default::default(),
+        compilation_options: wgpu::PipelineCompilationOptions::default(),
         cache: None,
     });
     let buffer = |contents: &[u8], usage| {
@@ -312,9 +312,9 @@ fn answers(gpu: &Gpu, scene: &Scene, queries: &[Query]) -> Result<Vec<Vec4>, Fai
         });
         (index, group)
     });
-    let mut encoder = device.create_command_encoder(&Default::default());
+    let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
     {
-        let mut pass = encoder.begin_compute_pass(&Default::default());
+        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
         pass.set_pipeline(&pipeline);
         for (index, group) in &groups {
             pass.set_bind_group(*index, group, &[]);

@@ -53,3 +53,36 @@ pub(crate) fn near_plane(scene: &Scene) -> f32 {
         1e-4
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use relight_format::FieldOfView;
+
+    use super::*;
+
+    #[test]
+    fn rotation_turns_lights_right_handed() {
+        let light = SphericalGaussian {
+            axis: Vec3::Z,
+            sharpness: 5.0,
+            amplitude: Vec3::ONE,
+        };
+        let frame = Frame {
+            camera: Camera {
+                position: [0.0; 3],
+                target: [0.0, 0.0, -1.0],
+                up: [0.0, 1.0, 0.0],
+                field_of_view: FieldOfView::X(1.0),
+            },
+            lights: &[light],
+            rotation: Quat::from_rotation_y(std::f32::consts::FRAC_PI_2),
+            method: Method::Ambient,
+            exposure: 1.0,
+        };
+        let [turned] = frame.rotated_lights()[..] else {
+            panic!("one light in, one light out");
+        };
+        assert!(turned.axis.distance(Vec3::X) < 1e-6, "{}", turned.axis);
+        assert_eq!((turned.sharpness, turned.amplitude), (5.0, Vec3::ONE));
+    }
+}

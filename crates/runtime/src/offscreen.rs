@@ -74,7 +74,10 @@ impl Gpu {
 
     /// Copies a scene to the GPU.
     pub fn upload(&self, scene: &Scene) -> Result<GpuScene, Error> {
-        self.renderer.upload(scene)
+        let guard = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
+        let uploaded = self.renderer.upload(scene);
+        check(guard)?;
+        uploaded
     }
 
     /// Draws one frame and waits for it.
@@ -108,9 +111,7 @@ impl Gpu {
         self.renderer
             .render(&mut encoder, scene, frame, &view, [width, height])?;
         self.queue.submit([encoder.finish()]);
-        if let Some(error) = pollster::block_on(guard.pop()) {
-            return Err(Error::DeviceFailed(error.to_string()));
-        }
+        check(guard)?;
         let radiance = self.renderer.radiance().expect("a frame was recorded");
         let bytes = self.read_texture(radiance)?;
         let pixels = bytemuck::pod_collect_to_vec(&bytes);
@@ -179,5 +180,13 @@ impl Gpu {
             .get_mapped_range(..)
             .map_err(|error| failed(&error))?;
         Ok(range.to_vec())
+    }
+}
+
+/// The error that a scope caught, if any.
+fn check(guard: wgpu::ErrorScopeGuard) -> Result<(), Error> {
+    match pollster::block_on(guard.pop()) {
+        Some(error) => Err(Error::DeviceFailed(error.to_string())),
+        None => Ok(()),
     }
 }

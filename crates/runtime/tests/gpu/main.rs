@@ -20,6 +20,9 @@ use relight_shading::camera::View;
 /// Pixels whose triangle may differ, as a fraction: vertices are projected by differently
 /// rounded arithmetic, so that now and then one snaps to the neighbouring 1/256 pixel.
 const DIFFERENT_PIXELS: f32 = 1e-3;
+/// Pixels whose triangle may differ from what a ray through the centre hits: those whose
+/// centre lies within half a snapping step of an edge.
+const SNAPPED_PIXELS: f32 = 5e-3;
 /// Most display codes that GPU and twin may differ by on the same radiance: one rounding.
 const DISPLAY_CODES: u8 = 1;
 /// Relative RMSE of a frame over pixels that show the same triangle: texture filtering and
@@ -48,7 +51,9 @@ fn main() -> ExitCode {
         })
     };
     let trials = vec![
+        Trial::test("twin_visibility_matches_rays", twin_visibility_matches_rays),
         Trial::test("twin_ignores_thread_count", twin_ignores_thread_count),
+        with_gpu("empty_scenes_are_background", empty_scenes_are_background),
         with_gpu(
             "visibility_buffer_matches_twin",
             visibility_buffer_matches_twin,
@@ -150,14 +155,17 @@ fn visibility_buffer_matches_twin(gpu: &mut Gpu) -> Outcome {
 }
 
 /// The eye just above the plane, which reaches from before the image plane to behind it.
-fn near_clipping_matches_twin(gpu: &mut Gpu) -> Outcome {
-    let camera = Camera {
+fn grazing_camera() -> Camera {
+    Camera {
         position: [0.3, 0.02, 0.7],
         target: [0.0, 0.1, 0.0],
         up: [0.2, 1.0, 0.0],
         field_of_view: FieldOfView::Y(1.4),
-    };
-    assert!(different_pixels(gpu, camera)? <= DIFFERENT_PIXELS);
+    }
+}
+
+fn near_clipping_matches_twin(gpu: &mut Gpu) -> Outcome {
+    assert!(different_pixels(gpu, grazing_camera())? <= DIFFERENT_PIXELS);
     Ok(())
 }
 
@@ -177,6 +185,42 @@ fn relative_rmse(a: &Image, b: &Image) -> f32 {
     ((square / count).sqrt() / (sum / count)) as f32
 }
 
+/// The rasteriser against rays through the pixel centres, triangle by triangle.
+fn twin_visibility_matches_rays() -> Outcome {
+    let (width, height) = (96, 72);
+    let scene = scenes::sphere_over_plane();
+    let mut different = 0;
+    for camera in [scenes::camera(), grazing_camera()] {
+        let view = View::new(&camera, width, height, scenes::NEAR);
+        let found = twin::visibility_buffer(&scene, &view, width, height);
+        for (index, &found) in found.iter().enumerate() {
+            let direction = view.pixel_direction(index as u32 % width, index as u32 / width);
+            let mut nearest = (f32::INFINITY, 0);
+            for (triangle, id) in scene.triangles.iter().zip(1..) {
+                let [a, b, c] = triangle
+                    .vertices
+                    .map(|vertex| Vec3::from(scene.vertices[vertex as usize].position) - view.eye);
+                let weights = [
+                    direction.dot(b.cross(c)),
+                    direction.dot(c.cross(a)),
+                    direction.dot(a.cross(b)),
+                ];
+                // Counter-clockwise triangles in front have negative volumes with the eye.
+                let distance = a.dot(b.cross(c)) / weights.iter().sum::<f32>();
+                let hit = weights.iter().all(|&weight| weight <= 0.0);
+                if hit && distance > 0.0 && distance < nearest.0 {
+                    nearest = (distance, id);
+                }
+            }
+            different += usize::from(found != nearest.1);
+        }
+    }
+    let pixels = 2 * width * height;
+    println!("{different} of {pixels} pixels differ from rays");
+    assert!(different as f32 <= SNAPPED_PIXELS * pixels as f32);
+    Ok(())
+}
+
 fn twin_ignores_thread_count() -> Outcome {
     let scene = scenes::sphere_over_plane();
     let lights = lights();
@@ -194,7 +238,7 @@ fn twin_ignores_thread_count() -> Outcome {
 }
 
 fn frame_matches_twin(gpu: &mut Gpu) -> Outcome {
-    let (width, height) = (400, 300);
+    let (width, height) = (240, 180);
     let lights = lights();
     for method in [Method::Ambient, POLAR] {
         let frame = frame(&lights, method);
@@ -356,6 +400,21 @@ fn materials_change_without_upload(gpu: &mut Gpu) -> Outcome {
     assert!(before != after);
     let fresh = gpu.upload(&scene)?;
     assert!(after == gpu.render(&fresh, &frame, 64, 48)?);
+    Ok(())
+}
+
+fn empty_scenes_are_background(gpu: &mut Gpu) -> Outcome {
+    let mut scene = scenes::sphere_over_plane();
+    scene.vertices.clear();
+    scene.triangles.clear();
+    scene.clusters.clear();
+    scene.coefficients.clear();
+    scene.basis.clear();
+    let uploaded = gpu.upload(&scene)?;
+    let frame = frame(&[], POLAR);
+    let picture = gpu.render(&uploaded, &frame, 5, 3)?;
+    assert!(picture.linear == twin::render(&scene, &frame, 5, 3)?);
+    assert!(picture.display == [0; 5 * 3 * 4]);
     Ok(())
 }
 

@@ -19,15 +19,15 @@ use relight_shading::camera::View;
 
 /// Pixels whose triangle may differ, as a fraction: vertices are projected by differently
 /// rounded arithmetic, so that now and then one snaps to the neighbouring 1/256 pixel.
-const DIFFERENT_PIXELS: f32 = 1e-3;
+const DIFFERENT_PIXELS: f32 = 1e-4;
 /// Pixels whose triangle may differ from what a ray through the centre hits: those whose
 /// centre lies within half a snapping step of an edge.
 const SNAPPED_PIXELS: f32 = 5e-3;
 /// Most display codes that GPU and twin may differ by on the same radiance: one rounding.
 const DISPLAY_CODES: u8 = 1;
-/// Relative RMSE of a frame over pixels that show the same triangle: texture filtering and
-/// `exp` differ in the last bits, and a spoke that grazes a boundary amplifies them.
-const FRAME_RELATIVE_RMSE: f32 = 2e-3;
+/// Relative RMSE of a frame over pixels covered in both. Software Vulkan stays below 1e-5;
+/// the rest is room for GPUs that interpolate the basis with 8-bit weights.
+const FRAME_RELATIVE_RMSE: f32 = 1e-3;
 
 /// A device at WebGPU's default limits, opened once.
 static GPU: Mutex<Option<Gpu>> = Mutex::new(None);
@@ -51,7 +51,10 @@ fn main() -> ExitCode {
         })
     };
     let trials = vec![
-        Trial::test("twin_visibility_matches_rays", twin_visibility_matches_rays),
+        Trial::test("twin_visibility_matches_rays", || {
+            twin_visibility_matches_rays();
+            Ok(())
+        }),
         Trial::test("twin_ignores_thread_count", twin_ignores_thread_count),
         with_gpu("empty_scenes_are_background", empty_scenes_are_background),
         with_gpu(
@@ -186,7 +189,7 @@ fn relative_rmse(a: &Image, b: &Image) -> f32 {
 }
 
 /// The rasteriser against rays through the pixel centres, triangle by triangle.
-fn twin_visibility_matches_rays() -> Outcome {
+fn twin_visibility_matches_rays() {
     let (width, height) = (96, 72);
     let scene = scenes::sphere_over_plane();
     let mut different = 0;
@@ -218,7 +221,6 @@ fn twin_visibility_matches_rays() -> Outcome {
     let pixels = 2 * width * height;
     println!("{different} of {pixels} pixels differ from rays");
     assert!(different as f32 <= SNAPPED_PIXELS * pixels as f32);
-    Ok(())
 }
 
 fn twin_ignores_thread_count() -> Outcome {

@@ -21,10 +21,10 @@ use crate::scenes::{self, Random};
 /// GPUs interpolate with 8-bit weights.
 const DECODE_TOLERANCE: f32 = 2.0 / 256.0;
 /// Integrals may differ by this fraction of the lobe's energy.
-const INTEGRAL_TOLERANCE: f32 = 2e-3;
+const INTEGRAL_TOLERANCE: f32 = 1e-3;
 /// Fraction of integrals that may differ by more: a boundary that a spoke just touches is
 /// seen by one and missed by the other.
-const GRAZING: f32 = 5e-3;
+const GRAZING: f32 = 2e-3;
 const QUERIES: usize = 20_000;
 const SPOKES: u32 = 8;
 

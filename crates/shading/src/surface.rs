@@ -7,8 +7,8 @@
 use glam::{Vec2, Vec3, Vec4, Vec4Swizzles as _};
 use relight_format::{Scene, Specular, Surface, Texture, TextureEncoding, TextureSlot, Vertex};
 
-/// Smallest roughness that is shaded, on the scale of GGX alpha. Lobes narrower than this
-/// (0.02 rad) are narrower than any light the environment fit produces, apart from suns.
+/// Smallest roughness that is shaded, on the scale of GGX alpha. Its lobe falls to a third
+/// within 0.04 rad, little more than a texel of a 128 × 128 visibility bitmap.
 pub const MIN_ALPHA: f32 = 0.02;
 /// Blinn-Phong exponent whose lobe is as narrow as [`MIN_ALPHA`]: `2 / alpha²`.
 pub const MAX_EXPONENT: f32 = 2.0 / (MIN_ALPHA * MIN_ALPHA);

@@ -3,6 +3,7 @@
 pub mod cluster;
 pub mod compress;
 pub mod contour;
+pub mod environment;
 pub mod ground;
 pub mod hdr;
 pub mod import;

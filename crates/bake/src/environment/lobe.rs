@@ -1,0 +1,253 @@
+//! Closed forms of spherical Gaussians of amplitude 1, with derivatives.
+
+use std::f64::consts::PI;
+
+use glam::DVec3;
+
+/// Exponent at which a lobe is cut off: what lies beyond is e⁻¹¹ of its integral.
+const SUPPORT: f64 = 11.0;
+
+/// exp(sharpness (axis·ω − 1)).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Shape {
+    /// Unit vector.
+    pub(super) axis: DVec3,
+    /// λ > 0.
+    pub(super) sharpness: f64,
+}
+
+/// A function of two lobes with its derivatives by the first lobe's axis (in its tangent
+/// plane) and sharpness.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Pair {
+    pub(super) value: f64,
+    pub(super) by_axis: DVec3,
+    pub(super) by_sharpness: f64,
+}
+
+impl Shape {
+    /// Angle from the axis beyond which the lobe counts as zero, radians.
+    pub(super) fn radius(&self) -> f64 {
+        (1.0 - SUPPORT / self.sharpness).max(-1.0).acos()
+    }
+
+    /// ∫ G over the sphere, and its derivative by sharpness.
+    pub(super) fn integral(&self) -> (f64, f64) {
+        let lambda = self.sharpness;
+        let value = 2.0 * PI * -(-2.0 * lambda).exp_m1() / lambda;
+        (value, value * (langevin(lambda) - 1.0))
+    }
+
+    /// ∫ G G' over the sphere.
+    pub(super) fn product_integral(&self, other: &Self) -> Pair {
+        let (a, b) = (self.sharpness, other.sharpness);
+        let sum = a + b;
+        let across = a * b * self.axis.distance_squared(other.axis);
+        // ‖a p + b p'‖, and that less a + b without cancellation.
+        let length = (sum * sum - across).max(0.0).sqrt().max(1e-9);
+        let excess = -across / (length + sum);
+        let value = 2.0 * PI * -(-2.0 * length).exp_m1() / length * excess.exp();
+        let slope = value * langevin(length) / length;
+        let cosine = self.axis.dot(other.axis);
+        Pair {
+            value,
+            by_axis: (other.axis - self.axis * cosine) * (slope * a * b),
+            by_sharpness: slope * (a + b * cosine) - value,
+        }
+    }
+
+    /// ∫ G P_l(axis·ω) for l = 1 and 2, each with its derivative by sharpness.
+    pub(super) fn zonal(&self) -> [(f64, f64); 2] {
+        let lambda = self.sharpness;
+        let (integral, slope) = self.integral();
+        let first = langevin(lambda);
+        // 𝓛' = 1 − 2𝓛/λ − 𝓛².
+        let first_slope = if lambda < 1e-3 {
+            1.0 / 3.0
+        } else {
+            1.0 - 2.0 * first / lambda - first * first
+        };
+        let (second, second_slope) = if lambda < 1e-2 {
+            (lambda * lambda / 15.0, 2.0 * lambda / 15.0)
+        } else {
+            (
+                1.0 - 3.0 * first / lambda,
+                3.0 * (first / lambda - first_slope) / lambda,
+            )
+        };
+        [
+            (integral * first, slope * first + integral * first_slope),
+            (integral * second, slope * second + integral * second_slope),
+        ]
+    }
+}
+
+/// The inner product of two lobes' irradiance, less its constant part: Σ over spherical
+/// harmonics of degree 1 and 2, which hold 99 % of irradiance (Ramamoorthi & Hanrahan
+/// 2001), of the product of the cosine-convolved coefficients. Each lobe comes with its
+/// [`Shape::zonal`].
+pub(super) fn irradiance_product(
+    (shape, zonal): (&Shape, &[(f64, f64); 2]),
+    (other, other_zonal): (&Shape, &[(f64, f64); 2]),
+) -> Pair {
+    let cosine = shape.axis.dot(other.axis);
+    let tangent = other.axis - shape.axis * cosine;
+    let legendre = [(cosine, 1.0), (1.5 * cosine * cosine - 0.5, 3.0 * cosine)];
+    let mut pair = Pair::default();
+    for degree in 0..2 {
+        let (value, slope) = legendre[degree];
+        let weight = DEGREE_WEIGHTS[degree] * other_zonal[degree].0;
+        pair.value += weight * zonal[degree].0 * value;
+        pair.by_axis += tangent * (weight * zonal[degree].0 * slope);
+        pair.by_sharpness += weight * zonal[degree].1 * value;
+    }
+    pair
+}
+
+/// (2l + 1)/4π Â_l² for l = 1 and 2, Â_l the clamped cosine's coefficients 2π/3 and π/4.
+pub(super) const DEGREE_WEIGHTS: [f64; 2] = [
+    3.0 / (4.0 * PI) * (2.0 * PI / 3.0) * (2.0 * PI / 3.0),
+    5.0 / (4.0 * PI) * (PI / 4.0) * (PI / 4.0),
+];
+
+/// coth x − 1/x, the mean cosine to the axis under a lobe of sharpness x.
+pub(super) fn langevin(x: f64) -> f64 {
+    if x < 1e-2 {
+        x / 3.0 - x * x * x / 45.0
+    } else {
+        let e = (-2.0 * x).exp();
+        (1.0 + e) / (1.0 - e) - 1.0 / x
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hdr::LatLong;
+
+    /// Central differences over 1e-5 of f64 keep about ten digits.
+    const SLOPE_TOLERANCE: f64 = 1e-6;
+
+    /// The midpoint rule on 400 × 800 cells, for lobes many cells wide.
+    const QUADRATURE_TOLERANCE: f64 = 1e-3;
+
+    fn shapes() -> [Shape; 5] {
+        let axis = |x, y, z| DVec3::new(x, y, z).normalize();
+        [
+            Shape {
+                axis: axis(0.1, 0.9, -0.3),
+                sharpness: 0.05,
+            },
+            Shape {
+                axis: axis(0.5, 0.2, 0.7),
+                sharpness: 1.3,
+            },
+            Shape {
+                axis: axis(0.52, 0.25, 0.7),
+                sharpness: 30.0,
+            },
+            Shape {
+                axis: axis(-0.7, 0.1, 0.2),
+                sharpness: 4.0,
+            },
+            Shape {
+                axis: axis(0.5201, 0.25, 0.7),
+                sharpness: 9e4,
+            },
+        ]
+    }
+
+    fn check_slopes(function: impl Fn(&Shape) -> Pair, shape: &Shape) {
+        let pair = function(shape);
+        let (s, t) = shape.axis.any_orthonormal_pair();
+        let width = shape.sharpness.max(1.0).sqrt().recip();
+        let scale = pair.value.abs().max(1e-12);
+        for tangent in [s, t] {
+            let at = |step: f64| {
+                let axis = (shape.axis + tangent * (step * width)).normalize();
+                function(&Shape { axis, ..*shape }).value
+            };
+            let slope = (at(1e-5) - at(-1e-5)) / 2e-5;
+            let given = pair.by_axis.dot(tangent) * width;
+            assert!(
+                (slope - given).abs() < SLOPE_TOLERANCE * scale,
+                "{slope} {given} of {scale}"
+            );
+        }
+        let at = |step: f64| {
+            function(&Shape {
+                sharpness: shape.sharpness * f64::exp(step),
+                ..*shape
+            })
+            .value
+        };
+        let slope = (at(1e-5) - at(-1e-5)) / 2e-5;
+        let given = pair.by_sharpness * shape.sharpness;
+        assert!(
+            (slope - given).abs() < SLOPE_TOLERANCE * scale,
+            "{slope} {given} of {scale}"
+        );
+    }
+
+    #[test]
+    fn derivatives_match_differences() {
+        for shape in &shapes() {
+            for other in &shapes() {
+                check_slopes(|shape| shape.product_integral(other), shape);
+                let zonal = other.zonal();
+                check_slopes(
+                    |shape| irradiance_product((shape, &shape.zonal()), (other, &zonal)),
+                    shape,
+                );
+            }
+            check_slopes(
+                |shape| {
+                    let (value, by_sharpness) = shape.integral();
+                    Pair {
+                        value,
+                        by_axis: DVec3::ZERO,
+                        by_sharpness,
+                    }
+                },
+                shape,
+            );
+        }
+    }
+
+    #[test]
+    fn integrals_match_quadrature() {
+        let grid = LatLong {
+            width: 800,
+            height: 400,
+            ..LatLong::default()
+        };
+        let evaluate = |shape: &Shape, direction: DVec3| {
+            (-0.5 * shape.sharpness * direction.distance_squared(shape.axis)).exp()
+        };
+        for shape in &shapes()[..4] {
+            for other in &shapes()[..4] {
+                let (mut product, mut integral, mut zonal) = (0.0, 0.0, [0.0; 2]);
+                for row in 0..grid.height {
+                    let weight = grid.solid_angle(row);
+                    for column in 0..grid.width {
+                        let direction = grid.direction(column, row).as_dvec3();
+                        let value = weight * evaluate(shape, direction);
+                        let cosine = direction.dot(shape.axis);
+                        product += value * evaluate(other, direction);
+                        integral += value;
+                        zonal[0] += value * cosine;
+                        zonal[1] += value * (1.5 * cosine * cosine - 0.5);
+                    }
+                }
+                let close = |a: f64, b: f64, scale: f64| {
+                    assert!((a - b).abs() < QUADRATURE_TOLERANCE * scale, "{a} {b}");
+                };
+                close(shape.product_integral(other).value, product, product);
+                close(shape.integral().0, integral, integral);
+                for degree in 0..2 {
+                    close(shape.zonal()[degree].0, zonal[degree], integral);
+                }
+            }
+        }
+    }
+}

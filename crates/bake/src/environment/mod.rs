@@ -1,0 +1,389 @@
+//! An HDR environment as a sum of spherical Gaussians.
+//!
+//! Solid-angle-weighted least squares, non-linear in axes and sharpnesses (Tsai & Shih
+//! 2006), with the amplitudes eliminated, non-negative, and of exactly the image's energy
+//! per channel. Lobes start from peaks of the residual over scales and are moved together;
+//! then lobes that matter least are started anew where most is missing.
+
+mod amplitude;
+mod level;
+mod lobe;
+mod measure;
+mod minimise;
+pub mod report;
+mod seed;
+mod solve;
+
+use std::ops::ControlFlow;
+use std::path::Path;
+
+use relight_format::{Environment, EnvironmentReport, Lobe};
+
+use crate::hdr::{self, LatLong};
+pub use measure::{energy_error, irradiance_error, relative_l2, render};
+use solve::{Fit, Problem, Resolution};
+
+/// Most lobes that can be asked for: the time grows with the cube.
+pub const MAX_LOBES: usize = 1024;
+
+/// How to fit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FitOptions {
+    /// Number of lobes, 1 to [`MAX_LOBES`]. The fit has fewer where fewer are enough.
+    pub lobes: usize,
+}
+
+impl Default for FitOptions {
+    fn default() -> Self {
+        Self { lobes: 32 }
+    }
+}
+
+/// Why there is no fit.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// The image could not be loaded.
+    #[error(transparent)]
+    Image(#[from] hdr::Error),
+    /// The number of lobes is out of range.
+    #[error("lobes: expected 1 to {MAX_LOBES}, found {0}")]
+    Lobes(usize),
+    /// The caller's progress function asked to stop.
+    #[error("cancelled")]
+    Cancelled,
+}
+
+/// Told the part done, 0 to 1, a few times a second; answers whether to go on.
+pub type Progress<'a> = &'a dyn Fn(f32) -> ControlFlow<()>;
+
+/// Loads and fits an image.
+pub fn bake(input: &Path, options: &FitOptions, progress: Progress) -> Result<Environment, Error> {
+    let image = hdr::load(input)?;
+    let mut environment = fit(&image, options, progress)?;
+    environment.report.source = input
+        .file_name()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .into_owned();
+    Ok(environment)
+}
+
+/// Fits an image. The same image and options give the same lobes on any number of threads.
+/// A black image has no lobes.
+pub fn fit(
+    image: &LatLong,
+    options: &FitOptions,
+    progress: Progress,
+) -> Result<Environment, Error> {
+    if !(1..=MAX_LOBES).contains(&options.lobes) {
+        return Err(Error::Lobes(options.lobes));
+    }
+    let lobes = match Problem::new(image) {
+        Some(problem) => lobes(&search(&problem, options.lobes, progress)?),
+        None => Vec::new(),
+    };
+    Ok(Environment {
+        report: EnvironmentReport {
+            source: String::new(),
+            source_size: [image.width, image.height],
+            repaired_pixels: image.repaired,
+            relative_l2: relative_l2(image, &lobes),
+            energy_error: energy_error(image, &lobes),
+        },
+        lobes,
+    })
+}
+
+/// Steps of all lobes together after each batch of new ones, and at the end.
+const STEPS_PER_BATCH: usize = 25;
+const LAST_STEPS: usize = 200;
+
+/// Rounds in which the least lobes are started anew.
+const ROUNDS: usize = 16;
+
+fn search(problem: &Problem, count: usize, progress: Progress) -> Result<Fit, Error> {
+    // Time goes with the square of the number of lobes while they are added, and is about
+    // even between adding, starting anew and the last steps.
+    let tell = |part: f64| match progress(part as f32) {
+        ControlFlow::Continue(()) => Ok(()),
+        ControlFlow::Break(()) => Err(Error::Cancelled),
+    };
+    tell(0.0)?;
+    let mut fit = problem.project(vec![problem.ambient()], Resolution::Coarse);
+    fit = problem.refine(&fit, Resolution::Coarse, STEPS_PER_BATCH);
+    while fit.shapes.len() < count {
+        let batch = (fit.shapes.len() / 8).clamp(1, count - fit.shapes.len());
+        let Some(next) = grown(problem, &fit, batch) else {
+            break;
+        };
+        fit = next;
+        tell(0.4 * (fit.shapes.len() as f64 / count as f64).powi(2))?;
+    }
+    for round in 0..ROUNDS {
+        let renewed = (fit.shapes.len() / 8).max(1) >> (round % 3);
+        let kept = without_least(problem, &fit, renewed.max(1));
+        if kept.shapes.is_empty() {
+            break;
+        }
+        if let Some(next) = grown(problem, &kept, count - kept.shapes.len())
+            && next.value < fit.value
+        {
+            fit = next;
+        }
+        tell(0.4 + 0.4 * (round + 1) as f64 / ROUNDS as f64)?;
+    }
+    for _ in 0..LAST_STEPS / STEPS_PER_BATCH {
+        fit = problem.refine(&fit, Resolution::Coarse, STEPS_PER_BATCH);
+    }
+    tell(0.9)?;
+    fit = problem.refine(&fit, Resolution::Fine, STEPS_PER_BATCH);
+    tell(1.0)?;
+    Ok(fit)
+}
+
+fn grown(problem: &Problem, fit: &Fit, batch: usize) -> Option<Fit> {
+    let new = seed::seeds(problem, fit, batch);
+    if new.is_empty() {
+        return None;
+    }
+    let shapes = [fit.shapes.as_slice(), &new].concat();
+    let started = problem.project(shapes, Resolution::Coarse);
+    Some(problem.refine(&started, Resolution::Coarse, STEPS_PER_BATCH))
+}
+
+/// The fit without the lobes that matter least.
+fn without_least(problem: &Problem, fit: &Fit, removed: usize) -> Fit {
+    let mut order: Vec<usize> = (0..fit.shapes.len()).collect();
+    order.sort_by(|&a, &b| fit.worth[b].total_cmp(&fit.worth[a]));
+    order.truncate(fit.shapes.len().saturating_sub(removed));
+    order.sort_unstable();
+    let shapes: Vec<_> = order.iter().map(|&index| fit.shapes[index]).collect();
+    if shapes.is_empty() {
+        return Fit {
+            shapes,
+            amplitudes: Vec::new(),
+            value: fit.value,
+            worth: Vec::new(),
+        };
+    }
+    problem.project(shapes, Resolution::Coarse)
+}
+
+/// The fit's lobes in single precision, brightest energy first, dark ones left out.
+fn lobes(fit: &Fit) -> Vec<Lobe> {
+    let mut lobes: Vec<(f64, Lobe)> = fit
+        .shapes
+        .iter()
+        .zip(&fit.amplitudes)
+        .map(|(shape, amplitude)| {
+            let energy = shape.integral().0 * amplitude.iter().sum::<f64>();
+            let lobe = Lobe {
+                axis: shape.axis.as_vec3().to_array(),
+                sharpness: shape.sharpness as f32,
+                amplitude: amplitude.map(|a| a as f32),
+                reserved: 0.0,
+            };
+            (energy, lobe)
+        })
+        .filter(|(energy, _)| *energy > 0.0)
+        .collect();
+    lobes.sort_by(|a, b| b.0.total_cmp(&a.0));
+    lobes.into_iter().map(|(_, lobe)| lobe).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::Vec3;
+
+    fn lobe(axis: [f32; 3], sharpness: f32, amplitude: [f32; 3]) -> Lobe {
+        let axis = Vec3::from(axis).normalize().to_array();
+        Lobe {
+            axis,
+            sharpness,
+            amplitude,
+            reserved: 0.0,
+        }
+    }
+
+    fn go_on(_: f32) -> ControlFlow<()> {
+        ControlFlow::Continue(())
+    }
+
+    fn fitted(image: &LatLong, lobes: usize) -> Environment {
+        fit(image, &FitOptions { lobes }, &go_on).unwrap()
+    }
+
+    /// Patches, stripes and a small light: nothing that lobes fit exactly.
+    fn patches() -> LatLong {
+        let pixels = (0..64 * 32u32)
+            .map(|i| {
+                let (x, y) = (i % 64, i / 64);
+                let window = if (10..16).contains(&x) && (6..14).contains(&y) {
+                    9.0
+                } else {
+                    0.0
+                };
+                let light = if (x, y) == (45, 8) { 400.0 } else { 0.0 };
+                let floor = if y > 20 {
+                    0.3 + 0.2 * ((x / 8) % 2) as f32
+                } else {
+                    0.1
+                };
+                [
+                    floor + window + light,
+                    floor + 0.8 * window + light,
+                    0.5 * (floor + window) + light,
+                ]
+            })
+            .collect();
+        LatLong::repair(64, 32, pixels)
+    }
+
+    #[test]
+    fn known_lobes_are_recovered() {
+        let truth = [
+            lobe([0.3, 0.5, 0.8], 60.0, [5.0, 4.0, 3.0]),
+            lobe([-0.8, 0.1, 0.1], 12.0, [0.5, 1.0, 2.0]),
+            lobe([0.1, -0.9, -0.4], 3.0, [0.8, 0.4, 0.2]),
+        ];
+        let fit = fitted(&render(&truth, 128, 64), 3);
+        // An image is bilinear between its pixels, lobes are not.
+        assert!(fit.report.relative_l2 < 0.02, "{:?}", fit.report);
+        for known in &truth {
+            let found = fit
+                .lobes
+                .iter()
+                .max_by(|a, b| {
+                    let cosine = |lobe: &Lobe| Vec3::from(lobe.axis).dot(known.axis.into());
+                    cosine(a).total_cmp(&cosine(b))
+                })
+                .unwrap();
+            // The image is sampled and area-averaged: a part of a pixel, and a few per cent.
+            assert!(
+                Vec3::from(found.axis).distance(known.axis.into()) < 0.01,
+                "{found:?}"
+            );
+            assert!(
+                (found.sharpness / known.sharpness - 1.0).abs() < 0.05,
+                "{found:?}"
+            );
+            for channel in 0..3 {
+                let ratio = found.amplitude[channel] / known.amplitude[channel];
+                assert!((ratio - 1.0).abs() < 0.05, "{found:?}");
+            }
+        }
+    }
+
+    /// Largest relative rise of the L2 error with more lobes: the search minimises it
+    /// together with the error of irradiance.
+    const RISE: f32 = 1.01;
+
+    #[test]
+    fn energy_is_kept_and_more_lobes_fit_better() {
+        let image = patches();
+        let mut last = f32::INFINITY;
+        for count in [1, 2, 5, 9, 16] {
+            let environment = fitted(&image, count);
+            let report = &environment.report;
+            assert!(environment.lobes.len() <= count);
+            // Exact but for f32 lobes.
+            assert!(
+                report.energy_error.iter().all(|error| error.abs() < 1e-4),
+                "{report:?}"
+            );
+            assert!(
+                report.relative_l2 < RISE * last,
+                "{count}: {report:?} after {last}"
+            );
+            last = report.relative_l2;
+            relight_format::write_environment(&environment).unwrap();
+        }
+    }
+
+    #[test]
+    fn a_sun_of_one_pixel_has_its_own_lobe() {
+        let mut image = LatLong::repair(256, 128, vec![[0.5, 0.6, 0.8]; 256 * 128]);
+        let index = 30 * 256 + 100;
+        image.pixels[index] = [60_000.0, 50_000.0, 40_000.0];
+        let flux = image.solid_angle(30) as f32 * 60_000.0;
+        let environment = fitted(&image, 2);
+        let sun = environment
+            .lobes
+            .iter()
+            .max_by(|a, b| a.sharpness.total_cmp(&b.sharpness))
+            .unwrap();
+        // Within half a pixel of its centre, half a pixel wide, and of its energy.
+        let pixel = std::f32::consts::TAU / 256.0;
+        let offset = Vec3::from(sun.axis).distance(image.direction(100, 30));
+        assert!(offset < 0.5 * pixel, "{offset}");
+        assert!(sun.sharpness > 1.0 / (pixel * pixel), "{sun:?}");
+        let found = std::f32::consts::TAU / sun.sharpness * sun.amplitude[0];
+        assert!((found / flux - 1.0).abs() < 0.02, "{found} {flux}");
+    }
+
+    #[test]
+    fn threads_do_not_change_the_lobes() {
+        let image = patches();
+        let on = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new()
+                .num_threads(threads)
+                .build()
+                .unwrap();
+            pool.install(|| fitted(&image, 8))
+        };
+        assert_eq!(on(1), on(2));
+    }
+
+    #[test]
+    fn extreme_images_have_valid_fits() {
+        let constant = |width: u32, height: u32, value: f32| {
+            LatLong::repair(width, height, vec![[value; 3]; (width * height) as usize])
+        };
+        assert!(fitted(&constant(16, 8, 0.0), 4).lobes.is_empty());
+        let mut red = constant(16, 8, 0.0);
+        red.pixels[40] = [3.0, 0.0, 0.0];
+        for image in [
+            constant(1, 1, 2.0),
+            constant(16, 8, 1e30),
+            constant(3, 40, 1e-20),
+            red,
+        ] {
+            let environment = fitted(&image, 3);
+            relight_format::write_environment(&environment).unwrap();
+            let report = &environment.report;
+            assert!(
+                report.energy_error.iter().all(|error| error.abs() < 1e-3),
+                "{report:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn progress_grows_to_one_and_can_cancel() {
+        let seen = std::cell::RefCell::new(Vec::new());
+        let image = patches();
+        fit(&image, &FitOptions { lobes: 4 }, &|part| {
+            seen.borrow_mut().push(part);
+            ControlFlow::Continue(())
+        })
+        .unwrap();
+        let seen = seen.into_inner();
+        assert!(
+            seen.is_sorted() && seen[0] == 0.0 && seen.last() == Some(&1.0),
+            "{seen:?}"
+        );
+        let cancelled = fit(&image, &FitOptions { lobes: 4 }, &|part| {
+            if part > 0.1 {
+                ControlFlow::Break(())
+            } else {
+                ControlFlow::Continue(())
+            }
+        });
+        assert!(matches!(cancelled, Err(Error::Cancelled)));
+        assert!(matches!(
+            fit(&image, &FitOptions { lobes: 0 }, &go_on),
+            Err(Error::Lobes(0))
+        ));
+    }
+}

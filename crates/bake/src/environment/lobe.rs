@@ -244,8 +244,8 @@ mod tests {
                 };
                 close(shape.product_integral(other).value, product, product);
                 close(shape.integral().0, integral, integral);
-                for degree in 0..2 {
-                    close(shape.zonal()[degree].0, zonal[degree], integral);
+                for (closed, zonal) in shape.zonal().iter().zip(zonal) {
+                    close(closed.0, zonal, integral);
                 }
             }
         }

@@ -211,7 +211,7 @@ mod tests {
             ..LatLong::default()
         };
         for (sharpness, cosine) in [
-            (0.1, 0.3),
+            (0.1, 0.3f64),
             (2.0, -0.5),
             (2.0, 0.9),
             (60.0, 0.1),
@@ -221,7 +221,7 @@ mod tests {
                 axis: DVec3::Y,
                 sharpness,
             };
-            let normal = DVec3::new((1.0 - cosine * cosine as f64).sqrt(), cosine, 0.0);
+            let normal = DVec3::new((1.0 - cosine * cosine).sqrt(), cosine, 0.0);
             let mut sum = 0.0;
             for row in 0..grid.height {
                 for column in 0..grid.width {

@@ -14,12 +14,12 @@ pub mod report;
 mod seed;
 mod solve;
 
-use std::ops::ControlFlow;
 use std::path::Path;
 
 use relight_format::{Environment, EnvironmentReport, Lobe};
 
 use crate::hdr::{self, LatLong};
+use crate::monitor::{Interrupted, Monitor};
 pub use measure::{energy_error, irradiance_error, relative_l2, render};
 use solve::{Fit, Problem, Resolution};
 
@@ -48,18 +48,15 @@ pub enum Error {
     /// The number of lobes is out of range.
     #[error("lobes: expected 1 to {MAX_LOBES}, found {0}")]
     Lobes(usize),
-    /// The caller's progress function asked to stop.
-    #[error("cancelled")]
-    Cancelled,
+    /// Someone asked to stop.
+    #[error(transparent)]
+    Interrupted(#[from] Interrupted),
 }
 
-/// Told the part done, 0 to 1, a few times a second; answers whether to go on.
-pub type Progress<'a> = &'a dyn Fn(f32) -> ControlFlow<()>;
-
 /// Loads and fits an image.
-pub fn bake(input: &Path, options: &FitOptions, progress: Progress) -> Result<Environment, Error> {
+pub fn bake(input: &Path, options: &FitOptions, monitor: Monitor) -> Result<Environment, Error> {
     let image = hdr::load(input)?;
-    let mut environment = fit(&image, options, progress)?;
+    let mut environment = fit(&image, options, monitor)?;
     environment.report.source = input
         .file_name()
         .unwrap_or_default()
@@ -70,16 +67,12 @@ pub fn bake(input: &Path, options: &FitOptions, progress: Progress) -> Result<En
 
 /// Fits an image. The same image and options give the same lobes on any number of threads.
 /// A black image has no lobes.
-pub fn fit(
-    image: &LatLong,
-    options: &FitOptions,
-    progress: Progress,
-) -> Result<Environment, Error> {
+pub fn fit(image: &LatLong, options: &FitOptions, monitor: Monitor) -> Result<Environment, Error> {
     if !(1..=MAX_LOBES).contains(&options.lobes) {
         return Err(Error::Lobes(options.lobes));
     }
     let lobes = match Problem::new(image) {
-        Some(problem) => lobes(&search(&problem, options.lobes, progress)?),
+        Some(problem) => lobes(&search(&problem, options.lobes, monitor)?),
         None => Vec::new(),
     };
     Ok(Environment {
@@ -101,13 +94,10 @@ const LAST_STEPS: usize = 200;
 /// Rounds in which the least lobes are started anew.
 const ROUNDS: usize = 16;
 
-fn search(problem: &Problem, count: usize, progress: Progress) -> Result<Fit, Error> {
+fn search(problem: &Problem, count: usize, monitor: Monitor) -> Result<Fit, Interrupted> {
     // Time goes with the square of the number of lobes while they are added, and is about
     // even between adding, starting anew and the last steps.
-    let tell = |part: f64| match progress(part as f32) {
-        ControlFlow::Continue(()) => Ok(()),
-        ControlFlow::Break(()) => Err(Error::Cancelled),
-    };
+    let tell = |part: f64| monitor.step("fitting lobes", part as f32);
     tell(0.0)?;
     let mut fit = problem.project(vec![problem.ambient()], Resolution::Coarse);
     fit = problem.refine(&fit, Resolution::Coarse, STEPS_PER_BATCH);
@@ -194,7 +184,9 @@ fn lobes(fit: &Fit) -> Vec<Lobe> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::monitor::{Progress, SILENT};
     use glam::Vec3;
+    use std::sync::atomic::{AtomicBool, Ordering};
 
     fn lobe(axis: [f32; 3], sharpness: f32, amplitude: [f32; 3]) -> Lobe {
         let axis = Vec3::from(axis).normalize().to_array();
@@ -206,12 +198,8 @@ mod tests {
         }
     }
 
-    fn go_on(_: f32) -> ControlFlow<()> {
-        ControlFlow::Continue(())
-    }
-
     fn fitted(image: &LatLong, lobes: usize) -> Environment {
-        fit(image, &FitOptions { lobes }, &go_on).unwrap()
+        fit(image, &FitOptions { lobes }, SILENT).unwrap()
     }
 
     /// Patches, stripes and a small light: nothing that lobes fit exactly.
@@ -361,28 +349,37 @@ mod tests {
 
     #[test]
     fn progress_grows_to_one_and_can_cancel() {
-        let seen = std::cell::RefCell::new(Vec::new());
+        let seen = std::sync::Mutex::new(Vec::new());
+        let stop = AtomicBool::new(false);
+        let report = |progress: Progress| seen.lock().unwrap().push(progress.fraction);
         let image = patches();
-        fit(&image, &FitOptions { lobes: 4 }, &|part| {
-            seen.borrow_mut().push(part);
-            ControlFlow::Continue(())
-        })
+        let options = FitOptions { lobes: 4 };
+        fit(
+            &image,
+            &options,
+            Monitor {
+                report: &report,
+                stop: &stop,
+            },
+        )
         .unwrap();
-        let seen = seen.into_inner();
+        let seen = seen.into_inner().unwrap();
         assert!(
             seen.is_sorted() && seen[0] == 0.0 && seen.last() == Some(&1.0),
             "{seen:?}"
         );
-        let cancelled = fit(&image, &FitOptions { lobes: 4 }, &|part| {
-            if part > 0.1 {
-                ControlFlow::Break(())
-            } else {
-                ControlFlow::Continue(())
-            }
-        });
-        assert!(matches!(cancelled, Err(Error::Cancelled)));
+        let report = |progress: Progress| stop.store(progress.fraction > 0.1, Ordering::Relaxed);
+        let cancelled = fit(
+            &image,
+            &options,
+            Monitor {
+                report: &report,
+                stop: &stop,
+            },
+        );
+        assert!(matches!(cancelled, Err(Error::Interrupted(_))));
         assert!(matches!(
-            fit(&image, &FitOptions { lobes: 0 }, &go_on),
+            fit(&image, &FitOptions { lobes: 0 }, SILENT),
             Err(Error::Lobes(0))
         ));
     }

@@ -47,6 +47,10 @@ pub enum Error {
     },
 }
 
+#[expect(
+    clippy::needless_pass_by_value,
+    reason = "callers pass temporaries"
+)]
 fn invalid(place: impl ToString, expected: impl ToString, found: impl ToString) -> Error {
     Error::Invalid {
         place: place.to_string(),
@@ -609,9 +613,9 @@ fn bisect(points: usize, inside: impl Fn(usize) -> bool) -> usize {
     while high - low > 1 {
         let middle = usize::midpoint(low, high);
         if inside(middle) {
-            low = middle
+            low = middle;
         } else {
-            high = middle
+            high = middle;
         }
     }
     low

@@ -99,7 +99,7 @@ mod tests {
     fn sobol_points_are_stratified_in_every_elementary_box() {
         for seed in 0..5 {
             for (columns, rows) in [(1, 64), (8, 8), (64, 1), (16, 4)] {
-                let mut hit = vec![false; 64];
+                let mut hit = [false; 64];
                 for i in 0..64 {
                     let [x, y] = sobol_pair(i, seed);
                     hit[(x * columns as f32) as usize * rows + (y * rows as f32) as usize] = true;

@@ -3,7 +3,8 @@
 
 use std::f32::consts::TAU;
 
-use glam::Vec3;
+use glam::{Vec2, Vec3};
+use relight_shading::octahedral;
 use relight_shading::shade::product_lobes;
 use relight_shading::spherical_gaussian::{SphericalGaussian, cosine_moment, first_moment};
 use relight_shading::surface::SurfacePoint;
@@ -45,6 +46,19 @@ pub fn render(
         });
         combine(&replicas)
     })
+}
+
+/// Lobes below this fraction of what all lobes would reflect with nothing below the horizon
+/// or blocked are left out: hundreds of them are far below a thousandth of a deep shadow.
+const NEGLIGIBLE: f32 = 1e-8;
+
+/// Position on the Z-order curve (Morton 1966) of a point in the unit square.
+fn morton(point: Vec2) -> u32 {
+    let spread = |x: f32| {
+        let bits = (x * 65535.0) as u32;
+        (0..16).map(|bit| (bits >> bit & 1) << (2 * bit)).sum::<u32>()
+    };
+    spread(point.x) | spread(point.y) << 1
 }
 
 /// What the rays of one replica gathered.
@@ -93,14 +107,24 @@ struct Mixture {
 
 impl Mixture {
     fn new(point: SurfacePoint, lights: &[SphericalGaussian]) -> Self {
+        let mut lobes = Vec::new();
+        let mut bound = 0.0;
+        product_lobes(&point, lights, |lobe| {
+            bound += luminance(lobe.integral().into());
+            lobes.push(lobe);
+        });
+        lobes.retain(|lobe| luminance(lobe.integral().into()) > NEGLIGIBLE * bound);
+        // Neighbours in direction become neighbours in the sums, so that systematic sampling
+        // of the sums also spreads rays over directions.
+        lobes.sort_by_cached_key(|lobe| morton(octahedral::encode(lobe.axis)));
         let mut mixture = Self {
             point,
-            lobes: Vec::new(),
-            cumulative: Vec::new(),
+            lobes: Vec::with_capacity(lobes.len()),
+            cumulative: Vec::with_capacity(lobes.len()),
             unoccluded: Vec3::ZERO,
         };
         let mut total = 0.0;
-        product_lobes(&point, lights, |lobe| {
+        for lobe in lobes {
             let cosine = point.normal.dot(lobe.axis);
             let radiance = lobe.amplitude * cosine_integral(lobe.sharpness, cosine);
             let weight = luminance(radiance.into());
@@ -110,7 +134,7 @@ impl Mixture {
                 mixture.cumulative.push(total);
                 mixture.unoccluded += radiance;
             }
-        });
+        }
         mixture
     }
 

@@ -34,11 +34,27 @@ const GOOD: [Good; 27] = [
     ("stanford/dragon_100k.obj", [50000, 100_000, 1, 0], &[]),
     ("figures/spot.obj", [3225, 5856, 1, 0], &[]),
     ("figures/teapot.obj", [3644, 6320, 1, 0], &[]),
-    ("figures/suzanne_quads.obj", [507, 968, 1, 0], &["wind against"]),
+    (
+        "figures/suzanne_quads.obj",
+        [507, 968, 1, 0],
+        &["wind against"],
+    ),
     ("figures/suzi.glb", [8098, 15744, 1, 0], &[]),
-    ("figures/cesium_man_walk/walk_0.obj", [3273, 4672, 1, 0], &["wind against"]),
-    ("figures/cesium_man_walk/walk_1.obj", [3273, 4672, 1, 0], &["wind against"]),
-    ("figures/cesium_man_walk/walk_2.obj", [3273, 4672, 1, 0], &["wind against"]),
+    (
+        "figures/cesium_man_walk/walk_0.obj",
+        [3273, 4672, 1, 0],
+        &["wind against"],
+    ),
+    (
+        "figures/cesium_man_walk/walk_1.obj",
+        [3273, 4672, 1, 0],
+        &["wind against"],
+    ),
+    (
+        "figures/cesium_man_walk/walk_2.obj",
+        [3273, 4672, 1, 0],
+        &["wind against"],
+    ),
     ("figures/CesiumMan.glb", [3273, 4672, 1, 1], &["bind pose"]),
     ("figures/Duck.glb", [2399, 4212, 1, 1], &[]),
     (
@@ -46,28 +62,62 @@ const GOOD: [Good; 27] = [
         [65864, 114_402, 6, 15],
         &["transparent", "double-sided"],
     ),
-    ("scenes/cornell_box/scene.gltf", [128, 64, 8, 0], &["double-sided"]),
+    (
+        "scenes/cornell_box/scene.gltf",
+        [128, 64, 8, 0],
+        &["double-sided"],
+    ),
     (
         "scenes/CornellBox_bevy.glb",
         [148, 72, 5, 0],
         &["emits light", "vertex colours", "double-sided"],
     ),
-    ("scenes/vr-gallery.glb", [2582, 1930, 1, 1], &["KHR_materials_unlit", "emits light"]),
+    (
+        "scenes/vr-gallery.glb",
+        [2582, 1930, 1, 1],
+        &["KHR_materials_unlit", "emits light"],
+    ),
     (
         "anisotropy/AnisotropyBarnLamp/AnisotropyBarnLamp_png.gltf",
         [7712, 10203, 3, 4],
         &["clearcoat", "transmission", "volume", "emits light"],
     ),
-    ("anisotropy/AnisotropyDiscTest.glb", [3279, 2788, 12, 1], &[]),
+    (
+        "anisotropy/AnisotropyDiscTest.glb",
+        [3279, 2788, 12, 1],
+        &[],
+    ),
     // Every instance gets its own vertices.
-    ("anisotropy/AnisotropyStrengthTest.glb", [53311, 97240, 50, 1], &[]),
-    ("thin/carbon60.glb", [157_364, 211_118, 1, 0], &["4461 triangles of zero", "wind against"]),
-    ("thin/low-poly-tree.glb", [6064, 2252, 1, 2], &["double-sided"]),
+    (
+        "anisotropy/AnisotropyStrengthTest.glb",
+        [53311, 97240, 50, 1],
+        &[],
+    ),
+    (
+        "thin/carbon60.glb",
+        [157_364, 211_118, 1, 0],
+        &["4461 triangles of zero", "wind against"],
+    ),
+    (
+        "thin/low-poly-tree.glb",
+        [6064, 2252, 1, 2],
+        &["double-sided"],
+    ),
     ("thin/simple_pole.glb", [936, 580, 3, 0], &[]),
     ("awkward/nested.glb", [144, 72, 1, 0], &["double-sided"]),
     ("awkward/gltf/box_sparse.glb", [36, 12, 1, 0], &[]),
-    ("awkward/gltf/sphere/sphere.gltf", [231, 224, 1, 2], &["sheen", "transmission", "clearcoat",
-        "volume", "ior", "specular"]),
+    (
+        "awkward/gltf/sphere/sphere.gltf",
+        [231, 224, 1, 2],
+        &[
+            "sheen",
+            "transmission",
+            "clearcoat",
+            "volume",
+            "ior",
+            "specular",
+        ],
+    ),
     ("awkward/tinyobj/cornell_box.obj", [72, 36, 4, 0], &[]),
     ("awkward/draco/cube_quads.obj", [24, 12, 1, 0], &[]),
 ];
@@ -81,10 +131,21 @@ fn good_files(data: &Path) -> Outcome {
             mesh.materials.len(),
             mesh.textures.len(),
         ];
-        assert_eq!(found, counts, "{file}: vertices, triangles, materials, textures");
-        assert_eq!(mesh.warnings.len(), warnings.len(), "{file}: {:?}", mesh.warnings);
+        assert_eq!(
+            found, counts,
+            "{file}: vertices, triangles, materials, textures"
+        );
+        assert_eq!(
+            mesh.warnings.len(),
+            warnings.len(),
+            "{file}: {:?}",
+            mesh.warnings
+        );
         for (warning, expected) in mesh.warnings.iter().zip(warnings) {
-            assert!(warning.contains(expected), "{file}: {warning:?} lacks {expected:?}");
+            assert!(
+                warning.contains(expected),
+                "{file}: {warning:?} lacks {expected:?}"
+            );
         }
         assert_promises(&mesh, file);
     }
@@ -101,17 +162,35 @@ fn assert_promises(mesh: &Mesh, file: &str) {
             used[index as usize] = true;
             Vec3::from(mesh.vertices[index as usize].position).as_dvec3()
         });
-        assert!((b - a).cross(c - a).length() > 0.0, "{file}: a triangle has no area");
-        assert!(usize::from(triangle.material) < mesh.materials.len(), "{file}: a bad material");
+        assert!(
+            (b - a).cross(c - a).length() > 0.0,
+            "{file}: a triangle has no area"
+        );
+        assert!(
+            usize::from(triangle.material) < mesh.materials.len(),
+            "{file}: a bad material"
+        );
     }
-    assert!(used.into_iter().all(|used| used), "{file}: a vertex is not used");
+    assert!(
+        used.into_iter().all(|used| used),
+        "{file}: a vertex is not used"
+    );
     for vertex in &mesh.vertices {
         let numbers: &[f32] = bytemuck::cast_slice(std::slice::from_ref(vertex));
-        assert!(numbers.iter().all(|number| number.is_finite()), "{file}: {vertex:?}");
+        assert!(
+            numbers.iter().all(|number| number.is_finite()),
+            "{file}: {vertex:?}"
+        );
         let normal = Vec3::from(vertex.normal);
         let tangent = Vec3::from_slice(&vertex.tangent[..3]);
-        assert!((normal.length() - 1.0).abs() < TOLERANCE, "{file}: {vertex:?}");
-        assert!((tangent.length() - 1.0).abs() < TOLERANCE, "{file}: {vertex:?}");
+        assert!(
+            (normal.length() - 1.0).abs() < TOLERANCE,
+            "{file}: {vertex:?}"
+        );
+        assert!(
+            (tangent.length() - 1.0).abs() < TOLERANCE,
+            "{file}: {vertex:?}"
+        );
         assert!(normal.dot(tangent).abs() < TOLERANCE, "{file}: {vertex:?}");
         assert!(vertex.tangent[3].abs() == 1.0, "{file}: {vertex:?}");
     }
@@ -123,9 +202,15 @@ const BROKEN: [(&str, &str); 16] = [
     ("draco/inf_nan.obj", "line 1"),
     ("draco/test_lines.obj", "no triangle"),
     ("gltf/Box_Draco.glb", "KHR_draco_mesh_compression"),
-    ("gltf/BoxMetaDraco/BoxMetaDraco.gltf", "KHR_draco_mesh_compression"),
+    (
+        "gltf/BoxMetaDraco/BoxMetaDraco.gltf",
+        "KHR_draco_mesh_compression",
+    ),
     ("gltf/minimal_accessor_invalid.gltf", "accessors[1].max"),
-    ("gltf/non_sparse_accessor_without_buffer_view.gltf", "zero area"),
+    (
+        "gltf/non_sparse_accessor_without_buffer_view.gltf",
+        "zero area",
+    ),
     ("tinyobj/invalid-face-definition.obj", "no triangle"),
     ("tinyobj/invalid-relative-texture-index.obj", "line 2"),
     ("tinyobj/invalid-relative-vertex-index.obj", "line 1"),
@@ -142,7 +227,10 @@ fn broken_files(data: &Path) -> Outcome {
         let path = data.join("meshes/awkward").join(file);
         let message = import::mesh(&path).expect_err(file).to_string();
         assert!(message.contains(expected), "{file}: {message}");
-        assert!(message.contains(path.to_str().expect("a path in UTF-8")), "{message}");
+        assert!(
+            message.contains(path.to_str().expect("a path in UTF-8")),
+            "{message}"
+        );
         assert!(!message.contains('\n'), "{message}");
     }
     Ok(())
@@ -160,8 +248,11 @@ fn awkward_files(data: &Path) -> Outcome {
             Err(_) => failed.push(name),
         }
     }
-    let mut expected: Vec<_> =
-        BROKEN.iter().map(|(file, _)| *file).filter(|file| folder.join(file).exists()).collect();
+    let mut expected: Vec<_> = BROKEN
+        .iter()
+        .map(|(file, _)| *file)
+        .filter(|file| folder.join(file).exists())
+        .collect();
     failed.sort_unstable();
     expected.sort_unstable();
     assert_eq!(failed, expected, "of {} files", files.len());
@@ -173,7 +264,10 @@ fn collect(folder: &Path, files: &mut Vec<PathBuf>) -> std::io::Result<()> {
         let path = entry?.path();
         if path.is_dir() {
             collect(&path, files)?;
-        } else if path.extension().is_some_and(|e| e == "obj" || e == "glb" || e == "gltf") {
+        } else if path
+            .extension()
+            .is_some_and(|e| e == "obj" || e == "glb" || e == "gltf")
+        {
             files.push(path);
         }
     }
@@ -202,7 +296,9 @@ fn reference_scenes(data: &Path) -> Outcome {
             ["origin", "target", "up"].map(vector)
         );
         assert_eq!(camera.field_of_view, FieldOfView::X(28f32.to_radians()));
-        let [material] = &*input.mesh.materials else { panic!("one material") };
+        let [material] = &*input.mesh.materials else {
+            panic!("one material")
+        };
         let Surface::Layered { diffuse, specular } = &material.surface else {
             panic!("{:?}", material.surface)
         };
@@ -211,12 +307,20 @@ fn reference_scenes(data: &Path) -> Outcome {
                 assert_eq!((*diffuse, specular), ([0.5; 3], &Specular::None));
             }
             "walk1_aniso_stpeters" => {
-                let ggx = Specular::Ggx { f0: [1.0; 3], alpha: [0.08, 0.4] };
+                let ggx = Specular::Ggx {
+                    f0: [1.0; 3],
+                    alpha: [0.08, 0.4],
+                };
                 assert_eq!((*diffuse, specular), ([0.0; 3], &ggx));
             }
             "bunny_rgl_aurora_white_lobby" => {
-                assert!(matches!(specular, Specular::Measured { .. }), "{specular:?}");
-                let [(0, table)] = &*input.measured else { panic!("{:?}", input.measured) };
+                assert!(
+                    matches!(specular, Specular::Measured { .. }),
+                    "{specular:?}"
+                );
+                let [(0, table)] = &*input.measured else {
+                    panic!("{:?}", input.measured)
+                };
                 assert!(table.is_file(), "{}", table.display());
             }
             other => panic!("no expectation for {other}"),
@@ -231,10 +335,17 @@ fn scene_toml(data: &Path, scene: &Value) -> String {
         let file = data.join(value.as_str().expect("a path"));
         format!("{:?}", file.to_str().expect("a path in UTF-8"))
     };
-    let bsdf = if scene["bsdf"]["type"] == "twosided" { &scene["bsdf"]["b"] } else { &scene["bsdf"] };
+    let bsdf = if scene["bsdf"]["type"] == "twosided" {
+        &scene["bsdf"]["b"]
+    } else {
+        &scene["bsdf"]
+    };
     let material = match bsdf["type"].as_str() {
         Some("diffuse") => {
-            format!("model = 'diffuse'\ndiffuse = {}", bsdf["reflectance"]["value"])
+            format!(
+                "model = 'diffuse'\ndiffuse = {}",
+                bsdf["reflectance"]["value"]
+            )
         }
         // `material: none` is a perfect mirror's Fresnel term: 1 everywhere.
         Some("roughconductor") => format!(
@@ -286,8 +397,10 @@ fn mikktspace(data: &Path) -> Outcome {
         tangent::set_mikktspace(&mut vertices, &mut triangles);
         let mut agreeing = 0;
         for (old, new) in given.iter().flatten().zip(triangles.iter().flatten()) {
-            let (old, new) =
-                (mesh.vertices[*old as usize].tangent, vertices[*new as usize].tangent);
+            let (old, new) = (
+                mesh.vertices[*old as usize].tangent,
+                vertices[*new as usize].tangent,
+            );
             let cosine = Vec3::from_slice(&old[..3]).dot(Vec3::from_slice(&new[..3]));
             agreeing += usize::from(cosine > AGREES && old[3] == new[3]);
         }
@@ -301,8 +414,10 @@ fn mikktspace(data: &Path) -> Outcome {
 /// Closed figures, texture seams included, must stay closed: every edge between two
 /// positions is run through once each way.
 fn refined_figures(data: &Path) -> Outcome {
-    for (file, max_edge) in [("figures/spot.obj", 0.03), ("figures/cesium_man_walk/walk_1.obj", 0.02)]
-    {
+    for (file, max_edge) in [
+        ("figures/spot.obj", 0.03),
+        ("figures/cesium_man_walk/walk_1.obj", 0.02),
+    ] {
         let mesh = import::mesh(&data.join("meshes").join(file))?;
         let before = open_edges(&mesh);
         let (old_vertices, old_triangles) = (mesh.vertices.len(), mesh.triangles.len());
@@ -321,9 +436,11 @@ fn refined_figures(data: &Path) -> Outcome {
 fn open_edges(mesh: &Mesh) -> usize {
     let mut edges = std::collections::HashMap::new();
     for triangle in &mesh.triangles {
-        let corners = triangle
-            .vertices
-            .map(|index| mesh.vertices[index as usize].position.map(|x| (x + 0.0).to_bits()));
+        let corners = triangle.vertices.map(|index| {
+            mesh.vertices[index as usize]
+                .position
+                .map(|x| (x + 0.0).to_bits())
+        });
         for (a, b) in [(0, 1), (1, 2), (2, 0)] {
             let (a, b) = (corners[a], corners[b]);
             *edges.entry((a.min(b), a.max(b))).or_insert(0i32) += if a < b { 1 } else { -1 };

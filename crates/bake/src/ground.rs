@@ -25,17 +25,31 @@ pub fn append(
     surface: Surface,
 ) -> Result<(), (&'static str, String, String)> {
     let (low, high) = mesh.bounds().unwrap_or((Vec3::ZERO, Vec3::ZERO));
-    let size = options.size.unwrap_or((high - low).max_element() * DEFAULT_EXTENTS);
+    let size = options
+        .size
+        .unwrap_or((high - low).max_element() * DEFAULT_EXTENTS);
     let height = options.height.unwrap_or(low.y);
-    let [x, z] = options.center.unwrap_or([(low.x + high.x) * 0.5, (low.z + high.z) * 0.5]);
-    let cells = options.spacing.map_or(DEFAULT_CELLS, |spacing| (size / spacing).ceil().max(1.0));
+    let [x, z] = options
+        .center
+        .unwrap_or([(low.x + high.x) * 0.5, (low.z + high.z) * 0.5]);
+    let cells = options
+        .spacing
+        .map_or(DEFAULT_CELLS, |spacing| (size / spacing).ceil().max(1.0));
     // Written so that a size or spacing that overflows to infinity or NaN fails too.
     if !(cells <= MAX_CELLS && (x.abs() + z.abs() + size).is_finite()) {
         let expected = format!("at most {MAX_CELLS} spacings per side, inside finite space");
-        return Err(("ground.spacing", expected, format!("{cells} spacings on {size} m")));
+        return Err((
+            "ground.spacing",
+            expected,
+            format!("{cells} spacings on {size} m"),
+        ));
     }
     let Ok(material) = u16::try_from(mesh.materials.len()) else {
-        return Err(("ground", "fewer than 65536 materials".into(), "65536 in the mesh".into()));
+        return Err((
+            "ground",
+            "fewer than 65536 materials".into(),
+            "65536 in the mesh".into(),
+        ));
     };
     mesh.materials.push(plain_material("ground", surface));
     let base = mesh.vertices.len() as u32;

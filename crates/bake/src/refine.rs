@@ -70,8 +70,10 @@ fn long_edges(mesh: &Mesh, max_edge: f32) -> Vec<f32> {
         .collect();
     edges.sort_unstable();
     edges.dedup();
-    let mut lengths: Vec<f32> =
-        edges.iter().map(|&[a, b]| position(a).distance(position(b))).collect();
+    let mut lengths: Vec<f32> = edges
+        .iter()
+        .map(|&[a, b]| position(a).distance(position(b)))
+        .collect();
     lengths.sort_unstable_by(|a, b| b.total_cmp(a));
     lengths
 }
@@ -81,7 +83,11 @@ fn divide(mesh: &mut Mesh, bound: f32) {
     let mut middles: HashMap<[u32; 2], u32> = HashMap::new();
     let mut triangles = Vec::with_capacity(mesh.triangles.len() * 2);
     let vertices = &mut mesh.vertices;
-    for &ImportedTriangle { vertices: corners, material } in &mesh.triangles {
+    for &ImportedTriangle {
+        vertices: corners,
+        material,
+    } in &mesh.triangles
+    {
         let mut middle = |a: u32, b: u32| {
             let (first, second) = (vertices[a as usize], vertices[b as usize]);
             let position = cut(first.position.into(), second.position.into(), bound)?;
@@ -116,7 +122,9 @@ fn divide(mesh: &mut Mesh, bound: f32) {
             }
         };
         triangles.extend(
-            cut_up.iter().map(|&vertices| ImportedTriangle { vertices, material }),
+            cut_up
+                .iter()
+                .map(|&vertices| ImportedTriangle { vertices, material }),
         );
     }
     mesh.triangles = triangles;
@@ -167,7 +175,10 @@ mod tests {
             let flipped = (octant.count_ones() % 2) as usize;
             let mut vertices = [base, base + 1, base + 2];
             vertices.swap(1, 1 + flipped);
-            mesh.triangles.push(ImportedTriangle { vertices, material: octant });
+            mesh.triangles.push(ImportedTriangle {
+                vertices,
+                material: octant,
+            });
         }
         mesh
     }
@@ -179,8 +190,9 @@ mod tests {
     fn areas(mesh: &Mesh) -> HashMap<u16, f32> {
         let mut areas = HashMap::new();
         for triangle in &mesh.triangles {
-            let [a, b, c] =
-                triangle.vertices.map(|index| Vec3::from(mesh.vertices[index as usize].position));
+            let [a, b, c] = triangle
+                .vertices
+                .map(|index| Vec3::from(mesh.vertices[index as usize].position));
             *areas.entry(triangle.material).or_default() += (b - a).cross(c - a).length() * 0.5;
         }
         areas
@@ -202,7 +214,10 @@ mod tests {
                 );
             }
         }
-        assert!(edges.values().all(|count| *count == 0), "an edge has no partner");
+        assert!(
+            edges.values().all(|count| *count == 0),
+            "an edge has no partner"
+        );
     }
 
     #[test]
@@ -255,8 +270,9 @@ mod tests {
     fn orientation_is_kept() {
         let mesh = refine(soup(), 0.2, usize::MAX);
         for triangle in &mesh.triangles {
-            let [a, b, c] =
-                triangle.vertices.map(|index| Vec3::from(mesh.vertices[index as usize].position));
+            let [a, b, c] = triangle
+                .vertices
+                .map(|index| Vec3::from(mesh.vertices[index as usize].position));
             assert!((b - a).cross(c - a).dot(a + b + c) > 0.0);
         }
     }
@@ -265,7 +281,11 @@ mod tests {
     fn the_vertex_bound_holds_and_leaves_no_crack() {
         for bound in [0, 24, 31, 100, 1000] {
             let mesh = refine(soup(), 0.05, bound);
-            assert!(mesh.vertices.len() <= bound.max(24), "{} of {bound}", mesh.vertices.len());
+            assert!(
+                mesh.vertices.len() <= bound.max(24),
+                "{} of {bound}",
+                mesh.vertices.len()
+            );
             assert_eq!(mesh.warnings.len(), 1);
             assert_closed(&mesh);
         }

@@ -235,8 +235,10 @@ pub struct Refinement {
 /// Reads and checks a scene file.
 pub fn load(path: &Path) -> Result<SceneFile, Error> {
     let text = std::fs::read_to_string(path).map_err(|source| Error::read(path, source))?;
-    let scene: SceneFile = toml::from_str(&text)
-        .map_err(|error| Error::Syntax { file: path.into(), message: error.to_string() })?;
+    let scene: SceneFile = toml::from_str(&text).map_err(|error| Error::Syntax {
+        file: path.into(),
+        message: error.to_string(),
+    })?;
     let checked = Checker { path };
     checked.transform(&scene.transform)?;
     for (name, material) in &scene.materials {
@@ -262,8 +264,18 @@ impl Camera {
             (None, Some(y)) => format::FieldOfView::Y(y.to_radians()),
             _ => return None,
         };
-        let Self { position, target, up, .. } = *self;
-        Some(format::Camera { position, target, up, field_of_view })
+        let Self {
+            position,
+            target,
+            up,
+            ..
+        } = *self;
+        Some(format::Camera {
+            position,
+            target,
+            up,
+            field_of_view,
+        })
     }
 }
 
@@ -296,16 +308,31 @@ impl Checker<'_> {
         if holds {
             Ok(())
         } else {
-            Err(Error::invalid(self.path, place, expected, format_args!("{found:?}")))
+            Err(Error::invalid(
+                self.path,
+                place,
+                expected,
+                format_args!("{found:?}"),
+            ))
         }
     }
 
     fn positive(&self, place: &str, value: f32) -> Result<(), Error> {
-        self.require(value > 0.0 && value.is_finite(), place, "a number above 0", value)
+        self.require(
+            value > 0.0 && value.is_finite(),
+            place,
+            "a number above 0",
+            value,
+        )
     }
 
     fn finite(&self, place: &str, values: &[f32]) -> Result<(), Error> {
-        self.require(values.iter().all(|x| x.is_finite()), place, "finite numbers", values)
+        self.require(
+            values.iter().all(|x| x.is_finite()),
+            place,
+            "finite numbers",
+            values,
+        )
     }
 
     fn nonzero(&self, place: &str, vector: [f32; 3]) -> Result<(), Error> {
@@ -321,15 +348,20 @@ impl Checker<'_> {
     }
 
     fn ground(&self, ground: &Ground) -> Result<(), Error> {
-        for (place, value) in [("ground.size", ground.size), ("ground.spacing", ground.spacing)] {
+        for (place, value) in [
+            ("ground.size", ground.size),
+            ("ground.spacing", ground.spacing),
+        ] {
             value.map_or(Ok(()), |value| self.positive(place, value))?;
         }
         self.finite("ground.height", ground.height.as_slice())?;
-        self.finite("ground.center", ground.center.as_ref().map_or(&[], |center| center))?;
-        ground
-            .material
-            .as_ref()
-            .map_or(Ok(()), |material| self.material("ground.material", material))
+        self.finite(
+            "ground.center",
+            ground.center.as_ref().map_or(&[], |center| center),
+        )?;
+        ground.material.as_ref().map_or(Ok(()), |material| {
+            self.material("ground.material", material)
+        })
     }
 
     fn camera(&self, camera: &Camera) -> Result<(), Error> {
@@ -340,13 +372,24 @@ impl Checker<'_> {
             "one of fov_x_degrees and fov_y_degrees",
             format_args!("{} of them", angles.iter().flatten().count()),
         )?;
-        let in_range = angles.into_iter().flatten().all(|angle| angle > 0.0 && angle < 180.0);
-        self.require(in_range, "camera", "a field of view above 0 and below 180", angles)?;
+        let in_range = angles
+            .into_iter()
+            .flatten()
+            .all(|angle| angle > 0.0 && angle < 180.0);
+        self.require(
+            in_range,
+            "camera",
+            "a field of view above 0 and below 180",
+            angles,
+        )?;
         self.finite("camera.position", &camera.position)?;
         self.finite("camera.target", &camera.target)?;
         let [position, target, up] =
             [camera.position, camera.target, camera.up].map(glam::Vec3::from);
-        self.nonzero("camera.target minus camera.position", (target - position).into())?;
+        self.nonzero(
+            "camera.target minus camera.position",
+            (target - position).into(),
+        )?;
         self.nonzero("camera.up", up.into())?;
         self.nonzero(
             "camera.up across the viewing direction",
@@ -358,7 +401,12 @@ impl Checker<'_> {
         use MaterialOverride as M;
         let at = |key: &str| format!("{place}.{key}");
         let unit = |key: &str, value: f32| {
-            self.require((0.0..=1.0).contains(&value), &at(key), "a number in [0, 1]", value)
+            self.require(
+                (0.0..=1.0).contains(&value),
+                &at(key),
+                "a number in [0, 1]",
+                value,
+            )
         };
         let color = |key: &str, value: Color| {
             let rgb = value.rgb();
@@ -374,27 +422,49 @@ impl Checker<'_> {
             let found = (alpha, x, y);
             let expected = "alpha, or alpha_x and alpha_y";
             self.require(pair.is_some(), place, expected, found)?;
-            pair.into_iter().flatten().try_for_each(|value| roughness("alpha", value))
+            pair.into_iter()
+                .flatten()
+                .try_for_each(|value| roughness("alpha", value))
         };
         match *material {
             M::Diffuse { diffuse } => color("diffuse", diffuse),
-            M::BlinnPhong { diffuse, specular, exponent } => {
+            M::BlinnPhong {
+                diffuse,
+                specular,
+                exponent,
+            } => {
                 color("diffuse", diffuse)?;
                 color("specular", specular)?;
                 let valid = exponent >= 1.0 && exponent.is_finite();
                 self.require(valid, &at("exponent"), "a number of at least 1", exponent)
             }
-            M::Ward { diffuse, specular, alpha: a, alpha_x, alpha_y } => {
+            M::Ward {
+                diffuse,
+                specular,
+                alpha: a,
+                alpha_x,
+                alpha_y,
+            } => {
                 color("diffuse", diffuse)?;
                 color("specular", specular)?;
                 alpha(a, alpha_x, alpha_y)
             }
-            M::CookTorrance { diffuse, f0, roughness: m } => {
+            M::CookTorrance {
+                diffuse,
+                f0,
+                roughness: m,
+            } => {
                 color("diffuse", diffuse)?;
                 color("f0", f0)?;
                 roughness("roughness", m)
             }
-            M::Ggx { diffuse, f0, alpha: a, alpha_x, alpha_y } => {
+            M::Ggx {
+                diffuse,
+                f0,
+                alpha: a,
+                alpha_x,
+                alpha_y,
+            } => {
                 color("diffuse", diffuse)?;
                 color("f0", f0)?;
                 alpha(a, alpha_x, alpha_y)
@@ -449,8 +519,15 @@ mod tests {
         }
         assert_eq!(models, [true; 7]);
         assert!(scene.environment.is_some() && scene.refinement.is_some());
-        let camera = scene.camera.expect("a camera").to_format().expect("one field of view");
-        assert_eq!(camera.field_of_view, format::FieldOfView::X(28f32.to_radians()));
+        let camera = scene
+            .camera
+            .expect("a camera")
+            .to_format()
+            .expect("one field of view");
+        assert_eq!(
+            camera.field_of_view,
+            format::FieldOfView::X(28f32.to_radians())
+        );
     }
 
     #[test]
@@ -458,7 +535,10 @@ mod tests {
         let scene = parse("mesh = 'a.obj'").expect("a valid file");
         assert_eq!(scene.mesh, Path::new("a.obj"));
         assert_eq!(scene.transform, Transform::default());
-        assert_eq!((scene.ground, scene.camera, scene.refinement), (None, None, None));
+        assert_eq!(
+            (scene.ground, scene.camera, scene.refinement),
+            (None, None, None)
+        );
     }
 
     #[test]
@@ -469,13 +549,25 @@ mod tests {
             ("mesh = 'a'\nmehs = 'b'", "mehs"),
             ("mesh = 'a'\n[transform]\nsize = 1", "size"),
             ("mesh = 'a'\n[transform]\nscale = 0", "transform.scale"),
-            ("mesh = 'a'\n[transform]\nrotation_axis = [0, 0, 0]", "rotation_axis"),
+            (
+                "mesh = 'a'\n[transform]\nrotation_axis = [0, 0, 0]",
+                "rotation_axis",
+            ),
             ("mesh = 'a'\n[ground]\nwidth = 1", "width"),
             ("mesh = 'a'\n[ground]\nspacing = -1", "ground.spacing"),
-            ("mesh = 'a'\n[ground]\nmaterial = { model = 'diffuse', diffuse = 2 }", "ground.mat"),
-            ("mesh = 'a'\n[refinement]\nmax_edge = inf", "refinement.max_edge"),
+            (
+                "mesh = 'a'\n[ground]\nmaterial = { model = 'diffuse', diffuse = 2 }",
+                "ground.mat",
+            ),
+            (
+                "mesh = 'a'\n[refinement]\nmax_edge = inf",
+                "refinement.max_edge",
+            ),
             ("mesh = 'a'\n[refinement]\nmax_vertices = 5", "max_edge"),
-            ("mesh = 'a'\n[camera]\nposition = [0, 0, 1]\ntarget = [0, 0, 0]", "fov_x_degrees"),
+            (
+                "mesh = 'a'\n[camera]\nposition = [0, 0, 1]\ntarget = [0, 0, 0]",
+                "fov_x_degrees",
+            ),
             (
                 "mesh = 'a'\n[camera]\nposition = [0, 1, 0]\ntarget = [0, 0, 0]\nfov_x_degrees = 9",
                 "camera.up",
@@ -492,11 +584,26 @@ mod tests {
             ),
             ("mesh = 'a'\n[materials.m]\nmodel = 'plastic'", "plastic"),
             ("mesh = 'a'\n[materials.m]\ndiffuse = 0.5", "model"),
-            ("mesh = 'a'\n[materials.m]\nmodel = 'diffuse'\ndiffuse = 0.5\nf0 = 1", "f0"),
-            ("mesh = 'a'\n[materials.m]\nmodel = 'diffuse'\ndiffuse = [1, 2]", "three numbers"),
-            ("mesh = 'a'\n[materials.m]\nmodel = 'ggx'\nf0 = 1", "materials.m"),
-            ("mesh = 'a'\n[materials.m]\nmodel = 'ggx'\nf0 = 1\nalpha = 0.1\nalpha_x = 0.1", "alpha"),
-            ("mesh = 'a'\n[materials.m]\nmodel = 'ggx'\nf0 = 1\nalpha = 0", "roughness in (0, 1]"),
+            (
+                "mesh = 'a'\n[materials.m]\nmodel = 'diffuse'\ndiffuse = 0.5\nf0 = 1",
+                "f0",
+            ),
+            (
+                "mesh = 'a'\n[materials.m]\nmodel = 'diffuse'\ndiffuse = [1, 2]",
+                "three numbers",
+            ),
+            (
+                "mesh = 'a'\n[materials.m]\nmodel = 'ggx'\nf0 = 1",
+                "materials.m",
+            ),
+            (
+                "mesh = 'a'\n[materials.m]\nmodel = 'ggx'\nf0 = 1\nalpha = 0.1\nalpha_x = 0.1",
+                "alpha",
+            ),
+            (
+                "mesh = 'a'\n[materials.m]\nmodel = 'ggx'\nf0 = 1\nalpha = 0",
+                "roughness in (0, 1]",
+            ),
             (
                 "mesh = 'a'\n[materials.m]\nmodel = 'blinn-phong'\nspecular = 1\nexponent = 0.5",
                 "materials.m.exponent",

@@ -34,8 +34,14 @@ pub struct SceneInput {
 
 /// Loads a `.toml` scene file, or a mesh without one.
 pub fn load(path: &Path) -> Result<SceneInput, Error> {
-    let is_scene = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("toml"));
-    let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let is_scene = path
+        .extension()
+        .is_some_and(|e| e.eq_ignore_ascii_case("toml"));
+    let name = path
+        .file_stem()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .into_owned();
     if !is_scene {
         let mesh = import::mesh(path)?;
         return Ok(SceneInput {
@@ -57,7 +63,10 @@ pub fn load(path: &Path) -> Result<SceneInput, Error> {
         return Err(Error::invalid(
             path,
             "transform",
-            format_args!("coordinates within {} m of the origin", import::MAX_COORDINATE),
+            format_args!(
+                "coordinates within {} m of the origin",
+                import::MAX_COORDINATE
+            ),
             format_args!("{position:?}"),
         ));
     }
@@ -66,14 +75,15 @@ pub fn load(path: &Path) -> Result<SceneInput, Error> {
     let object_diagonal = diagonal(&mesh);
     if let Some(options) = &file.ground {
         let material = options.material.as_ref();
-        let default = MaterialOverride::Diffuse { diffuse: scene_file::Color::Grey(0.5) };
+        let default = MaterialOverride::Diffuse {
+            diffuse: scene_file::Color::Grey(0.5),
+        };
         let surface = surface(material.unwrap_or(&default), folder)?;
         if let Some(MaterialOverride::Measured { file }) = material {
             measured.push((mesh.materials.len(), folder.join(file)));
         }
-        ground::append(&mut mesh, options, surface).map_err(|(place, expected, found)| {
-            Error::invalid(path, place, expected, found)
-        })?;
+        ground::append(&mut mesh, options, surface)
+            .map_err(|(place, expected, found)| Error::invalid(path, place, expected, found))?;
     }
     Ok(SceneInput {
         name,
@@ -112,7 +122,11 @@ fn override_materials(
     let folder = path.parent().unwrap_or(Path::new(""));
     for name in file.materials.keys().filter(|name| *name != "default") {
         if mesh.materials.iter().all(|material| material.name != *name) {
-            let names: Vec<_> = mesh.materials.iter().map(|m| format!("{:?}", m.name)).collect();
+            let names: Vec<_> = mesh
+                .materials
+                .iter()
+                .map(|m| format!("{:?}", m.name))
+                .collect();
             return Err(Error::invalid(
                 path,
                 format_args!("materials.{name}"),
@@ -122,9 +136,13 @@ fn override_materials(
         }
     }
     for (index, material) in mesh.materials.iter_mut().enumerate() {
-        let replacement =
-            file.materials.get(&material.name).or_else(|| file.materials.get("default"));
-        let Some(replacement) = replacement else { continue };
+        let replacement = file
+            .materials
+            .get(&material.name)
+            .or_else(|| file.materials.get("default"));
+        let Some(replacement) = replacement else {
+            continue;
+        };
         if let MaterialOverride::Measured { file } = replacement {
             measured.push((index, folder.join(file)));
         }
@@ -144,19 +162,59 @@ fn surface(material: &MaterialOverride, folder: &Path) -> Result<format::Surface
     let pair = |alpha, x, y| alpha_pair(alpha, x, y).unwrap_or([1.0; 2]);
     Ok(match *material {
         M::Diffuse { diffuse } => layered(diffuse, format::Specular::None),
-        M::BlinnPhong { diffuse, specular, exponent } => {
-            layered(diffuse, format::Specular::BlinnPhong { specular: specular.rgb(), exponent })
-        }
-        M::Ward { diffuse, specular, alpha, alpha_x, alpha_y } => {
+        M::BlinnPhong {
+            diffuse,
+            specular,
+            exponent,
+        } => layered(
+            diffuse,
+            format::Specular::BlinnPhong {
+                specular: specular.rgb(),
+                exponent,
+            },
+        ),
+        M::Ward {
+            diffuse,
+            specular,
+            alpha,
+            alpha_x,
+            alpha_y,
+        } => {
             let alpha = pair(alpha, alpha_x, alpha_y);
-            layered(diffuse, format::Specular::Ward { specular: specular.rgb(), alpha })
+            layered(
+                diffuse,
+                format::Specular::Ward {
+                    specular: specular.rgb(),
+                    alpha,
+                },
+            )
         }
-        M::CookTorrance { diffuse, f0, roughness } => {
-            layered(diffuse, format::Specular::CookTorrance { f0: f0.rgb(), roughness })
-        }
-        M::Ggx { diffuse, f0, alpha, alpha_x, alpha_y } => {
+        M::CookTorrance {
+            diffuse,
+            f0,
+            roughness,
+        } => layered(
+            diffuse,
+            format::Specular::CookTorrance {
+                f0: f0.rgb(),
+                roughness,
+            },
+        ),
+        M::Ggx {
+            diffuse,
+            f0,
+            alpha,
+            alpha_x,
+            alpha_y,
+        } => {
             let alpha = pair(alpha, alpha_x, alpha_y);
-            layered(diffuse, format::Specular::Ggx { f0: f0.rgb(), alpha })
+            layered(
+                diffuse,
+                format::Specular::Ggx {
+                    f0: f0.rgb(),
+                    alpha,
+                },
+            )
         }
         M::MetallicRoughness {
             base_color,
@@ -180,9 +238,11 @@ fn measured_stand_in(file: &Path, folder: &Path) -> Result<format::Surface, Erro
     let path = folder.join(file);
     let table = Rgl::load(&path).map_err(|error| match error {
         measured::Error::Io { source, .. } => Error::read(&path, source),
-        measured::Error::Invalid { place, expected, found } => {
-            Error::invalid(&path, place, expected, found)
-        }
+        measured::Error::Invalid {
+            place,
+            expected,
+            found,
+        } => Error::invalid(&path, place, expected, found),
     })?;
     let StandIn { diffuse, f0, alpha } = table.stand_in();
     Ok(format::Surface::Layered {
@@ -221,29 +281,51 @@ mod tests {
         )
         .expect("a good scene");
         assert_eq!(input.name, "box scene");
-        assert!(input.environment.expect("an environment").ends_with("sky.hdr"));
+        assert!(
+            input
+                .environment
+                .expect("an environment")
+                .ends_with("sky.hdr")
+        );
         let ground = input.mesh.materials.len() - 1;
         assert_eq!(input.mesh.materials[ground].name, "ground");
         let (mut mesh, mut plane) = (Vec::new(), Vec::new());
         for triangle in &input.mesh.triangles {
-            let list = if usize::from(triangle.material) == ground { &mut plane } else { &mut mesh };
-            list.extend(triangle.vertices.map(|index| {
-                Vec3::from(input.mesh.vertices[index as usize].position)
-            }));
+            let list = if usize::from(triangle.material) == ground {
+                &mut plane
+            } else {
+                &mut mesh
+            };
+            list.extend(
+                triangle
+                    .vertices
+                    .map(|index| Vec3::from(input.mesh.vertices[index as usize].position)),
+            );
         }
         let bounds = |points: &[Vec3]| {
             let first = (points[0], points[0]);
-            points.iter().fold(first, |(low, high), p| (low.min(*p), high.max(*p)))
+            points
+                .iter()
+                .fold(first, |(low, high), p| (low.min(*p), high.max(*p)))
         };
         // The box of 2 by 3 by 1 is turned so that its y becomes z, and its z becomes -y.
         let (low, high) = bounds(&mesh);
         assert!(low.distance(Vec3::new(0.0, 3.0, 0.0)) < TOLERANCE, "{low}");
-        assert!(high.distance(Vec3::new(4.0, 5.0, 6.0)) < TOLERANCE, "{high}");
+        assert!(
+            high.distance(Vec3::new(4.0, 5.0, 6.0)) < TOLERANCE,
+            "{high}"
+        );
         let (plane_low, plane_high) = bounds(&plane);
         assert_eq!((plane_low.y, plane_high.y), (low.y, low.y));
         // Three times the longest extent, 6, about (2, 3).
-        assert!(plane_low.distance(Vec3::new(-7.0, low.y, -6.0)) < TOLERANCE, "{plane_low}");
-        assert!(plane_high.distance(Vec3::new(11.0, low.y, 12.0)) < TOLERANCE, "{plane_high}");
+        assert!(
+            plane_low.distance(Vec3::new(-7.0, low.y, -6.0)) < TOLERANCE,
+            "{plane_low}"
+        );
+        assert!(
+            plane_high.distance(Vec3::new(11.0, low.y, 12.0)) < TOLERANCE,
+            "{plane_high}"
+        );
         for corner in plane.as_chunks::<3>().0 {
             assert!((corner[1] - corner[0]).cross(corner[2] - corner[0]).y > 0.0);
         }
@@ -256,8 +338,16 @@ mod tests {
              [materials.default]\nmodel = 'diffuse'\ndiffuse = [0.1, 0.2, 0.3]",
         )
         .expect("a good scene");
-        let surfaces: Vec<_> = input.mesh.materials.iter().map(|m| m.surface.clone()).collect();
-        let ggx = format::Specular::Ggx { f0: [1.0; 3], alpha: [0.1, 0.2] };
+        let surfaces: Vec<_> = input
+            .mesh
+            .materials
+            .iter()
+            .map(|m| m.surface.clone())
+            .collect();
+        let ggx = format::Specular::Ggx {
+            f0: [1.0; 3],
+            alpha: [0.1, 0.2],
+        };
         let expected = [([0.0; 3], ggx), ([0.1, 0.2, 0.3], format::Specular::None)]
             .map(|(diffuse, specular)| format::Surface::Layered { diffuse, specular });
         assert_eq!(surfaces, expected);
@@ -268,9 +358,18 @@ mod tests {
         let cases = [
             ("mesh = 'none.obj'", "none.obj"),
             ("mesh = 'box.fbx'", ".gltf, .glb or .obj"),
-            ("mesh = 'box.obj'\n[materials.floor]\nmodel = 'diffuse'\ndiffuse = 1", "\"lid\", \"wall\""),
-            ("mesh = 'box.obj'\n[materials.lid]\nmodel = 'measured'\nfile = 'x.bsdf'", "x.bsdf"),
-            ("mesh = 'box.obj'\n[ground]\nspacing = 1e-4", "ground.spacing"),
+            (
+                "mesh = 'box.obj'\n[materials.floor]\nmodel = 'diffuse'\ndiffuse = 1",
+                "\"lid\", \"wall\"",
+            ),
+            (
+                "mesh = 'box.obj'\n[materials.lid]\nmodel = 'measured'\nfile = 'x.bsdf'",
+                "x.bsdf",
+            ),
+            (
+                "mesh = 'box.obj'\n[ground]\nspacing = 1e-4",
+                "ground.spacing",
+            ),
             ("mesh = 'box.obj'\n[transform]\nscale = 1e38", "transform"),
         ];
         for (text, expected) in cases {

@@ -80,15 +80,20 @@ pub fn set_mikktspace(vertices: &mut Vec<Vertex>, triangles: &mut [[u32; 3]]) {
             Some(tangent) => tangent.extend(-w).to_array(),
             None => around_axis(normal).extend(1.0).to_array(),
         };
-        *index = *split.entry((old, tangent.map(f32::to_bits))).or_insert_with(|| {
-            if std::mem::replace(&mut assigned[old], true) {
-                vertices.push(Vertex { tangent, ..vertices[old] });
-                vertices.len() as u32 - 1
-            } else {
-                vertices[old].tangent = tangent;
-                old as u32
-            }
-        });
+        *index = *split
+            .entry((old, tangent.map(f32::to_bits)))
+            .or_insert_with(|| {
+                if std::mem::replace(&mut assigned[old], true) {
+                    vertices.push(Vertex {
+                        tangent,
+                        ..vertices[old]
+                    });
+                    vertices.len() as u32 - 1
+                } else {
+                    vertices[old].tangent = tangent;
+                    old as u32
+                }
+            });
     }
 }
 
@@ -198,7 +203,10 @@ mod tests {
                 assert!(tangent.is_normalized(), "method {method}: {vertex:?}");
                 assert!(tangent.dot(vertex.normal.into()).abs() < TOLERANCE);
                 if method < 2 {
-                    assert!(tangent.distance(around) < TOLERANCE, "method {method}: {vertex:?}");
+                    assert!(
+                        tangent.distance(around) < TOLERANCE,
+                        "method {method}: {vertex:?}"
+                    );
                 }
             }
         }

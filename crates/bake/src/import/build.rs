@@ -78,7 +78,8 @@ impl<'a> Builder<'a> {
         }
         let before = part.triangles.len();
         let vertices = &part.vertices;
-        part.triangles.retain(|triangle| face_normal(vertices, *triangle).is_some());
+        part.triangles
+            .retain(|triangle| face_normal(vertices, *triangle).is_some());
         self.degenerate += before - part.triangles.len();
         drop_unused(&mut part.vertices, &mut part.triangles);
         self.complete_normals(&mut part);
@@ -160,9 +161,17 @@ impl<'a> Builder<'a> {
                 0 => "no triangle".to_owned(),
                 count => format!("{count} of zero area"),
             };
-            return Err(Error::invalid(self.file, "mesh", "at least one triangle", found));
+            return Err(Error::invalid(
+                self.file,
+                "mesh",
+                "at least one triangle",
+                found,
+            ));
         }
-        let mut mesh = Mesh { vertices: self.vertices, ..Mesh::default() };
+        let mut mesh = Mesh {
+            vertices: self.vertices,
+            ..Mesh::default()
+        };
         let mut used = vec![None; materials.len()];
         for (vertices, material) in self.triangles {
             let material = *used[material].get_or_insert_with(|| {
@@ -183,7 +192,10 @@ impl<'a> Builder<'a> {
         mesh.drop_unused_textures();
         let counted = [
             (self.degenerate, "triangles of zero area are dropped"),
-            (self.invented_normals, "vertices have a zero normal, which their faces replace"),
+            (
+                self.invented_normals,
+                "vertices have a zero normal, which their faces replace",
+            ),
             (
                 self.turned_away,
                 "triangles wind against their own vertex normals and will look dark",
@@ -234,7 +246,10 @@ pub(super) fn angle_weighted_normals(corners: [DVec3; 3]) -> [DVec3; 3] {
     let [a, b, c] = corners;
     let normal = (b - a).cross(c - a).normalize_or_zero();
     [(a, b, c), (b, c, a), (c, a, b)].map(|(apex, left, right)| {
-        let (left, right) = ((left - apex).normalize_or_zero(), (right - apex).normalize_or_zero());
+        let (left, right) = (
+            (left - apex).normalize_or_zero(),
+            (right - apex).normalize_or_zero(),
+        );
         normal * left.dot(right).clamp(-1.0, 1.0).acos()
     })
 }

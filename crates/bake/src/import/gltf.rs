@@ -7,13 +7,13 @@ use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use glam::{DMat3, DMat4, DQuat, DVec3, Vec3};
 use gltf::json::accessor::{ComponentType, IndexComponentType, Type};
 use gltf::json::buffer::View;
 use gltf::json::mesh::{Mode, Primitive, Semantic};
 use gltf::json::texture::{Sampler, WrappingMode};
 use gltf::json::validation::{Checked, USize64};
 use gltf::json::{Accessor, Index, Root, material, root::Get, scene, texture};
-use glam::{DMat3, DMat4, DQuat, DVec3, Vec3};
 use relight_format::{Material, Surface, Texture, TextureEncoding, TextureSlot, Vertex};
 use serde::Deserialize;
 
@@ -31,8 +31,11 @@ const HARMLESS: [&str; 6] = [
     "EXT_structural_metadata",
 ];
 /// Extensions that are read.
-const READ: [&str; 3] =
-    ["KHR_materials_anisotropy", "KHR_mesh_quantization", "KHR_texture_transform"];
+const READ: [&str; 3] = [
+    "KHR_materials_anisotropy",
+    "KHR_mesh_quantization",
+    "KHR_texture_transform",
+];
 
 /// Most nodes of a scene, those that several parents share counted once per parent.
 const MAX_NODES: usize = 1 << 20;
@@ -40,23 +43,38 @@ const MAX_NODES: usize = 1 << 20;
 /// Imports the bytes of a glTF file and what it refers to.
 pub(super) fn import(file: &Path, bytes: &[u8]) -> Result<Mesh, Error> {
     let (json, blob) = split_glb(file, bytes)?;
-    let syntax =
-        |error: serde_json::Error| Error::Syntax { file: file.into(), message: error.to_string() };
+    let syntax = |error: serde_json::Error| Error::Syntax {
+        file: file.into(),
+        message: error.to_string(),
+    };
     let header: Header = serde_json::from_slice(json).map_err(syntax)?;
     if !header.asset.version.starts_with("2.") {
         let found = format!("{:?}", header.asset.version);
         return Err(Error::invalid(file, "asset.version", "\"2.0\"", found));
     }
     let known = |name: &str| HARMLESS.contains(&name) || READ.contains(&name);
-    if let Some(extension) = header.extensions_required.into_iter().find(|name| !known(name)) {
-        return Err(Error::UnsupportedExtension { file: file.into(), extension });
+    if let Some(extension) = header
+        .extensions_required
+        .into_iter()
+        .find(|name| !known(name))
+    {
+        return Err(Error::UnsupportedExtension {
+            file: file.into(),
+            extension,
+        });
     }
     let root: Root = serde_json::from_slice(json).map_err(syntax)?;
     let buffers = load_buffers(file, &root, blob)?;
-    let document = Document { file, root: &root, buffers };
+    let document = Document {
+        file,
+        root: &root,
+        buffers,
+    };
     let mut builder = Builder::new(file);
     for extension in root.extensions_used.iter().filter(|name| !known(name)) {
-        builder.warn(format!("the glTF extension {extension} is not supported and left out"));
+        builder.warn(format!(
+            "the glTF extension {extension} is not supported and left out"
+        ));
     }
     let mut materials = Materials {
         document: &document,
@@ -69,8 +87,11 @@ pub(super) fn import(file: &Path, bytes: &[u8]) -> Result<Mesh, Error> {
     for (node, matrix) in document.nodes()? {
         document.push_node(node, matrix, &mut materials, &mut builder)?;
     }
-    let descriptions: Vec<_> =
-        materials.list.into_iter().map(|converted| converted.material).collect();
+    let descriptions: Vec<_> = materials
+        .list
+        .into_iter()
+        .map(|converted| converted.material)
+        .collect();
     builder.finish(&descriptions, &materials.textures)
 }
 
@@ -144,7 +165,12 @@ fn load_buffers<'a>(
                 (Some(uri), _) => Cow::Owned(resolve(file, &place, uri)?),
                 (None, Some(blob)) if index == 0 => Cow::Borrowed(blob),
                 (None, _) => {
-                    return Err(Error::invalid(file, place, "a uri or a GLB chunk", "neither"));
+                    return Err(Error::invalid(
+                        file,
+                        place,
+                        "a uri or a GLB chunk",
+                        "neither",
+                    ));
                 }
             };
             if (bytes.len() as u64) < buffer.byte_length.0 {
@@ -164,8 +190,13 @@ fn load_buffers<'a>(
 fn resolve(file: &Path, place: &str, uri: &str) -> Result<Vec<u8>, Error> {
     let wrong = |found: &str| Error::invalid(file, place, "a relative or base64 data URI", found);
     if let Some(data) = uri.strip_prefix("data:") {
-        let (kind, text) = data.split_once(',').ok_or_else(|| wrong("a data URI without data"))?;
-        let decoded = kind.ends_with(";base64").then(|| decode_base64(text)).flatten();
+        let (kind, text) = data
+            .split_once(',')
+            .ok_or_else(|| wrong("a data URI without data"))?;
+        let decoded = kind
+            .ends_with(";base64")
+            .then(|| decode_base64(text))
+            .flatten();
         return decoded.ok_or_else(|| wrong("a malformed data URI"));
     }
     let decoded = decode_percent(uri).filter(|path| !path.contains(':') && !path.is_empty());
@@ -234,9 +265,9 @@ impl Document<'_> {
     where
         Root: Get<T>,
     {
-        self.root.get(index).ok_or_else(|| {
-            self.invalid(place, "the index of an existing element", index.value())
-        })
+        self.root
+            .get(index)
+            .ok_or_else(|| self.invalid(place, "the index of an existing element", index.value()))
     }
 
     /// The nodes of the scene in depth-first order, with their transforms to world space. The
@@ -250,8 +281,11 @@ impl Document<'_> {
             },
         };
         let mut found = Vec::new();
-        let mut stack: Vec<_> =
-            roots.into_iter().rev().map(|root| (root, DMat4::IDENTITY, 1)).collect();
+        let mut stack: Vec<_> = roots
+            .into_iter()
+            .rev()
+            .map(|root| (root, DMat4::IDENTITY, 1))
+            .collect();
         while let Some((index, parent, depth)) = stack.pop() {
             let place = format!("nodes[{}]", index.value());
             let node = self.get(index, &place)?;
@@ -272,12 +306,20 @@ impl Document<'_> {
 
     fn parentless_nodes(&self) -> Vec<Index<scene::Node>> {
         let mut is_child = vec![false; self.root.nodes.len()];
-        for child in self.root.nodes.iter().flat_map(|node| node.children.iter().flatten()) {
+        for child in self
+            .root
+            .nodes
+            .iter()
+            .flat_map(|node| node.children.iter().flatten())
+        {
             if let Some(is_child) = is_child.get_mut(child.value()) {
                 *is_child = true;
             }
         }
-        let indices = is_child.iter().enumerate().filter(|(_, is_child)| !**is_child);
+        let indices = is_child
+            .iter()
+            .enumerate()
+            .filter(|(_, is_child)| !**is_child);
         indices.map(|(index, _)| Index::new(index as u32)).collect()
     }
 
@@ -289,7 +331,9 @@ impl Document<'_> {
         builder: &mut Builder,
     ) -> Result<(), Error> {
         let node = &self.root.nodes[node_index];
-        let Some(mesh_index) = node.mesh else { return Ok(()) };
+        let Some(mesh_index) = node.mesh else {
+            return Ok(());
+        };
         let mesh = self.get(mesh_index, &format!("nodes[{node_index}].mesh"))?;
         if node.skin.is_some() {
             builder.warn(format!(
@@ -298,7 +342,9 @@ impl Document<'_> {
         }
         let weights = node.weights.as_ref().or(mesh.weights.as_ref());
         if weights.is_some_and(|weights| weights.iter().any(|weight| *weight != 0.0)) {
-            builder.warn(format!("nodes[{node_index}] is morphed; its base shape is baked"));
+            builder.warn(format!(
+                "nodes[{node_index}] is morphed; its base shape is baked"
+            ));
         }
         for (index, primitive) in mesh.primitives.iter().enumerate() {
             let place = format!("meshes[{}].primitives[{index}]", mesh_index.value());
@@ -321,16 +367,25 @@ impl Document<'_> {
         let Checked::Valid(mode) = primitive.mode else {
             return Err(self.invalid(format_args!("{place}.mode"), "a mode in 0..=6", "another"));
         };
-        if !matches!(mode, Mode::Triangles | Mode::TriangleStrip | Mode::TriangleFan) {
-            builder.warn(format!("{place} has no triangles but {mode:?} and is left out"));
+        if !matches!(
+            mode,
+            Mode::Triangles | Mode::TriangleStrip | Mode::TriangleFan
+        ) {
+            builder.warn(format!(
+                "{place} has no triangles but {mode:?} and is left out"
+            ));
             return Ok(None);
         }
         let material = materials.convert(primitive.material, builder)?;
-        let Converted { uv_set, double_sided, needs_tangents, .. } = materials.list[material];
+        let Converted {
+            uv_set,
+            double_sided,
+            needs_tangents,
+            ..
+        } = materials.list[material];
 
-        let attribute = |semantic: Semantic| {
-            primitive.attributes.get(&Checked::Valid(semantic)).copied()
-        };
+        let attribute =
+            |semantic: Semantic| primitive.attributes.get(&Checked::Valid(semantic)).copied();
         let key = |name: &str| format!("{place}.attributes.{name}");
         let Some(positions) = attribute(Semantic::Positions) else {
             return Err(self.invalid(key("POSITION"), "an accessor", "none"));
@@ -378,11 +433,16 @@ impl Document<'_> {
         let (x, y, z) = (linear.x_axis, linear.y_axis, linear.z_axis);
         let cofactors = DMat3::from_cols(y.cross(z), z.cross(x), x.cross(y)) * sign;
         let direction = |matrix: DMat3, vector: [f32; 3]| {
-            (matrix * Vec3::from(vector).as_dvec3()).try_normalize().unwrap_or_default().as_vec3()
+            (matrix * Vec3::from(vector).as_dvec3())
+                .try_normalize()
+                .unwrap_or_default()
+                .as_vec3()
         };
         let mut vertices = Vec::with_capacity(count);
         for (index, position) in positions.into_iter().enumerate() {
-            let position = matrix.transform_point3(Vec3::from(position).as_dvec3()).as_vec3();
+            let position = matrix
+                .transform_point3(Vec3::from(position).as_dvec3())
+                .as_vec3();
             if !position.is_finite() {
                 let found = format!("{position} at vertex {index}, in world space");
                 return Err(self.invalid(key("POSITION"), "finite coordinates", found));
@@ -391,7 +451,9 @@ impl Document<'_> {
                 let [x, y, z, w] = tangents[index];
                 direction(linear, [x, y, z]).extend(w * sign as f32).into()
             });
-            let normal = normals.as_ref().map(|normals| direction(cofactors, normals[index]));
+            let normal = normals
+                .as_ref()
+                .map(|normals| direction(cofactors, normals[index]));
             vertices.push(Vertex {
                 position: position.into(),
                 normal: normal.unwrap_or_default().into(),
@@ -419,7 +481,13 @@ impl Document<'_> {
             (false, true, false) => Tangents::FromUv,
             (false, false, _) => Tangents::AroundAxis,
         };
-        Ok(Some(Part { vertices, triangles, material, tangents, double_sided }))
+        Ok(Some(Part {
+            vertices,
+            triangles,
+            material,
+            tangents,
+            double_sided,
+        }))
     }
 
     /// POSITION's min and max are not used, but a file that gives them wrong is broken.
@@ -446,9 +514,7 @@ impl Document<'_> {
             Some(match component {
                 ComponentType::U8 => u32::from(bytes[0]),
                 ComponentType::U16 => u32::from(u16::from_le_bytes([bytes[0], bytes[1]])),
-                ComponentType::U32 => {
-                    u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]])
-                }
+                ComponentType::U32 => u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]),
                 _ => return None,
             })
         })?;
@@ -475,7 +541,10 @@ impl Document<'_> {
                 component_value(component, normalized, &bytes[i * size..(i + 1) * size])
             }))
         })?;
-        match values.iter().position(|value: &[f32; N]| !value.iter().all(|x| x.is_finite())) {
+        match values
+            .iter()
+            .position(|value: &[f32; N]| !value.iter().all(|x| x.is_finite()))
+        {
             None => Ok(values),
             Some(at) => Err(self.invalid(
                 place,
@@ -503,7 +572,9 @@ impl Document<'_> {
                 format_args!("{:?} of {:?}", accessor.type_, accessor.component_type),
             )
         };
-        let Checked::Valid(component) = accessor.component_type else { return Err(wrong_type()) };
+        let Checked::Valid(component) = accessor.component_type else {
+            return Err(wrong_type());
+        };
         let component = component.0;
         if accessor.type_ != Checked::Valid(kind) {
             return Err(wrong_type());
@@ -516,18 +587,22 @@ impl Document<'_> {
             return Err(self.invalid(&place, expected, count));
         }
         let decode_all = |bytes: &[u8], stride: usize, count: usize| -> Result<Vec<T>, Error> {
-            let element = |i: usize| decode(component, accessor.normalized, &bytes[i * stride..][..size]);
-            (0..count).map(|i| element(i).ok_or_else(wrong_type)).collect()
+            let element =
+                |i: usize| decode(component, accessor.normalized, &bytes[i * stride..][..size]);
+            (0..count)
+                .map(|i| element(i).ok_or_else(wrong_type))
+                .collect()
         };
         let mut values = match accessor.buffer_view {
             Some(view) => {
-                let (bytes, stride) =
-                    self.span(view, accessor.byte_offset, count, size, &place)?;
+                let (bytes, stride) = self.span(view, accessor.byte_offset, count, size, &place)?;
                 decode_all(bytes, stride, count)?
             }
             None => vec![decode(component, false, &[0; 16][..size]).ok_or_else(wrong_type)?; count],
         };
-        let Some(sparse) = &accessor.sparse else { return Ok(values) };
+        let Some(sparse) = &accessor.sparse else {
+            return Ok(values);
+        };
         let place = format!("{place}.sparse");
         let changed = usize::try_from(sparse.count.0).unwrap_or(usize::MAX);
         if !(1..=count).contains(&changed) {
@@ -538,12 +613,20 @@ impl Document<'_> {
         };
         let index_size = index_type.size();
         let offset = Some(sparse.indices.byte_offset);
-        let (index_bytes, index_stride) =
-            self.span(sparse.indices.buffer_view, offset, changed, index_size, &place)?;
+        let (index_bytes, index_stride) = self.span(
+            sparse.indices.buffer_view,
+            offset,
+            changed,
+            index_size,
+            &place,
+        )?;
         let offset = Some(sparse.values.byte_offset);
         let (value_bytes, value_stride) =
             self.span(sparse.values.buffer_view, offset, changed, size, &place)?;
-        for (i, value) in decode_all(value_bytes, value_stride, changed)?.into_iter().enumerate() {
+        for (i, value) in decode_all(value_bytes, value_stride, changed)?
+            .into_iter()
+            .enumerate()
+        {
             let mut word = [0; 4];
             word[..index_size].copy_from_slice(&index_bytes[i * index_stride..][..index_size]);
             let target = u32::from_le_bytes(word) as usize;
@@ -564,20 +647,25 @@ impl Document<'_> {
         place: &str,
     ) -> Result<(&[u8], usize), Error> {
         let bytes = self.view(view, place)?;
-        let stride = self.get(view, place)?.byte_stride.map_or(size, |stride| stride.0);
+        let stride = self
+            .get(view, place)?
+            .byte_stride
+            .map_or(size, |stride| stride.0);
         if stride < size {
             let expected = format!("a stride of at least {size} bytes");
             return Err(self.invalid(format_args!("bufferViews[{view}]"), expected, stride));
         }
         let length = stride.saturating_mul(count - 1).saturating_add(size);
         let start = usize::try_from(offset.unwrap_or_default().0).unwrap_or(usize::MAX);
-        let span = bytes.get(start..start.saturating_add(length)).ok_or_else(|| {
-            self.invalid(
-                place,
-                format_args!("{length} bytes from byte {start} of bufferViews[{view}]"),
-                format_args!("{} bytes in all", bytes.len()),
-            )
-        })?;
+        let span = bytes
+            .get(start..start.saturating_add(length))
+            .ok_or_else(|| {
+                self.invalid(
+                    place,
+                    format_args!("{length} bytes from byte {start} of bufferViews[{view}]"),
+                    format_args!("{} bytes in all", bytes.len()),
+                )
+            })?;
         Ok((span, stride))
     }
 
@@ -590,13 +678,15 @@ impl Document<'_> {
         let range = usize::try_from(offset)
             .ok()
             .zip(usize::try_from(offset.saturating_add(view.byte_length.0)).ok());
-        range.and_then(|(start, end)| buffer.get(start..end)).ok_or_else(|| {
-            self.invalid(
-                place,
-                format_args!("a range inside the buffer's {} bytes", buffer.len()),
-                format_args!("{} bytes from byte {offset}", view.byte_length.0),
-            )
-        })
+        range
+            .and_then(|(start, end)| buffer.get(start..end))
+            .ok_or_else(|| {
+                self.invalid(
+                    place,
+                    format_args!("a range inside the buffer's {} bytes", buffer.len()),
+                    format_args!("{} bytes from byte {offset}", view.byte_length.0),
+                )
+            })
     }
 }
 
@@ -610,7 +700,11 @@ fn local_transform(node: &scene::Node) -> DMat4 {
     let rotation = node.rotation.map_or(DQuat::IDENTITY, |rotation| {
         let rotation = DQuat::from_array(rotation.0.map(f64::from));
         // A file's quaternion is only as long as its rounding lets it be.
-        if rotation.length_squared() > 0.0 { rotation.normalize() } else { DQuat::IDENTITY }
+        if rotation.length_squared() > 0.0 {
+            rotation.normalize()
+        } else {
+            DQuat::IDENTITY
+        }
     });
     DMat4::from_scale_rotation_translation(
         vector(node.scale, DVec3::ONE),
@@ -621,7 +715,11 @@ fn local_transform(node: &scene::Node) -> DMat4 {
 
 fn component_value(component: ComponentType, normalized: bool, bytes: &[u8]) -> f32 {
     let scaled = |value: f32, largest: f32| {
-        if normalized { (value / largest).max(-1.0) } else { value }
+        if normalized {
+            (value / largest).max(-1.0)
+        } else {
+            value
+        }
     };
     let pair = || [bytes[0], bytes[1]];
     let word = || [bytes[0], bytes[1], bytes[2], bytes[3]];
@@ -641,7 +739,13 @@ fn assemble(mode: Mode, indices: &[u32]) -> Vec<[u32; 3]> {
         Mode::TriangleStrip => indices
             .windows(3)
             .enumerate()
-            .map(|(i, w)| if i % 2 == 0 { [w[0], w[1], w[2]] } else { [w[1], w[0], w[2]] })
+            .map(|(i, w)| {
+                if i % 2 == 0 {
+                    [w[0], w[1], w[2]]
+                } else {
+                    [w[1], w[0], w[2]]
+                }
+            })
             .collect(),
         Mode::TriangleFan => indices
             .get(1..)
@@ -657,10 +761,18 @@ fn assemble(mode: Mode, indices: &[u32]) -> Vec<[u32; 3]> {
 fn flat_shaded(vertices: &[Vertex], triangles: &[[u32; 3]]) -> (Vec<Vertex>, Vec<[u32; 3]>) {
     let mut flat = Vec::with_capacity(triangles.len() * 3);
     for triangle in triangles {
-        let normal = face_normal(vertices, *triangle).unwrap_or_default().as_vec3().into();
-        flat.extend(triangle.map(|index| Vertex { normal, ..vertices[index as usize] }));
+        let normal = face_normal(vertices, *triangle)
+            .unwrap_or_default()
+            .as_vec3()
+            .into();
+        flat.extend(triangle.map(|index| Vertex {
+            normal,
+            ..vertices[index as usize]
+        }));
     }
-    let triangles = (0..triangles.len() as u32).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
+    let triangles = (0..triangles.len() as u32)
+        .map(|i| [3 * i, 3 * i + 1, 3 * i + 2])
+        .collect();
     (flat, triangles)
 }
 
@@ -716,7 +828,12 @@ struct TextureTransform {
 
 impl Default for TextureTransform {
     fn default() -> Self {
-        Self { offset: [0.0; 2], rotation: 0.0, scale: [1.0; 2], tex_coord: None }
+        Self {
+            offset: [0.0; 2],
+            rotation: 0.0,
+            scale: [1.0; 2],
+            tex_coord: None,
+        }
     }
 }
 
@@ -769,7 +886,9 @@ impl Materials<'_> {
             None => Anisotropy::default(),
         };
         if source.alpha_mode != Checked::Valid(material::AlphaMode::Opaque) {
-            builder.warn(format!("material {name:?} is transparent; it is baked as opaque"));
+            builder.warn(format!(
+                "material {name:?} is transparent; it is baked as opaque"
+            ));
         }
         if source.emissive_factor.0 != [0.0; 3] {
             builder.warn(format!("material {name:?} emits light, which is left out"));
@@ -777,14 +896,21 @@ impl Materials<'_> {
 
         let metallic_roughness = &source.pbr_metallic_roughness;
         let rotation = anisotropy.rotation;
-        let numbers = [source.normal_texture.as_ref().map_or(1.0, |t| t.scale), rotation];
+        let numbers = [
+            source.normal_texture.as_ref().map_or(1.0, |t| t.scale),
+            rotation,
+        ];
         if !numbers.iter().all(|number| number.is_finite()) {
             let expected = "a finite normal scale and anisotropy rotation";
-            return Err(self.document.invalid(place, expected, format_args!("{numbers:?}")));
+            return Err(self
+                .document
+                .invalid(place, expected, format_args!("{numbers:?}")));
         }
         let mut unit = |value: f32| {
             if !(0.0..=1.0).contains(&value) {
-                builder.warn(format!("material {name:?}: factors outside [0, 1] are clamped"));
+                builder.warn(format!(
+                    "material {name:?}: factors outside [0, 1] are clamped"
+                ));
             }
             value.clamp(0.0, 1.0)
         };
@@ -799,7 +925,10 @@ impl Materials<'_> {
 
         let info = |info: &Option<texture::Info>, what: &str, encoding| {
             let info = info.as_ref()?;
-            let given = info.extensions.as_ref().and_then(|e| e.texture_transform.as_ref());
+            let given = info
+                .extensions
+                .as_ref()
+                .and_then(|e| e.texture_transform.as_ref());
             let transform = given.map_or_else(TextureTransform::default, |t| TextureTransform {
                 offset: t.offset.0,
                 rotation: t.rotation.0,
@@ -807,7 +936,13 @@ impl Materials<'_> {
                 tex_coord: t.tex_coord,
             });
             let place = format!("{place}.{what}");
-            Some(Reference { place, texture: info.index, uv_set: info.tex_coord, transform, encoding })
+            Some(Reference {
+                place,
+                texture: info.index,
+                uv_set: info.tex_coord,
+                transform,
+                encoding,
+            })
         };
         let base_color = &metallic_roughness.base_color_texture;
         let packed = &metallic_roughness.metallic_roughness_texture;
@@ -821,7 +956,13 @@ impl Materials<'_> {
                 };
                 let encoding = TextureEncoding::Linear;
                 let (texture, uv_set) = (normal.index, normal.tex_coord);
-                Some(Reference { place, texture, uv_set, transform, encoding })
+                Some(Reference {
+                    place,
+                    texture,
+                    uv_set,
+                    transform,
+                    encoding,
+                })
             }
             None => None,
         };
@@ -829,7 +970,11 @@ impl Materials<'_> {
             info(base_color, "baseColorTexture", TextureEncoding::Srgb),
             info(packed, "metallicRoughnessTexture", TextureEncoding::Linear),
             normal,
-            info(&anisotropy.texture, "anisotropyTexture", TextureEncoding::Linear),
+            info(
+                &anisotropy.texture,
+                "anisotropyTexture",
+                TextureEncoding::Linear,
+            ),
         ];
         let set = |reference: &Reference| reference.transform.tex_coord.unwrap_or(reference.uv_set);
         let uv_set = references.iter().flatten().next().map_or(0, set);
@@ -846,8 +991,12 @@ impl Materials<'_> {
                 ));
             }
         }
-        let [base_color_texture, metallic_roughness_texture, normal_texture, anisotropy_texture] =
-            slots;
+        let [
+            base_color_texture,
+            metallic_roughness_texture,
+            normal_texture,
+            anisotropy_texture,
+        ] = slots;
         let material = Material {
             base_color_texture,
             metallic_roughness_texture,
@@ -872,7 +1021,8 @@ impl Materials<'_> {
         place: &str,
     ) -> Result<T, Error> {
         T::deserialize(value).map_err(|error| {
-            self.document.invalid(place, "an object as the extension specifies", error)
+            self.document
+                .invalid(place, "an object as the extension specifies", error)
         })
     }
 
@@ -887,12 +1037,17 @@ impl Materials<'_> {
         let texture = document.get(reference.texture, place)?;
         if let Some(index) = texture.sampler {
             let Sampler { wrap_s, wrap_t, .. } = document.get(index, place)?;
-            if [wrap_s, wrap_t].into_iter().any(|mode| *mode != Checked::Valid(WrappingMode::Repeat))
+            if [wrap_s, wrap_t]
+                .into_iter()
+                .any(|mode| *mode != Checked::Valid(WrappingMode::Repeat))
             {
                 builder.warn(format!("{place} does not repeat in its sampler, but will"));
             }
         }
-        let key = (texture.source.value(), reference.encoding == TextureEncoding::Srgb);
+        let key = (
+            texture.source.value(),
+            reference.encoding == TextureEncoding::Srgb,
+        );
         if let Some(&texture) = self.images.get(&key) {
             return Ok(TextureSlot { texture, transform });
         }
@@ -906,7 +1061,13 @@ impl Materials<'_> {
             }
         };
         let (file, encoding) = (document.file, reference.encoding);
-        self.textures.push(image::decode(file, &place, &bytes, encoding, &mut self.texels)?);
+        self.textures.push(image::decode(
+            file,
+            &place,
+            &bytes,
+            encoding,
+            &mut self.texels,
+        )?);
         let texture = self.textures.len() as u32 - 1;
         self.images.insert(key, texture);
         Ok(TextureSlot { texture, transform })

@@ -23,7 +23,9 @@ pub(super) fn decode(
         Error::invalid(file, place, "a readable PNG or JPEG image", error)
     };
     let reader = || {
-        let mut reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format().ok()?;
+        let mut reader = ImageReader::new(Cursor::new(bytes))
+            .with_guessed_format()
+            .ok()?;
         let mut limits = image::Limits::default();
         limits.max_image_width = Some(MAX_IMAGE_SIZE);
         limits.max_image_height = Some(MAX_IMAGE_SIZE);
@@ -55,5 +57,10 @@ pub(super) fn decode(
         .map_err(|error| malformed(&error))?
         .into_rgba8();
     let (width, height) = image.dimensions();
-    Ok(Texture { width, height, encoding, texels: image.into_raw() })
+    Ok(Texture {
+        width,
+        height,
+        encoding,
+        texels: image.into_raw(),
+    })
 }

@@ -144,7 +144,10 @@ pub enum Error {
 
 impl Error {
     pub(crate) fn read(file: &Path, source: std::io::Error) -> Self {
-        Self::Read { file: file.into(), source }
+        Self::Read {
+            file: file.into(),
+            source,
+        }
     }
 
     pub(crate) fn invalid(
@@ -173,7 +176,10 @@ pub fn mesh(path: &Path) -> Result<Mesh, Error> {
             path,
             "file name",
             ".gltf, .glb or .obj",
-            other.map_or_else(|| "no extension".into(), |extension| format!(".{extension}")),
+            other.map_or_else(
+                || "no extension".into(),
+                |extension| format!(".{extension}"),
+            ),
         )),
     }
 }

@@ -57,7 +57,9 @@ pub(super) fn parse(file: &Path, text: &str) -> Result<BTreeMap<String, MtlMater
             continue;
         }
         // Statements before the first material belong to none.
-        let Some(material) = current.as_deref_mut() else { continue };
+        let Some(material) = current.as_deref_mut() else {
+            continue;
+        };
         let wrong = |expected: &str| {
             Error::invalid(
                 file,
@@ -67,8 +69,13 @@ pub(super) fn parse(file: &Path, text: &str) -> Result<BTreeMap<String, MtlMater
             )
         };
         let number = || {
-            let value = rest.split_whitespace().next().and_then(|word| word.parse::<f32>().ok());
-            value.filter(|value| value.is_finite()).ok_or_else(|| wrong("a finite number"))
+            let value = rest
+                .split_whitespace()
+                .next()
+                .and_then(|word| word.parse::<f32>().ok());
+            value
+                .filter(|value| value.is_finite())
+                .ok_or_else(|| wrong("a finite number"))
         };
         let color = || {
             if rest.starts_with("spectral") || rest.starts_with("xyz") {
@@ -103,7 +110,11 @@ pub(super) fn parse(file: &Path, text: &str) -> Result<BTreeMap<String, MtlMater
 
 /// Splits options from a file name, which may hold spaces.
 fn map(text: &str) -> Option<Map> {
-    let mut map = Map { file: String::new(), offset: [0.0; 2], scale: [1.0; 2] };
+    let mut map = Map {
+        file: String::new(),
+        offset: [0.0; 2],
+        scale: [1.0; 2],
+    };
     let mut rest = text.trim();
     while rest.starts_with('-') {
         let (option, after) = rest.split_once(char::is_whitespace)?;
@@ -131,7 +142,10 @@ fn map(text: &str) -> Option<Map> {
             }
         }
     }
-    let finite = [map.offset, map.scale].iter().flatten().all(|value| value.is_finite());
+    let finite = [map.offset, map.scale]
+        .iter()
+        .flatten()
+        .all(|value| value.is_finite());
     if rest.is_empty() || !finite {
         return None;
     }

@@ -8,9 +8,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
 use glam::{DVec2, DVec3, Vec3};
-use relight_format::{
-    Material, Specular, Surface, Texture, TextureEncoding, TextureSlot, Vertex,
-};
+use relight_format::{Material, Specular, Surface, Texture, TextureEncoding, TextureSlot, Vertex};
 
 use super::build::{Builder, Part, Tangents, angle_weighted_normals};
 use super::mtl::{self, Map, MtlMaterial};
@@ -101,7 +99,12 @@ fn parse(file: &Path, text: &str) -> Result<Obj, Error> {
         let (key, rest) = line.split_once(char::is_whitespace).unwrap_or((&line, ""));
         let rest = rest.trim();
         let wrong = |expected: &str| {
-            Error::invalid(file, format_args!("line {number}"), expected, format_args!("{line:?}"))
+            Error::invalid(
+                file,
+                format_args!("line {number}"),
+                expected,
+                format_args!("{line:?}"),
+            )
         };
         match key {
             // A fourth number is a weight of rational curves, more are colours.
@@ -139,8 +142,11 @@ fn parse(file: &Path, text: &str) -> Result<Obj, Error> {
                 });
             }
             "usemtl" => {
-                material =
-                    Some(material_index(&mut obj.materials, &mut material_indices, rest));
+                material = Some(material_index(
+                    &mut obj.materials,
+                    &mut material_indices,
+                    rest,
+                ));
             }
             "mtllib" => obj.libraries.push(rest.to_owned()),
             "s" => {
@@ -164,7 +170,11 @@ fn numbers<const N: usize>(text: &str) -> Option<[f32; N]> {
     let mut words = text.split_whitespace();
     let mut values = [0.0; N];
     for value in &mut values {
-        *value = words.next()?.parse().ok().filter(|value: &f32| value.is_finite())?;
+        *value = words
+            .next()?
+            .parse()
+            .ok()
+            .filter(|value: &f32| value.is_finite())?;
     }
     Some(values)
 }
@@ -193,14 +203,22 @@ fn corner(word: &str, counts: [usize; 3]) -> Option<Corner> {
                 // A relative index into nothing must stay out of range.
                 value @ ..0 => {
                     let back = usize::try_from(value.unsigned_abs()).ok()?;
-                    Some(if count == 0 { u32::MAX } else { count.checked_sub(back)? as u32 })
+                    Some(if count == 0 {
+                        u32::MAX
+                    } else {
+                        count.checked_sub(back)? as u32
+                    })
                 }
                 value => Some(u32::try_from(value - 1).ok()?),
             },
         };
     }
     let [position, uv, normal] = indices;
-    (fields.next().is_none()).then_some(Corner { position: position?, uv, normal })
+    (fields.next().is_none()).then_some(Corner {
+        position: position?,
+        uv,
+        normal,
+    })
 }
 
 impl Obj {
@@ -214,7 +232,15 @@ impl Obj {
         let mut triangles = Vec::new();
         let mut skipped = 0;
         let mut points = Vec::new();
-        for (face, &Face { corners: [start, end], line, .. }) in self.faces.iter().enumerate() {
+        for (
+            face,
+            &Face {
+                corners: [start, end],
+                line,
+                ..
+            },
+        ) in self.faces.iter().enumerate()
+        {
             let corners = &self.corners[start..end];
             for corner in corners {
                 let checks = [
@@ -246,7 +272,11 @@ impl Obj {
                 continue;
             }
             points.clear();
-            points.extend(corners.iter().map(|c| self.positions[c.position as usize].as_dvec3()));
+            points.extend(
+                corners
+                    .iter()
+                    .map(|c| self.positions[c.position as usize].as_dvec3()),
+            );
             let cut = triangulate(&points).ok_or_else(|| {
                 Error::invalid(
                     file,
@@ -274,7 +304,10 @@ impl Obj {
 fn triangulate(points: &[DVec3]) -> Option<Vec<[usize; 3]>> {
     let count = points.len();
     let fan = |corners: &[usize]| -> Vec<[usize; 3]> {
-        corners[1..].windows(2).map(|pair| [corners[0], pair[0], pair[1]]).collect()
+        corners[1..]
+            .windows(2)
+            .map(|pair| [corners[0], pair[0], pair[1]])
+            .collect()
     };
     let mut left: Vec<usize> = (0..count).collect();
     if count == 3 {
@@ -284,18 +317,24 @@ fn triangulate(points: &[DVec3]) -> Option<Vec<[usize; 3]>> {
     let area: DVec3 = (0..count)
         .map(|i| (points[i] - points[0]).cross(points[(i + 1) % count] - points[0]))
         .sum();
-    let axis = (0..3).max_by(|&i, &j| area[i].abs().total_cmp(&area[j].abs())).unwrap_or(0);
+    let axis = (0..3)
+        .max_by(|&i, &j| area[i].abs().total_cmp(&area[j].abs()))
+        .unwrap_or(0);
     let (s, t) = ((axis + 1) % 3, (axis + 2) % 3);
     let flat: Vec<DVec2> = points
         .iter()
-        .map(|p| DVec2::new(p[s] - points[0][s], (p[t] - points[0][t]) * area[axis].signum()))
+        .map(|p| {
+            DVec2::new(
+                p[s] - points[0][s],
+                (p[t] - points[0][t]) * area[axis].signum(),
+            )
+        })
         .collect();
     let turn = |a: usize, b: usize, c: usize| (flat[b] - flat[a]).perp_dot(flat[c] - flat[b]);
-    let convex =
-        |left: &[usize], i: usize| {
-            let n = left.len();
-            turn(left[(i + n - 1) % n], left[i], left[(i + 1) % n]) > 0.0
-        };
+    let convex = |left: &[usize], i: usize| {
+        let n = left.len();
+        turn(left[(i + n - 1) % n], left[i], left[(i + 1) % n]) > 0.0
+    };
     if (0..count).all(|i| convex(&left, i)) {
         return Some(fan(&left));
     }
@@ -332,7 +371,9 @@ fn corner_normals(obj: &Obj, triangles: &[Triangle]) -> Vec<[Vec3; 3]> {
         obj.normals.get(index as usize)?.try_normalize()
     };
     let mut sums: HashMap<(u32, u32), DVec3> = HashMap::new();
-    let incomplete = triangles.iter().any(|t| t.corners.iter().any(|&c| given(c).is_none()));
+    let incomplete = triangles
+        .iter()
+        .any(|t| t.corners.iter().any(|&c| given(c).is_none()));
     // Group 0 is never smoothed, so its normals are kept per face, under the face's number.
     let key = |triangle: &Triangle, corner: u32| match obj.faces[triangle.face as usize].smoothing {
         0 => (u32::MAX - triangle.face, 0),
@@ -340,20 +381,31 @@ fn corner_normals(obj: &Obj, triangles: &[Triangle]) -> Vec<[Vec3; 3]> {
     };
     if incomplete {
         for triangle in triangles {
-            let points = triangle.corners.map(|corner| obj.position(corner).as_dvec3());
-            for (corner, weight) in triangle.corners.into_iter().zip(angle_weighted_normals(points))
+            let points = triangle
+                .corners
+                .map(|corner| obj.position(corner).as_dvec3());
+            for (corner, weight) in triangle
+                .corners
+                .into_iter()
+                .zip(angle_weighted_normals(points))
             {
                 *sums.entry(key(triangle, corner)).or_default() += weight;
             }
         }
     }
     let smooth = |triangle: &Triangle, corner: u32| {
-        let sum = sums.get(&key(triangle, corner)).copied().unwrap_or_default();
+        let sum = sums
+            .get(&key(triangle, corner))
+            .copied()
+            .unwrap_or_default();
         sum.try_normalize().unwrap_or_default().as_vec3()
     };
     triangles
         .iter()
-        .map(|t| t.corners.map(|corner| given(corner).unwrap_or_else(|| smooth(t, corner))))
+        .map(|t| {
+            t.corners
+                .map(|corner| given(corner).unwrap_or_else(|| smooth(t, corner)))
+        })
         .collect()
 }
 
@@ -390,15 +442,24 @@ fn push_part(
             })
         };
         let [a, b, c] = triangle.corners;
-        part_triangles.push([vertex(a, normals[0]), vertex(b, normals[1]), vertex(c, normals[2])]);
+        part_triangles.push([
+            vertex(a, normals[0]),
+            vertex(b, normals[1]),
+            vertex(c, normals[2]),
+        ]);
     }
     let tangents = match (has_uv, description.normal_texture) {
         (true, Some(_)) => Tangents::MikkTSpace,
         (true, None) => Tangents::FromUv,
         (false, _) => Tangents::AroundAxis,
     };
-    let part =
-        Part { vertices, triangles: part_triangles, material, tangents, double_sided: false };
+    let part = Part {
+        vertices,
+        triangles: part_triangles,
+        material,
+        tangents,
+        double_sided: false,
+    };
     builder.push(part)
 }
 
@@ -416,7 +477,10 @@ fn load_materials(
         let paths = if whole.is_file() {
             vec![whole]
         } else {
-            names.split_whitespace().map(|name| folder.join(name.replace('\\', "/"))).collect()
+            names
+                .split_whitespace()
+                .map(|name| folder.join(name.replace('\\', "/")))
+                .collect()
         };
         let mut missing = Vec::new();
         for path in paths {
@@ -428,16 +492,26 @@ fn load_materials(
             }
         }
         if !missing.is_empty() {
-            builder.warn(format!("material libraries cannot be read: {}", missing.join("; ")));
+            builder.warn(format!(
+                "material libraries cannot be read: {}",
+                missing.join("; ")
+            ));
         }
     }
     let undefined = |name: &&String| !library.contains_key(*name) && *name != DEFAULT_MATERIAL;
     let undefined: Vec<_> = obj.materials.iter().filter(undefined).cloned().collect();
     if !undefined.is_empty() {
         let names = undefined.join(", ");
-        builder.warn(format!("materials are not defined and become grey: {names}"));
+        builder.warn(format!(
+            "materials are not defined and become grey: {names}"
+        ));
     }
-    let mut textures = Textures { folder, images: BTreeMap::new(), list: Vec::new(), texels: 0 };
+    let mut textures = Textures {
+        folder,
+        images: BTreeMap::new(),
+        list: Vec::new(),
+        texels: 0,
+    };
     let mut materials = Vec::new();
     for name in &obj.materials {
         let described = library.get(name).cloned().unwrap_or_default();
@@ -455,7 +529,9 @@ fn convert(
     let mut clamped = |color: [f32; 3]| {
         let inside = color.map(|x| x.clamp(0.0, 1.0));
         if inside != color {
-            builder.warn(format!("material {name:?}: colours outside [0, 1] are clamped"));
+            builder.warn(format!(
+                "material {name:?}: colours outside [0, 1] are clamped"
+            ));
         }
         inside
     };
@@ -478,7 +554,10 @@ fn convert(
         }
     } else {
         let specular = if shines {
-            Specular::BlinnPhong { specular, exponent: mtl.exponent.unwrap_or(1.0).max(1.0) }
+            Specular::BlinnPhong {
+                specular,
+                exponent: mtl.exponent.unwrap_or(1.0).max(1.0),
+            }
         } else {
             Specular::None
         };

@@ -31,7 +31,10 @@ fn glb(json: &Value, blob: &[u8]) -> Vec<u8> {
 /// view 0 holds indices, 1 positions, 2 normals, 3 tangents, 4 texture coordinates.
 fn square() -> (Value, Vec<u8>) {
     let corners = [[0f32, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]];
-    let mut blob: Vec<u8> = [0u16, 1, 2, 0, 2, 3].iter().flat_map(|i| i.to_le_bytes()).collect();
+    let mut blob: Vec<u8> = [0u16, 1, 2, 0, 2, 3]
+        .iter()
+        .flat_map(|i| i.to_le_bytes())
+        .collect();
     let mut views = vec![json!({"buffer": 0, "byteLength": 12})];
     let attributes: [Vec<f32>; 4] = [
         corners.iter().flat_map(|[x, y]| [*x, *y, 0.0]).collect(),
@@ -45,9 +48,7 @@ fn square() -> (Value, Vec<u8>) {
         }));
         blob.extend(values.iter().flat_map(|value| value.to_le_bytes()));
     }
-    let accessor = |view: usize, kind: &str, component: u32, count: usize| {
-        json!({"bufferView": view, "type": kind, "componentType": component, "count": count})
-    };
+    let accessor = |view: usize, kind: &str, component: u32, count: usize| json!({"bufferView": view, "type": kind, "componentType": component, "count": count});
     let json = json!({
         "asset": {"version": "2.0"},
         "scene": 0,
@@ -86,7 +87,10 @@ fn import_obj(text: &str) -> Result<Mesh, Error> {
 
 fn area_normals(mesh: &Mesh) -> Vec<Vec3> {
     let normal = |t: &super::ImportedTriangle| face_normal(&mesh.vertices, t.vertices);
-    mesh.triangles.iter().map(|t| normal(t).expect("an area").as_vec3()).collect()
+    mesh.triangles
+        .iter()
+        .map(|t| normal(t).expect("an area").as_vec3())
+        .collect()
 }
 
 fn frame(vertex: &Vertex) -> [Vec3; 3] {
@@ -173,7 +177,10 @@ fn strips_and_fans_face_one_way() {
 fn missing_normals_are_flat_and_void_the_tangents() {
     let (mut json, mut blob) = square();
     let attributes = &mut json["meshes"][0]["primitives"][0]["attributes"];
-    attributes.as_object_mut().expect("an object").remove("NORMAL");
+    attributes
+        .as_object_mut()
+        .expect("an object")
+        .remove("NORMAL");
     // Lift one corner, which only the second triangle has, so that the two faces differ.
     let corner = 12 + 3 * 12 + 8;
     blob[corner..corner + 4].copy_from_slice(&1f32.to_le_bytes());
@@ -233,7 +240,11 @@ fn sparse_accessors_replace_elements() {
     let (mut json, mut blob) = square();
     let start = blob.len();
     blob.extend([2u8, 0, 0, 0]);
-    blob.extend([2f32, 2.0, 0.0].iter().flat_map(|value| value.to_le_bytes()));
+    blob.extend(
+        [2f32, 2.0, 0.0]
+            .iter()
+            .flat_map(|value| value.to_le_bytes()),
+    );
     json["buffers"][0]["byteLength"] = json!(blob.len());
     let views = json["bufferViews"].as_array_mut().expect("an array");
     views.push(json!({"buffer": 0, "byteOffset": start, "byteLength": 4}));
@@ -254,7 +265,11 @@ fn a_double_sided_square_becomes_two_sheets() {
     json["materials"][0]["doubleSided"] = json!(true);
     let mesh = import_good(&json, &blob);
     assert_eq!((mesh.vertices.len(), mesh.triangles.len()), (8, 4));
-    assert!(mesh.warnings.iter().any(|warning| warning.contains("double-sided")));
+    assert!(
+        mesh.warnings
+            .iter()
+            .any(|warning| warning.contains("double-sided"))
+    );
     let faces = area_normals(&mesh);
     for (triangle, face) in mesh.triangles.iter().zip(&faces) {
         for index in triangle.vertices {
@@ -314,23 +329,37 @@ fn materials_and_their_textures_are_read() {
     let slot = material.base_color_texture.expect("a base colour texture");
     // (u, v) is scaled, then turned counter-clockwise on an image whose v points down.
     let expected = [[0.0, 3.0, 0.25], [-2.0, 0.0, 0.5]];
-    for (row, expected) in slot.transform.iter().flatten().zip(expected.iter().flatten()) {
+    for (row, expected) in slot
+        .transform
+        .iter()
+        .flatten()
+        .zip(expected.iter().flatten())
+    {
         assert!((row - expected).abs() < TOLERANCE, "{:?}", slot.transform);
     }
     assert_eq!(material.normal_scale, 0.5);
     // One image, two encodings.
     assert_eq!(mesh.textures.len(), 2);
-    assert_eq!(mesh.textures[slot.texture as usize].texels, [255, 128, 0, 255, 255, 128, 1, 255]);
+    assert_eq!(
+        mesh.textures[slot.texture as usize].texels,
+        [255, 128, 0, 255, 255, 128, 1, 255]
+    );
 }
 
 #[test]
 fn unreadable_extensions_are_named() {
-    for extension in ["KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_texture_basisu"]
-    {
+    for extension in [
+        "KHR_draco_mesh_compression",
+        "EXT_meshopt_compression",
+        "KHR_texture_basisu",
+    ] {
         let (mut json, blob) = square();
         json["extensionsRequired"] = json!(["KHR_texture_transform", extension]);
         let message = import(&json, &blob).expect_err("an extension").to_string();
-        assert!(message.contains(extension) && message.contains("test.glb"), "{message}");
+        assert!(
+            message.contains(extension) && message.contains("test.glb"),
+            "{message}"
+        );
     }
 }
 
@@ -348,7 +377,11 @@ fn broken_gltf_ends_in_an_error_that_names_the_place() {
         ("/meshes/0/primitives/0/indices", json!(77), "indices"),
         ("/meshes/0/primitives/0/material", json!(1), "materials[1]"),
         ("/meshes/0/primitives/0/attributes", json!({}), "POSITION"),
-        ("/meshes/0/primitives/0/attributes/NORMAL", json!(0), "NORMAL"),
+        (
+            "/meshes/0/primitives/0/attributes/NORMAL",
+            json!(0),
+            "NORMAL",
+        ),
         ("/accessors/0/count", json!(7), "bufferViews[0]"),
         ("/accessors/0/count", json!(u64::MAX), "accessors[0]"),
         ("/accessors/0/componentType", json!(5122), "component type"),
@@ -357,19 +390,39 @@ fn broken_gltf_ends_in_an_error_that_names_the_place() {
         ("/accessors/2/count", json!(3), "NORMAL"),
         ("/accessors/1/byteOffset", json!(u64::MAX), "bufferViews[1]"),
         ("/accessors/1/max", json!([1, 1]), "accessors[1].max"),
-        ("/accessors/1/sparse", json!({
-            "count": 5, "indices": {"bufferView": 0, "componentType": 5121},
-            "values": {"bufferView": 1},
-        }), "sparse"),
-        ("/bufferViews/1/byteOffset", json!(u64::MAX), "bufferViews[1]"),
+        (
+            "/accessors/1/sparse",
+            json!({
+                "count": 5, "indices": {"bufferView": 0, "componentType": 5121},
+                "values": {"bufferView": 1},
+            }),
+            "sparse",
+        ),
+        (
+            "/bufferViews/1/byteOffset",
+            json!(u64::MAX),
+            "bufferViews[1]",
+        ),
         ("/bufferViews/1/byteLength", json!(1000), "bufferViews[1]"),
         ("/bufferViews/1/byteStride", json!(4), "stride"),
         ("/bufferViews/1/buffer", json!(2), "bufferViews[1]"),
         ("/buffers/0/byteLength", json!(100_000), "buffers[0]"),
-        ("/buffers/0/uri", json!("http://example.invalid/a.bin"), "buffers[0]"),
+        (
+            "/buffers/0/uri",
+            json!("http://example.invalid/a.bin"),
+            "buffers[0]",
+        ),
         ("/buffers/0/uri", json!("data:;base64,A"), "data URI"),
-        ("/buffers/0/uri", json!("no such file.bin"), "no such file.bin"),
-        ("/materials/0/normalTexture", json!({"index": 0}), "normalTexture"),
+        (
+            "/buffers/0/uri",
+            json!("no such file.bin"),
+            "no such file.bin",
+        ),
+        (
+            "/materials/0/normalTexture",
+            json!({"index": 0}),
+            "normalTexture",
+        ),
     ];
     for (pointer, value, expected) in cases {
         let (mut json, blob) = square();
@@ -382,7 +435,10 @@ fn broken_gltf_ends_in_an_error_that_names_the_place() {
         let error = import(&json, &blob).expect_err(pointer);
         let message = error.to_string();
         assert!(message.contains(expected), "{pointer} = {value}: {message}");
-        assert!(message.contains("test.glb") || message.contains(expected), "{message}");
+        assert!(
+            message.contains("test.glb") || message.contains(expected),
+            "{message}"
+        );
     }
 }
 
@@ -401,7 +457,10 @@ struct Random(u64);
 
 impl Random {
     fn below(&mut self, bound: usize) -> usize {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+        self.0 = self
+            .0
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1);
         (self.0 >> 33) as usize % bound
     }
 }
@@ -432,7 +491,10 @@ fn fuzz(bytes: &[u8], mutations: usize, import: impl Fn(&[u8]) -> Result<Mesh, E
         good += usize::from(import(&mutated).is_ok());
     }
     // Otherwise the mutations stop at the front door.
-    assert!(good * 20 > mutations, "{good} of {mutations} mutations still import");
+    assert!(
+        good * 20 > mutations,
+        "{good} of {mutations} mutations still import"
+    );
 }
 
 #[test]
@@ -440,14 +502,78 @@ fn no_mutation_of_a_glb_panics() {
     let (mut json, blob) = square();
     json["materials"][0]["doubleSided"] = json!(true);
     json["nodes"][0]["rotation"] = json!([0, 0.6, 0, 0.8]);
-    fuzz(&glb(&json, &blob), 5000, |bytes| gltf::import(Path::new("test.glb"), bytes));
+    fuzz(&glb(&json, &blob), 5000, |bytes| {
+        gltf::import(Path::new("test.glb"), bytes)
+    });
+}
+
+#[test]
+fn no_mutation_of_a_textured_glb_panics() {
+    let (mut json, mut blob) = square();
+    let start = blob.len();
+    let mut png = std::io::Cursor::new(Vec::new());
+    image::RgbImage::from_pixel(2, 2, image::Rgb([128, 128, 255]))
+        .write_to(&mut png, image::ImageFormat::Png)
+        .expect("PNG encodes");
+    blob.extend(png.get_ref());
+    json["buffers"][0]["byteLength"] = json!(blob.len());
+    let views = json["bufferViews"].as_array_mut().expect("an array");
+    views.push(json!({"buffer": 0, "byteOffset": start, "byteLength": png.get_ref().len()}));
+    json["images"] = json!([{"bufferView": 5}]);
+    json["textures"] = json!([{"source": 0}]);
+    // A normal map without tangents runs MikkTSpace on whatever is left of the coordinates.
+    json["materials"][0]["normalTexture"] = json!({"index": 0});
+    let attributes = &mut json["meshes"][0]["primitives"][0]["attributes"];
+    attributes
+        .as_object_mut()
+        .expect("an object")
+        .remove("TANGENT");
+    let bytes = glb(&json, &blob);
+    fuzz(&bytes, 5000, |bytes| {
+        gltf::import(Path::new("test.glb"), bytes)
+    });
+    // Extremes of everything that MikkTSpace reads.
+    let extremes = [
+        f32::MAX,
+        -f32::MAX,
+        1e30,
+        1e12,
+        -1e12,
+        1e-40,
+        0.0,
+        -0.0,
+        1.0,
+    ];
+    let mut random = Random(2);
+    for _ in 0..5000 {
+        let mut blob = blob.clone();
+        for _ in 0..=random.below(6) {
+            let at = 12 + 4 * random.below((start - 12) / 4);
+            blob[at..at + 4].copy_from_slice(&extremes[random.below(9)].to_le_bytes());
+        }
+        if let Ok(mesh) = import(&json, &blob) {
+            for vertex in &mesh.vertices {
+                let numbers: &[f32] = bytemuck::cast_slice(std::slice::from_ref(vertex));
+                assert!(
+                    numbers.iter().all(|number| number.is_finite()),
+                    "{vertex:?}"
+                );
+                assert!(
+                    Vec3::from_slice(&vertex.tangent[..3]).is_normalized(),
+                    "{vertex:?}"
+                );
+            }
+        }
+    }
 }
 
 #[test]
 fn no_mutation_of_an_obj_panics() {
     let text = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0.2 0.1 0\nv 0 1 0\nvt 0 0\nvt 1 1\nvn 0 0 1\n\
                 s 1\nf 1/1/1 2/2/1 3/1/1 4/2/1 5/1/1\ns off\nf -1 -2 -3\ns 2\nf 1/1 2/2 \\\n3/1\n";
-    fuzz(text.as_bytes(), 20_000, |bytes| obj::import(Path::new("test.obj"), bytes));
+    fuzz(text.as_bytes(), 20_000, |bytes| {
+        obj::import(Path::new("test.obj"), bytes)
+    });
 }
 
 #[test]
@@ -471,9 +597,18 @@ fn smoothing_groups_keep_edges() {
     let faces = ["f 1 2 3 4\n", "f 1 4 6 5\n"];
     let vertices = |text: String| import_obj(&text).expect("two squares").vertices.len();
     assert_eq!(vertices(format!("{corner}{}{}", faces[0], faces[1])), 6);
-    assert_eq!(vertices(format!("{corner}s 1\n{}s 2\n{}", faces[0], faces[1])), 8);
-    assert_eq!(vertices(format!("{corner}s 1\n{}s 1\n{}", faces[0], faces[1])), 6);
-    assert_eq!(vertices(format!("{corner}{}s off\n{}", faces[0], faces[1])), 8);
+    assert_eq!(
+        vertices(format!("{corner}s 1\n{}s 2\n{}", faces[0], faces[1])),
+        8
+    );
+    assert_eq!(
+        vertices(format!("{corner}s 1\n{}s 1\n{}", faces[0], faces[1])),
+        6
+    );
+    assert_eq!(
+        vertices(format!("{corner}{}s off\n{}", faces[0], faces[1])),
+        8
+    );
 }
 
 #[test]
@@ -481,16 +616,39 @@ fn concave_faces_are_covered_once() {
     // An arrowhead, an L and a comb, each with its area; in the plane x + z = const.
     let outlines: [(&[[f64; 2]], f64); 4] = [
         (&[[0.0, 0.0], [2.0, 1.0], [0.0, 2.0], [1.0, 1.0]], 1.0),
-        (&[[0.0, 0.0], [3.0, 0.0], [3.0, 1.0], [1.0, 1.0], [1.0, 3.0], [0.0, 3.0]], 5.0),
         (
             &[
-                [0.0, 0.0], [5.0, 0.0], [5.0, 3.0], [4.0, 3.0], [4.0, 1.0], [3.0, 1.0],
-                [3.0, 3.0], [2.0, 3.0], [2.0, 1.0], [1.0, 1.0], [1.0, 3.0], [0.0, 3.0],
+                [0.0, 0.0],
+                [3.0, 0.0],
+                [3.0, 1.0],
+                [1.0, 1.0],
+                [1.0, 3.0],
+                [0.0, 3.0],
+            ],
+            5.0,
+        ),
+        (
+            &[
+                [0.0, 0.0],
+                [5.0, 0.0],
+                [5.0, 3.0],
+                [4.0, 3.0],
+                [4.0, 1.0],
+                [3.0, 1.0],
+                [3.0, 3.0],
+                [2.0, 3.0],
+                [2.0, 1.0],
+                [1.0, 1.0],
+                [1.0, 3.0],
+                [0.0, 3.0],
             ],
             11.0,
         ),
         // A corner in the middle of a side must not give a triangle without area.
-        (&[[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]], 4.0),
+        (
+            &[[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]],
+            4.0,
+        ),
     ];
     for (outline, area) in outlines {
         for start in 0..outline.len() {
@@ -518,7 +676,10 @@ fn concave_faces_are_covered_once() {
                     vector.z
                 })
                 .sum();
-            assert!((total - area as f32).abs() < TOLERANCE, "{total} is not {area}");
+            assert!(
+                (total - area as f32).abs() < TOLERANCE,
+                "{total} is not {area}"
+            );
         }
     }
 }
@@ -559,7 +720,10 @@ fn broken_obj_files_name_the_line() {
     ];
     for (text, expected) in cases {
         let message = import_obj(text).expect_err(text).to_string();
-        assert!(message.contains(expected) && message.contains("test.obj"), "{text}: {message}");
+        assert!(
+            message.contains(expected) && message.contains("test.obj"),
+            "{text}: {message}"
+        );
     }
 }
 
@@ -572,7 +736,13 @@ fn material_libraries_are_read() {
     let square = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\n";
     let faces = ["matte", "shiny", "metal", "absent", "textured"]
         .map(|name| format!("usemtl {name}\nf 1/1 2/2 3/3\n"));
-    write("a b.obj", &format!("mtllib a b.mtl\nmtllib none.mtl\n{square}{}", faces.concat()));
+    write(
+        "a b.obj",
+        &format!(
+            "mtllib a b.mtl\nmtllib none.mtl\n{square}{}",
+            faces.concat()
+        ),
+    );
     write(
         "a b.mtl",
         "Kd 9 9\nnewmtl matte\nKd 0.25\nKs 1 1 1\nillum 1\nnewmtl shiny\nKd 0.1 0.2 0.3\n\
@@ -580,34 +750,64 @@ fn material_libraries_are_read() {
          Kd 0 0 0\nmap_Kd -s 2 4 1 -o 0.5 0.25 -clamp on red dot.png\nbump -bm 2 none.png\n",
     );
     let red = image::RgbImage::from_pixel(1, 1, image::Rgb([255, 0, 0]));
-    red.save(folder.path().join("red dot.png")).expect("PNG encodes");
+    red.save(folder.path().join("red dot.png"))
+        .expect("PNG encodes");
     let mesh = super::mesh(&folder.path().join("a b.obj")).expect("a good file");
     let surface = |name: &str| {
         let material = mesh.materials.iter().find(|material| material.name == name);
-        material.map(|material| material.surface.clone()).expect(name)
+        material
+            .map(|material| material.surface.clone())
+            .expect(name)
     };
     let layered = |diffuse, specular| Surface::Layered { diffuse, specular };
     assert_eq!(surface("matte"), layered([0.25; 3], Specular::None));
-    let shine = Specular::BlinnPhong { specular: [0.5; 3], exponent: 40.0 };
+    let shine = Specular::BlinnPhong {
+        specular: [0.5; 3],
+        exponent: 40.0,
+    };
     assert_eq!(surface("shiny"), layered([0.1, 0.2, 0.3], shine));
     assert_eq!(surface("absent"), layered([0.5; 3], Specular::None));
     assert_eq!(surface("textured"), layered([1.0; 3], Specular::None));
-    let Surface::MetallicRoughness { base_color, metallic, roughness, .. } = surface("metal")
+    let Surface::MetallicRoughness {
+        base_color,
+        metallic,
+        roughness,
+        ..
+    } = surface("metal")
     else {
         panic!("Pr and Pm make a metallic-roughness material")
     };
-    assert_eq!((base_color, metallic, roughness), ([1.0, 1.0, 0.0], 1.0, 0.4));
-    let textured = mesh.materials.iter().find(|material| material.name == "textured");
-    let slot = textured.and_then(|material| material.base_color_texture).expect("a texture");
-    assert_eq!(mesh.textures[slot.texture as usize].texels, [255, 0, 0, 255]);
+    assert_eq!(
+        (base_color, metallic, roughness),
+        ([1.0, 1.0, 0.0], 1.0, 0.4)
+    );
+    let textured = mesh
+        .materials
+        .iter()
+        .find(|material| material.name == "textured");
+    let slot = textured
+        .and_then(|material| material.base_color_texture)
+        .expect("a texture");
+    assert_eq!(
+        mesh.textures[slot.texture as usize].texels,
+        [255, 0, 0, 255]
+    );
     // v up: 1 - ((1 - v) 4 + 0.25).
     assert_eq!(slot.transform, [[2.0, 0.0, 0.5], [0.0, 4.0, -3.25]]);
     for expected in ["none.mtl", "absent", "clamped", "none.png"] {
-        let found = mesh.warnings.iter().any(|warning| warning.contains(expected));
+        let found = mesh
+            .warnings
+            .iter()
+            .any(|warning| warning.contains(expected));
         assert!(found, "{expected}: {:?}", mesh.warnings);
     }
     write("bad.mtl", "newmtl x\nKd 1 2\n");
-    write("bad.obj", &format!("mtllib bad.mtl\n{square}usemtl x\nf 1 2 3\n"));
-    let message = super::mesh(&folder.path().join("bad.obj")).expect_err("bad Kd").to_string();
+    write(
+        "bad.obj",
+        &format!("mtllib bad.mtl\n{square}usemtl x\nf 1 2 3\n"),
+    );
+    let message = super::mesh(&folder.path().join("bad.obj"))
+        .expect_err("bad Kd")
+        .to_string();
     assert!(message.contains("bad.mtl: line 2"), "{message}");
 }

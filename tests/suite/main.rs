@@ -12,6 +12,7 @@
 
 mod cli;
 mod determinism;
+mod gpu;
 mod import;
 mod meshes;
 mod real_meshes;
@@ -24,6 +25,7 @@ fn main() -> ExitCode {
     let trials = [
         cli::trials(),
         determinism::trials(),
+        gpu::trials(),
         import::trials(),
         real_meshes::trials(),
         truth::trials(),

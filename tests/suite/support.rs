@@ -17,10 +17,48 @@ pub fn with_data(
 ) -> Trial {
     Trial::ignorable_test(name, move || match data_folder() {
         Some(folder) => run(&folder).map(|()| Completion::Completed),
-        None => Ok(Completion::ignored_with(
-            "no RELIGHT_DATA and no ../shared/data",
-        )),
+        None => Ok(no_data()),
     })
+}
+
+/// A trial that draws with a GPU. Where there is none it fails, unless `RELIGHT_NO_GPU=1`
+/// skips it: a driver that went missing must not pass unnoticed.
+pub fn with_gpu(name: impl Into<String>, run: impl FnOnce() -> Outcome + Send + 'static) -> Trial {
+    Trial::ignorable_test(name, move || {
+        if no_gpu() {
+            Ok(skipped_gpu())
+        } else {
+            run().map(|()| Completion::Completed)
+        }
+    })
+}
+
+/// Both.
+pub fn with_data_and_gpu(
+    name: impl Into<String>,
+    run: impl FnOnce(&Path) -> Outcome + Send + 'static,
+) -> Trial {
+    Trial::ignorable_test(name, move || {
+        if no_gpu() {
+            return Ok(skipped_gpu());
+        }
+        match data_folder() {
+            Some(folder) => run(&folder).map(|()| Completion::Completed),
+            None => Ok(no_data()),
+        }
+    })
+}
+
+fn no_data() -> Completion {
+    Completion::ignored_with("no RELIGHT_DATA and no ../shared/data")
+}
+
+fn no_gpu() -> bool {
+    std::env::var_os("RELIGHT_NO_GPU").is_some_and(|value| value == "1")
+}
+
+fn skipped_gpu() -> Completion {
+    Completion::ignored_with("RELIGHT_NO_GPU=1")
 }
 
 /// `RELIGHT_DATA`, which must then be right, or `../shared/data` if that is there.

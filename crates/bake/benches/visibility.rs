@@ -46,7 +46,7 @@ fn main() {
         let differing: usize = (exact.iter().zip(&fast))
             .map(|(a, (b, _))| (0..128 * 128).filter(|&i| a.get(i) != b.get(i)).count())
             .sum();
-        let transform = Transform::new(&directions);
+        let transform = Transform::new(&directions, 64);
         let start = Instant::now();
         for bitmap in &exact {
             std::hint::black_box(transform.apply(bitmap, 0.5));

@@ -1,6 +1,7 @@
 //! The command line: arguments in, assets and messages out.
 
 use std::io::IsTerminal as _;
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Mutex;
@@ -11,7 +12,7 @@ use anyhow::{Context as _, bail};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 use relight_bake::monitor::{Interrupted, Monitor, Progress};
-use relight_bake::{scene, scene_input};
+use relight_bake::{environment, hdr, scene, scene_input};
 use relight_format as format;
 use serde_json::{Value, json};
 
@@ -313,8 +314,63 @@ fn bake_scene(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Su
 fn bake_environment(arguments: &EnvironmentArguments, monitor: Monitor) -> anyhow::Result<Summary> {
     check_output(&arguments.output)?;
     let start = Instant::now();
-    let _ = (monitor, start);
-    bail!("not yet")
+    let options = environment::FitOptions { lobes: arguments.lobes };
+    let progress = |fraction| match monitor.step("fit lobes", fraction) {
+        Ok(()) => ControlFlow::Continue(()),
+        Err(Interrupted) => ControlFlow::Break(()),
+    };
+    let environment = environment::bake(&arguments.input, &options, &progress).map_err(|error| {
+        match error {
+            environment::Error::Cancelled => Interrupted.into(),
+            error => anyhow::Error::from(error),
+        }
+    })?;
+    let image = hdr::load(&arguments.input)?;
+    let irradiance_error = environment::irradiance_error(&image, &environment.lobes);
+    let bytes = format::write_environment(&environment)?;
+    write_checked(&arguments.output, &bytes, |bytes| {
+        let read = format::read_environment(bytes, &format::Limits::default());
+        read.map(|read| read == environment)
+    })?;
+    if let Some(folder) = &arguments.report {
+        let pictures = environment::report::pictures(&image, &environment.lobes)?;
+        std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+        let files = [
+            ("original.png", pictures.original),
+            ("fit.png", pictures.fit),
+            ("difference.png", pictures.difference),
+        ];
+        for (name, bytes) in files {
+            format::write_file(&folder.join(name), &bytes)?;
+        }
+    }
+    let report = &environment.report;
+    if report.repaired_pixels > 0 {
+        eprintln!("warning: {} NaN, infinite or negative pixels repaired", report.repaired_pixels);
+    }
+    let seconds = start.elapsed().as_secs_f64();
+    Ok(Summary {
+        text: format!(
+            "{}: {} lobes, {} bytes\n\
+             relative L2 error {:.4}, energy error {:.4?}, irradiance error {irradiance_error:.4}\n\
+             {seconds:.1} s\n",
+            arguments.output.display(),
+            environment.lobes.len(),
+            bytes.len(),
+            report.relative_l2,
+            report.energy_error,
+        ),
+        json: json!({
+            "output": arguments.output,
+            "bytes": bytes.len(),
+            "lobes": environment.lobes.len(),
+            "relative_l2": report.relative_l2,
+            "energy_error": report.energy_error,
+            "irradiance_error": irradiance_error,
+            "repaired_pixels": report.repaired_pixels,
+            "seconds": seconds,
+        }),
+    })
 }
 
 /// Fails early, before hours of work, if the output's folder does not exist.

@@ -220,21 +220,6 @@ fn fit_coefficients(ssdf: &[f32], basis: &[f32], channels: usize) -> DVector<f32
         .cast::<f32>()
 }
 
-/// Averages blocks of texels: an SSDF at `from` × `from` to `to` × `to`, where `to` divides
-/// `from`.
-pub fn downsample(ssdf: &[f32], from: usize, to: usize) -> Vec<f32> {
-    let block = from / to;
-    let mut out = vec![0.0; to * to];
-    for y in 0..to * block {
-        for x in 0..to * block {
-            out[y / block * to + x / block] += ssdf[y * from + x];
-        }
-    }
-    let scale = 1.0 / (block * block) as f32;
-    out.iter_mut().for_each(|value| *value *= scale);
-    out
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -307,11 +292,5 @@ mod tests {
                 "{vertices} columns of {value}"
             );
         }
-    }
-
-    #[test]
-    fn downsampling_averages_blocks() {
-        let image: Vec<f32> = (0..16).map(|i| i as f32).collect();
-        assert_eq!(downsample(&image, 4, 2), [2.5, 4.5, 10.5, 12.5]);
     }
 }

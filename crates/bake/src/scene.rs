@@ -182,7 +182,7 @@ pub fn bake(
         origins: &visibility::origins(&positions, &triangles, ray_offset),
         caster: RayCaster::new(&soup),
         contours: ContourMesh::new(&soup),
-        transform: ssdf::Transform::new(&directions),
+        transform: ssdf::Transform::new(&directions, options.basis_resolution),
         directions,
         monitor,
         total: positions.len(),
@@ -341,12 +341,7 @@ impl Context<'_> {
             self.contours.sample(&self.caster, origin, &self.directions, scratch);
         add_time(&self.visibility_nanoseconds, start);
         let start = Instant::now();
-        let ssdf = self.transform.apply(&bitmap, self.options.distance_clamp);
-        let column = compress::downsample(
-            &ssdf,
-            self.options.sample_resolution as usize,
-            self.options.basis_resolution as usize,
-        );
+        let column = self.transform.apply(&bitmap, self.options.distance_clamp);
         add_time(&self.ssdf_nanoseconds, start);
         self.rays.fetch_add(u64::from(rays), Ordering::Relaxed);
         let done = self.sampled.fetch_add(1, Ordering::Relaxed) + 1;

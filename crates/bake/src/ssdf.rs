@@ -1,13 +1,16 @@
 //! Spherical signed distance: angle to the nearest texel of the other class.
 //!
 //! D(ω) is positive where ω is visible and negative where it is blocked (Wang et al. 2013,
-//! §4). Half a texel is subtracted so that the zero crossing lies midway between a visible
-//! texel and its blocked neighbour. The transform is exact: the texel nearest to ω among
-//! those of the other class always has a neighbour of ω's class, so only such boundary
-//! texels are candidates, and blocks of texels share a short list of the candidates that
-//! can be nearest to any of them.
+//! §4). The boundary is where visibility was seen to change: the midpoints between
+//! neighbouring sample texels of different class. |D| is the angle to the nearest of them,
+//! found exactly: blocks of texels share a short list of the midpoints that can be nearest
+//! to any of them.
+//!
+//! The distances may be wanted at fewer texels than were sampled. A texel then spans a
+//! block of samples, and its sign is their mean class: ±1 away from the boundary, and
+//! between where the boundary crosses the block, so that the zero crossing stays unbiased.
 
-use glam::{Vec2, Vec3};
+use glam::Vec3;
 use pulp::{Arch, Simd, WithSimd};
 use relight_shading::octahedral;
 
@@ -16,9 +19,6 @@ use crate::visibility::{Bitmap, Directions};
 /// Texels per side of the blocks that share candidates, coarse to fine. Each level picks
 /// from the list of the level above.
 const BLOCKS: [u32; 2] = [16, 4];
-/// Smallest magnitude: keeps the sign of a texel whose half spacing exceeds its distance,
-/// radians.
-const MIN_DISTANCE: f32 = 1e-4;
 /// Slack of the candidate test against rounding, radians.
 const ANGLE_SLACK: f32 = 1e-4;
 /// Distances computed side by side.
@@ -33,13 +33,15 @@ struct Block {
     children: Vec<Block>,
 }
 
-/// Tables for the transform at one resolution.
+/// Tables for the transform between two resolutions.
 pub struct Transform {
+    /// Texels per side of the visibility bitmap.
+    sample_resolution: u32,
+    /// Directions of the texels that distances are wanted at.
     directions: Vec<Vec3>,
-    /// The up to eight neighbours of each texel, across the map's border.
-    neighbours: Vec<[u32; 8]>,
-    /// Half the spacing between texels about each texel, radians.
-    half_spacing: Vec<f32>,
+    /// Every pair of neighbouring sample texels, across the map's border too, and the
+    /// direction midway between them.
+    links: Vec<([u32; 2], [f32; 3])>,
     blocks: Vec<Block>,
 }
 
@@ -120,98 +122,106 @@ fn squared_chords([x, y, z]: &[[f32; LANES]; 3], direction: Vec3) -> [f32; LANES
 
 #[inline(always)]
 fn angle_of_squared_chord(squared: f32) -> f32 {
-    2.0 * (0.5 * squared.sqrt()).min(1.0).asin()
+    let quarter = 0.25 * squared;
+    if quarter > 0.0625 {
+        return 2.0 * quarter.sqrt().min(1.0).asin();
+    }
+    // The series of the arcsine, to the last bit of single precision this near to zero.
+    let series = 1.0 / 6.0 + quarter * (3.0 / 40.0 + quarter * (15.0 / 336.0 + quarter * (105.0 / 3456.0)));
+    2.0 * quarter.sqrt() * (1.0 + quarter * series)
 }
 
 impl Transform {
-    /// Tables for maps of the directions' resolution.
-    pub fn new(directions: &Directions) -> Self {
-        const STEPS: [(i32, i32); 8] =
-            [(-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (0, 1), (1, 1)];
-        let n = directions.resolution();
-        let directions = directions.as_slice();
-        let neighbours = (0..n * n)
-            .map(|i| {
-                STEPS.map(|(dx, dy)| {
-                    let (x, y) = ((i % n) as i32 + dx, (i / n) as i32 + dy);
+    /// Tables from bitmaps of the resolution of `samples` to distances at `resolution`
+    /// squared texels. `resolution` must divide that of the samples.
+    pub fn new(samples: &Directions, resolution: u32) -> Self {
+        let n = samples.resolution();
+        assert!(n.is_multiple_of(resolution), "{resolution} does not divide {n}");
+        let mut pairs: Vec<[u32; 2]> = (0..n * n)
+            .flat_map(|i| {
+                let (x, y) = ((i % n) as i32, (i / n) as i32);
+                [(x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)].map(|(x, y)| {
                     let (x, y) = octahedral::wrap(x, y, n);
-                    y * n + x
+                    let other = y * n + x;
+                    [i.min(other), i.max(other)]
                 })
             })
             .collect();
-        let half_spacing = (0..n * n)
-            .map(|i| {
-                // Solid angle of a texel: its area on the octahedron over distance cubed.
-                let uv = (Vec2::new((i % n) as f32, (i / n) as f32) + 0.5) / n as f32;
-                let radius = 1.0 / octahedral::decode(uv).abs().element_sum();
-                (1.0 / n as f32) / radius.powf(1.5)
+        pairs.sort_unstable();
+        pairs.dedup();
+        let links = pairs
+            .into_iter()
+            .map(|pair| {
+                let [a, b] = pair.map(|texel| samples.as_slice()[texel as usize]);
+                (pair, (a + b).normalize().to_array())
             })
             .collect();
-        Self {
-            directions: directions.to_vec(),
-            neighbours,
-            half_spacing,
-            blocks: blocks(directions, n, (0, 0, n), &BLOCKS),
-        }
+        let directions = Directions::new(resolution).as_slice().to_vec();
+        let blocks = blocks(&directions, resolution, (0, 0, resolution), &BLOCKS);
+        Self { sample_resolution: n, directions, links, blocks }
     }
 
     /// The SSDF of a visibility bitmap, radians per texel, clamped to ± `limit`.
     pub fn apply(&self, visible: &Bitmap, limit: f32) -> Vec<f32> {
-        let class: Vec<bool> = (0..self.directions.len()).map(|i| visible.get(i)).collect();
-        // The first are visible texels next to blocked ones, which bound the blocked.
-        let mut candidates = [Candidates::default(), Candidates::default()];
-        for (texel, neighbours) in self.neighbours.iter().enumerate() {
-            if neighbours.iter().any(|&other| class[other as usize] != class[texel]) {
-                let list = &mut candidates[usize::from(!class[texel])];
-                list.push(self.directions[texel].to_array());
+        let samples = self.sample_resolution.pow(2) as usize;
+        let class: Vec<bool> = (0..samples).map(|i| visible.get(i)).collect();
+        let mut boundary = Candidates::default();
+        for ([a, b], midpoint) in &self.links {
+            if class[*a as usize] != class[*b as usize] {
+                boundary.push(*midpoint);
             }
         }
-        let mut distances = vec![0.0; self.directions.len()];
+        let mut distances = self.mean_class(&class);
         Arch::new().dispatch(ApplyBlocks {
             transform: self,
-            class: &class,
-            candidates: &candidates,
+            boundary: &boundary,
             limit,
             distances: &mut distances,
         });
         distances
     }
 
+    /// Mean of ±1 over the samples that each texel spans.
+    fn mean_class(&self, class: &[bool]) -> Vec<f32> {
+        let n = self.sample_resolution as usize;
+        let resolution = self.directions.len().isqrt();
+        let span = n / resolution;
+        let step = 2.0 / (span * span) as f32;
+        let mut mean = vec![-1.0; self.directions.len()];
+        for (y, row) in class.chunks_exact(n).enumerate() {
+            let out = &mut mean[y / span * resolution..][..resolution];
+            for (out, samples) in out.iter_mut().zip(row.chunks_exact(span)) {
+                *out += step * samples.iter().filter(|&&visible| visible).count() as f32;
+            }
+        }
+        mean
+    }
+
     #[inline(always)]
     fn apply_block(
         &self,
         block: &Block,
-        side: bool,
-        class: &[bool],
-        candidates: &Candidates,
+        boundary: &Candidates,
         near: &mut Candidates,
         limit: f32,
         distances: &mut [f32],
     ) {
-        let members = || block.texels.iter().filter(|&&i| class[i as usize] == side);
-        if members().next().is_none() {
+        let nearest = angle_of_squared_chord(boundary.select(block, near));
+        if near.count == 0 || nearest - block.radius > limit {
+            block.texels.iter().for_each(|&i| distances[i as usize] *= limit);
             return;
         }
-        let sign = if side { 1.0 } else { -1.0 };
-        let nearest = angle_of_squared_chord(candidates.select(block, near));
-        // Half a spacing, at most a block's radius, is subtracted from what is compared.
-        if near.count == 0 || nearest - 2.0 * block.radius > limit {
-            members().for_each(|&i| distances[i as usize] = sign * limit);
-            return;
-        }
-        for &texel in members() {
+        for &texel in &block.texels {
             let squared = near.nearest(self.directions[texel as usize]);
-            let distance = angle_of_squared_chord(squared) - self.half_spacing[texel as usize];
-            distances[texel as usize] = sign * distance.clamp(MIN_DISTANCE, limit);
+            distances[texel as usize] *= angle_of_squared_chord(squared).min(limit);
         }
     }
 }
 
-/// The vectorised part of [`Transform::apply`].
+/// The vectorised part of [`Transform::apply`]: multiplies signs by distances.
 struct ApplyBlocks<'a> {
     transform: &'a Transform,
-    class: &'a [bool],
-    candidates: &'a [Candidates; 2],
+    boundary: &'a Candidates,
     limit: f32,
     distances: &'a mut [f32],
 }
@@ -221,19 +231,12 @@ impl WithSimd for ApplyBlocks<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        let Self { transform, class, candidates, limit, distances } = self;
-        let mut lists = [Candidates::default(), Candidates::default()];
-        for (side, candidates) in candidates.iter().enumerate() {
-            let side = side == 1;
-            for block in &transform.blocks {
-                if !block.texels.iter().any(|&i| class[i as usize] == side) {
-                    continue;
-                }
-                let [coarse, fine] = &mut lists;
-                candidates.select(block, coarse);
-                for block in &block.children {
-                    transform.apply_block(block, side, class, coarse, fine, limit, distances);
-                }
+        let Self { transform, boundary, limit, distances } = self;
+        let [mut coarse, mut fine] = [Candidates::default(), Candidates::default()];
+        for block in &transform.blocks {
+            boundary.select(block, &mut coarse);
+            for block in &block.children {
+                transform.apply_block(block, &coarse, &mut fine, limit, distances);
             }
         }
     }
@@ -271,19 +274,33 @@ fn blocks(directions: &[Vec3], n: u32, (x0, y0, side): (u32, u32, u32), sizes: &
 mod tests {
     use super::*;
 
-    fn brute_force(transform: &Transform, visible: &Bitmap, limit: f32) -> Vec<f32> {
-        let directions = &transform.directions;
-        (0..directions.len())
+    fn brute_force(samples: &Directions, resolution: u32, visible: &Bitmap, limit: f32) -> Vec<f32> {
+        let n = samples.resolution() as i32;
+        let at = |x: i32, y: i32| {
+            let (x, y) = octahedral::wrap(x, y, n as u32);
+            (y * n as u32 + x) as usize
+        };
+        let mut midpoints = Vec::new();
+        for (x, y) in (0..n * n).map(|i| (i % n, i / n)) {
+            for (dx, dy) in [(-1, 0), (1, 0), (0, -1), (0, 1)] {
+                let (a, b) = (at(x, y), at(x + dx, y + dy));
+                if visible.get(a) != visible.get(b) {
+                    midpoints.push((samples.as_slice()[a] + samples.as_slice()[b]).normalize());
+                }
+            }
+        }
+        let span = n / resolution as i32;
+        (0..(resolution * resolution) as i32)
             .map(|i| {
-                let sign = if visible.get(i) { 1.0 } else { -1.0 };
-                let nearest = (0..directions.len())
-                    .filter(|&j| visible.get(j) != visible.get(i))
-                    .map(|j| directions[i].distance_squared(directions[j]))
-                    .min_by(f32::total_cmp);
-                let distance = nearest.map_or(limit, |squared| {
-                    (angle_of_squared_chord(squared) - transform.half_spacing[i])
-                        .clamp(MIN_DISTANCE, limit)
-                });
+                let (x, y) = (i % resolution as i32, i / resolution as i32);
+                let block = (0..span * span).map(|j| at(x * span + j % span, y * span + j / span));
+                let visible = block.filter(|&texel| visible.get(texel)).count();
+                let sign = 2.0 * visible as f32 / (span * span) as f32 - 1.0;
+                let direction = octahedral::texel_direction(x as u32, y as u32, resolution);
+                let distance = midpoints
+                    .iter()
+                    .map(|&midpoint| 2.0 * (0.5 * direction.distance(midpoint)).min(1.0).asin())
+                    .fold(limit, f32::min);
                 sign * distance
             })
             .collect()
@@ -321,23 +338,23 @@ mod tests {
         bitmaps
     }
 
-    /// Both sides evaluate the same formula on the same nearest texel; wider registers may
-    /// round its last bits otherwise, radians.
-    const ROUNDING: f32 = 1e-6;
+    /// Both sides take the same nearest midpoint; arithmetic rounds its last bits otherwise,
+    /// radians.
+    const ROUNDING: f32 = 2e-6;
 
     #[test]
     fn equals_brute_force() {
-        for resolution in [16, 48] {
-            let directions = Directions::new(resolution);
-            let transform = Transform::new(&directions);
+        for (samples, resolution) in [(16, 16), (48, 24), (64, 16)] {
+            let directions = Directions::new(samples);
+            let transform = Transform::new(&directions, resolution);
             for (number, bitmap) in patterns(&directions).iter().enumerate() {
                 for limit in [0.5, std::f32::consts::PI] {
                     let fast = transform.apply(bitmap, limit);
-                    let exact = brute_force(&transform, bitmap, limit);
+                    let exact = brute_force(&directions, resolution, bitmap, limit);
                     for (i, (a, b)) in fast.iter().zip(&exact).enumerate() {
                         assert!(
                             (a - b).abs() < ROUNDING,
-                            "pattern {number}, {resolution}², limit {limit}, texel {i}: {a} instead of {b}"
+                            "pattern {number}, {samples}², limit {limit}, texel {i}: {a} instead of {b}"
                         );
                     }
                 }
@@ -346,33 +363,22 @@ mod tests {
     }
 
     #[test]
-    fn nearest_opposite_texel_is_always_next_to_the_own_class() {
-        // Greedy descent: from any texel some neighbour is nearer to any other texel.
-        let directions = Directions::new(24);
-        let transform = Transform::new(&directions);
-        for (p, &from) in directions.as_slice().iter().enumerate() {
-            for (q, &to) in directions.as_slice().iter().enumerate() {
-                let distance = from.distance_squared(to);
-                let nearer =
-                    |&r: &u32| from.distance_squared(directions.as_slice()[r as usize]) < distance;
-                assert!(
-                    p == q || transform.neighbours[q].iter().any(nearer),
-                    "{p} {q}"
-                );
-            }
+    fn matches_the_distance_to_an_analytic_cap() {
+        for resolution in [64, 128] {
+            matches_analytic_cap(resolution);
         }
     }
 
-    #[test]
-    fn matches_the_distance_to_an_analytic_cap() {
+    fn matches_analytic_cap(resolution: u32) {
         let directions = Directions::new(128);
-        let transform = Transform::new(&directions);
+        let transform = Transform::new(&directions, resolution);
         let (axis, radius) = (Vec3::new(0.3, 0.8, -0.5).normalize(), 0.6f32);
         let angle = |direction: Vec3| axis.dot(direction).clamp(-1.0, 1.0).acos();
         let texels = directions.as_slice();
         let bitmap = Bitmap::from_fn(texels.len(), |i| angle(texels[i]) > radius);
         let distances = transform.apply(&bitmap, std::f32::consts::PI);
-        let exact: Vec<f32> = texels.iter().map(|&d| angle(d) - radius).collect();
+        let exact: Vec<f32> =
+            transform.directions.iter().map(|&d| angle(d) - radius).collect();
         let worst = exact
             .iter()
             .zip(&distances)

@@ -1,0 +1,323 @@
+//! The whole path on a scene of its own making: mesh and HDR environment, bake, assets,
+//! runtime, ray-traced truth, and the errors between them.
+
+use std::f32::consts::{PI, TAU};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::Context as _;
+use glam::{Quat, Vec3};
+use relight_bake::hdr::LatLong;
+use relight_bake::import::{ImportedTriangle, Mesh};
+use relight_bake::monitor::{Interrupted, Monitor};
+use relight_bake::scene_file::Ground;
+use relight_bake::scene_input::SceneInput;
+use relight_bake::{environment, ground, scene};
+use relight_format::{
+    self as format, Camera, FieldOfView, Limits, Material, Specular, Surface, Vertex,
+};
+use relight_runtime::Frame;
+use relight_shading::camera::View;
+use relight_shading::polar::PolarOptions;
+use relight_shading::shade::Method;
+use relight_shading::spherical_gaussian::SphericalGaussian;
+use serde::Serialize;
+
+use crate::compare::{Comparison, compare};
+use crate::display;
+use crate::image_file::{self, Image};
+use crate::render::{Device, Renderer};
+use crate::truth::{self, Filter, Geometry, lobes};
+
+/// What to trade for time.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Folder for the assets and pictures; created if absent.
+    pub folder: PathBuf,
+    /// Picture size, pixels.
+    pub size: [u32; 2],
+    /// Lobes fitted to the environment.
+    pub lobes: usize,
+    /// Truth samples per pixel.
+    pub samples: u32,
+    /// Where to render.
+    pub device: Device,
+    /// Bake options.
+    pub bake: scene::Options,
+}
+
+/// What was made and how far each method is from the truth.
+#[derive(Debug, Serialize)]
+pub struct Report {
+    /// Ambient, polar and truth side by side, PNG.
+    pub triptych: PathBuf,
+    /// The scene asset.
+    pub scene: PathBuf,
+    /// The environment asset.
+    pub environment: PathBuf,
+    /// Adapter that rendered, or `cpu`.
+    pub device: String,
+    /// Vertices of the asset.
+    pub vertices: usize,
+    /// Bytes of the scene asset.
+    pub bytes: usize,
+    /// Root mean square SSDF error near the visibility boundary, radians.
+    pub boundary_rms_error: f32,
+    /// Relative L2 error of the environment's lobes.
+    pub environment_relative_l2: f32,
+    /// Against truth with the same lobes.
+    pub ambient: Comparison,
+    /// Against truth with the same lobes.
+    pub polar: Comparison,
+    /// Stage and wall-clock seconds, in order.
+    pub seconds: Vec<(&'static str, f64)>,
+}
+
+/// Runs everything and writes the assets and pictures.
+pub fn run(options: &Options, monitor: Monitor) -> anyhow::Result<Report> {
+    std::fs::create_dir_all(&options.folder)
+        .with_context(|| options.folder.display().to_string())?;
+    let mut seconds = Vec::new();
+    let mut clock = Instant::now();
+    let mut lap = |stage| {
+        seconds.push((stage, clock.elapsed().as_secs_f64()));
+        clock = Instant::now();
+    };
+    let (baked, statistics) = scene::bake(scene_input()?, &options.bake, monitor)?;
+    let scene_path = options.folder.join("demo.relight");
+    let bytes = format::write_scene(&baked)?;
+    format::write_file(&scene_path, &bytes)?;
+    // What is rendered is what was read back.
+    let scene = format::read_scene(&read(&scene_path)?, &Limits::default())?;
+    lap("bake scene");
+
+    let image = sky(512, 256);
+    let progress = |fraction| match monitor.step("fit environment", fraction) {
+        Ok(()) => std::ops::ControlFlow::Continue(()),
+        Err(Interrupted) => std::ops::ControlFlow::Break(()),
+    };
+    let fit = environment::FitOptions { lobes: options.lobes };
+    let fitted = environment::fit(&image, &fit, &progress)?;
+    let environment_path = options.folder.join("demo-environment.relight");
+    format::write_file(&environment_path, &format::write_environment(&fitted)?)?;
+    let environment = format::read_environment(&read(&environment_path)?, &Limits::default())?;
+    let lights: Vec<SphericalGaussian> = environment.lobes.iter().map(Into::into).collect();
+    lap("bake environment");
+
+    let mut renderer = Renderer::open(options.device)?;
+    let camera = scene.camera.context("the demo scene has a camera")?;
+    let mut render = |method| {
+        let frame =
+            Frame { camera, lights: &lights, rotation: Quat::IDENTITY, method, exposure: 1.0 };
+        renderer.render(&scene, &frame, options.size)
+    };
+    monitor.step("render ambient", 0.0)?;
+    let ambient = render(Method::Ambient)?;
+    lap("render ambient");
+    monitor.step("render polar", 0.0)?;
+    let polar = render(Method::Polar(PolarOptions::default()))?;
+    lap("render polar");
+
+    let [width, height] = options.size;
+    let rows = std::sync::atomic::AtomicU32::new(0);
+    let row_done = || {
+        let done = rows.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
+        let _ = monitor.step("trace truth", done as f32 / height as f32);
+    };
+    let truth = lobes::render(
+        &Geometry::new(&scene, View::new(&camera, width, height, 1.0)),
+        &lights,
+        options.size,
+        &truth::Options { samples: options.samples, filter: Filter::Center, seed: 0 },
+        &row_done,
+    );
+    monitor.step("trace truth", 1.0)?;
+    lap("trace truth");
+
+    let triptych = options.folder.join("demo.png");
+    write_side_by_side(&triptych, &[&ambient, &polar, &truth], display::automatic_exposure(&truth))?;
+    for (name, image) in [("ambient", &ambient), ("polar", &polar), ("truth", &truth)] {
+        image_file::write_exr(&options.folder.join(name).with_extension("exr"), image)?;
+    }
+    Ok(Report {
+        triptych,
+        scene: scene_path,
+        environment: environment_path,
+        device: renderer.name().to_owned(),
+        vertices: scene.vertices.len(),
+        bytes: bytes.len(),
+        boundary_rms_error: statistics.error.boundary_rms(),
+        environment_relative_l2: environment.report.relative_l2,
+        ambient: compare(&ambient, &truth)?,
+        polar: compare(&polar, &truth)?,
+        seconds,
+    })
+}
+
+fn read(path: &Path) -> anyhow::Result<Vec<u8>> {
+    std::fs::read(path).with_context(|| path.display().to_string())
+}
+
+/// Writes pictures of equal height next to each other, alike exposed.
+pub fn write_side_by_side(
+    path: &Path,
+    images: &[&Image],
+    exposure: f32,
+) -> Result<(), image_file::Error> {
+    let rows: Vec<Vec<[u8; 3]>> =
+        images.iter().map(|image| display::pixels(image, exposure)).collect();
+    let height = images.iter().map(|image| image.height).min().unwrap_or(0) as usize;
+    let width: u32 = images.iter().map(|image| image.width).sum();
+    let mut pixels = Vec::with_capacity(width as usize * height);
+    for y in 0..height {
+        for (image, row) in images.iter().zip(&rows) {
+            let stride = image.width as usize;
+            pixels.extend_from_slice(&row[y * stride..(y + 1) * stride]);
+        }
+    }
+    image_file::write_png(path, width, &pixels)
+}
+
+/// A knot, a sphere of brushed gold and a post over a glossy plane.
+fn scene_input() -> anyhow::Result<SceneInput> {
+    let mut mesh = Mesh::default();
+    let material = |name: &str, diffuse, f0, alpha: [f32; 2]| Material {
+        name: name.into(),
+        surface: Surface::Layered { diffuse, specular: Specular::Ggx { f0, alpha } },
+        base_color_texture: None,
+        metallic_roughness_texture: None,
+        normal_texture: None,
+        normal_scale: 1.0,
+        anisotropy_texture: None,
+    };
+    mesh.materials = vec![
+        material("knot", [0.6, 0.6, 0.62], [0.04; 3], [0.3; 2]),
+        material("gold", [0.0; 3], [1.0, 0.71, 0.29], [0.12, 0.4]),
+        material("post", [0.55, 0.5, 0.45], [0.04; 3], [0.5; 2]),
+    ];
+    tube(&mut mesh, 0, 320, 20, 0.13, |t| {
+        let (a, b) = (2.0 * TAU * t, 3.0 * TAU * t);
+        let ring = 0.62 + 0.26 * b.cos();
+        Vec3::new(ring * a.cos(), 0.78 + 0.3 * b.sin(), ring * a.sin())
+    });
+    sphere(&mut mesh, 1, Vec3::new(1.35, 0.42, 0.35), 0.42, 48);
+    for x in [-1.5, -1.2] {
+        let base = Vec3::new(x, 0.0, 0.3);
+        tube(&mut mesh, 2, 24, 12, 0.05, |t| base + 1.5 * Vec3::Y * t);
+    }
+    let (low, high) = mesh.bounds().context("the demo mesh has vertices")?;
+    let surface = Surface::Layered {
+        diffuse: [0.45; 3],
+        specular: Specular::Ggx { f0: [0.06; 3], alpha: [0.25; 2] },
+    };
+    let options = Ground {
+        size: Some(6.0),
+        height: Some(0.0),
+        center: None,
+        spacing: Some(0.06),
+        material: None,
+    };
+    ground::append(&mut mesh, &options, surface)
+        .map_err(|(place, expected, found)| anyhow::anyhow!("{place}: {expected}, {found}"))?;
+    Ok(SceneInput {
+        name: "demo".into(),
+        object_diagonal: low.distance(high),
+        mesh,
+        camera: Some(Camera {
+            position: [0.4, 2.3, 4.4],
+            target: [0.0, 0.45, 0.0],
+            up: [0.0, 1.0, 0.0],
+            field_of_view: FieldOfView::Y(0.62),
+        }),
+        environment: None,
+        refinement: None,
+        measured: Vec::new(),
+        warnings: Vec::new(),
+    })
+}
+
+/// A grid of vertices, `columns + 1` per row, joined by triangles.
+fn grid(mesh: &mut Mesh, material: u16, [columns, rows]: [u32; 2], at: impl Fn(f32, f32) -> Vertex) {
+    let base = mesh.vertices.len() as u32;
+    for row in 0..=rows {
+        for column in 0..=columns {
+            mesh.vertices.push(at(column as f32 / columns as f32, row as f32 / rows as f32));
+        }
+    }
+    for row in 0..rows {
+        for column in 0..columns {
+            let a = base + row * (columns + 1) + column;
+            let (b, c, d) = (a + 1, a + columns + 1, a + columns + 2);
+            for vertices in [[a, c, b], [b, c, d]] {
+                let [p, q, r] = vertices.map(|v| Vec3::from(mesh.vertices[v as usize].position));
+                if (q - p).cross(r - p).length_squared() > 0.0 {
+                    mesh.triangles.push(ImportedTriangle { vertices, material });
+                }
+            }
+        }
+    }
+}
+
+fn sphere(mesh: &mut Mesh, material: u16, centre: Vec3, radius: f32, rows: u32) {
+    grid(mesh, material, [2 * rows, rows], |u, v| {
+        let (phi, theta) = (TAU * u, PI * v);
+        let normal = Vec3::new(phi.sin() * theta.sin(), theta.cos(), phi.cos() * theta.sin());
+        let tangent = Vec3::new(phi.cos(), 0.0, -phi.sin());
+        vertex(centre + radius * normal, normal, tangent, [u, v])
+    });
+}
+
+fn tube(
+    mesh: &mut Mesh,
+    material: u16,
+    along: u32,
+    around: u32,
+    radius: f32,
+    curve: impl Fn(f32) -> Vec3,
+) {
+    grid(mesh, material, [around, along], |u, v| {
+        let step = 1e-3;
+        let tangent = (curve(v + step) - curve(v - step)).normalize();
+        // Any direction that the curve is never parallel to makes a frame without twist.
+        let helper = Vec3::new(0.31, 0.11, 0.94).normalize();
+        let side = tangent.cross(helper).normalize();
+        let normal = Quat::from_axis_angle(tangent, TAU * u) * side;
+        vertex(curve(v) + radius * normal, normal, tangent, [u, v])
+    });
+}
+
+fn vertex(position: Vec3, normal: Vec3, tangent: Vec3, uv: [f32; 2]) -> Vertex {
+    Vertex {
+        position: position.into(),
+        normal: normal.into(),
+        tangent: tangent.extend(1.0).into(),
+        uv,
+    }
+}
+
+/// Three coloured lights of different size over a dim sky, lat-long.
+fn sky(width: u32, height: u32) -> LatLong {
+    // Direction, sharpness, radiance.
+    let lights = [
+        (Vec3::new(-0.75, 0.6, 0.35), 400.0, Vec3::new(60.0, 14.0, 5.0)),
+        (Vec3::new(0.8, 0.75, 0.15), 120.0, Vec3::new(3.0, 16.0, 6.0)),
+        (Vec3::new(0.1, 0.7, -0.75), 40.0, Vec3::new(1.5, 2.5, 9.0)),
+    ];
+    let pixels = (0..width * height)
+        .map(|i| {
+            let (u, v) = ((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
+            let direction = LatLong::direction_at(u / f64::from(width), v / f64::from(height));
+            let direction = direction.as_vec3();
+            let sky = Vec3::new(0.16, 0.2, 0.28) * (0.3 + 0.7 * direction.y.max(0.0));
+            let light: Vec3 = lights
+                .iter()
+                .map(|(axis, sharpness, radiance)| {
+                    let cosine = axis.normalize().dot(direction);
+                    *radiance * (sharpness * (cosine - 1.0)).exp()
+                })
+                .sum();
+            (sky + light).to_array()
+        })
+        .collect();
+    LatLong::repair(width, height, pixels)
+}

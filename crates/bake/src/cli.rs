@@ -1,7 +1,6 @@
 //! The command line: arguments in, assets and messages out.
 
 use std::io::IsTerminal as _;
-use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Mutex;
@@ -315,16 +314,7 @@ fn bake_environment(arguments: &EnvironmentArguments, monitor: Monitor) -> anyho
     check_output(&arguments.output)?;
     let start = Instant::now();
     let options = environment::FitOptions { lobes: arguments.lobes };
-    let progress = |fraction| match monitor.step("fit lobes", fraction) {
-        Ok(()) => ControlFlow::Continue(()),
-        Err(Interrupted) => ControlFlow::Break(()),
-    };
-    let environment = environment::bake(&arguments.input, &options, &progress).map_err(|error| {
-        match error {
-            environment::Error::Cancelled => Interrupted.into(),
-            error => anyhow::Error::from(error),
-        }
-    })?;
+    let environment = environment::bake(&arguments.input, &options, monitor)?;
     let image = hdr::load(&arguments.input)?;
     let irradiance_error = environment::irradiance_error(&image, &environment.lobes);
     let bytes = format::write_environment(&environment)?;

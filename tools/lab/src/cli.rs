@@ -12,7 +12,8 @@ use indicatif::{ProgressBar, ProgressStyle};
 use relight_bake::{hdr, scene_input};
 use relight_format::{Camera, Environment, FieldOfView, Limits, Scene};
 use relight_lab::truth::{self, Filter, Geometry, full, lobes};
-use relight_lab::{camera, compare, image_file, render};
+use relight_bake::monitor::{Monitor, Progress};
+use relight_lab::{camera, compare, demo, image_file, render};
 use relight_shading::camera::View;
 use relight_shading::polar::PolarOptions;
 use relight_shading::shade::Method;
@@ -63,6 +64,24 @@ enum Command {
     Truth(Truth),
     /// Measure how far an image is from the truth.
     Compare(Compare),
+    /// Generate a scene and an environment, bake both, render ambient, polar and truth.
+    Demo(Demo),
+}
+
+#[derive(Args)]
+struct Demo {
+    /// Folder for assets and pictures.
+    #[arg(long, default_value = "out/demo")]
+    out: PathBuf,
+    /// Width and height of each of the three pictures.
+    #[arg(long, default_value = "480x360", value_parser = parse_size)]
+    size: [u32; 2],
+    /// Truth samples per pixel.
+    #[arg(long, default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..))]
+    samples: u32,
+    /// Where to render; `auto` takes a GPU if there is one, else the CPU.
+    #[arg(long, value_enum, default_value = "auto")]
+    device: DeviceName,
 }
 
 #[derive(Args)]
@@ -177,6 +196,16 @@ enum DeviceName {
     Cpu,
 }
 
+impl From<DeviceName> for render::Device {
+    fn from(name: DeviceName) -> Self {
+        match name {
+            DeviceName::Auto => Self::Auto,
+            DeviceName::Gpu => Self::Gpu,
+            DeviceName::Cpu => Self::Cpu,
+        }
+    }
+}
+
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Kind {
     Lobes,
@@ -196,6 +225,7 @@ pub fn run() -> ExitCode {
         Command::Render(arguments) => run_render(arguments),
         Command::Truth(arguments) => run_truth(arguments),
         Command::Compare(arguments) => run_compare(arguments),
+        Command::Demo(arguments) => run_demo(arguments, cli.json),
     };
     match result {
         Ok(report) if cli.json => println!("{report}"),
@@ -232,12 +262,7 @@ fn run_render(arguments: &Render) -> anyhow::Result<Value> {
             })
         }
     };
-    let device = match arguments.device {
-        DeviceName::Auto => render::Device::Auto,
-        DeviceName::Gpu => render::Device::Gpu,
-        DeviceName::Cpu => render::Device::Cpu,
-    };
-    let mut renderer = render::Renderer::open(device).map_err(NoGpu)?;
+    let mut renderer = render::Renderer::open(arguments.device.into()).map_err(NoGpu)?;
     let frame = relight_runtime::Frame {
         camera: choose_camera(&picture.camera, scene.camera, &scene)?,
         lights: &lights,
@@ -349,6 +374,58 @@ fn run_compare(arguments: &Compare) -> anyhow::Result<Value> {
     let candidate = image_file::read_exr(&arguments.candidate)?;
     let truth = image_file::read_exr(&arguments.truth)?;
     Ok(serde_json::to_value(compare::compare(&candidate, &truth)?)?)
+}
+
+fn run_demo(arguments: &Demo, json: bool) -> anyhow::Result<Value> {
+    let bar = ProgressBar::new(1000).with_style(
+        ProgressStyle::with_template("{msg:<28} {bar:40} {percent:>3} %").expect("a valid template"),
+    );
+    let report = |progress: Progress| {
+        if bar.message() != progress.stage {
+            bar.set_message(progress.stage);
+        }
+        bar.set_position((progress.fraction * 1000.0) as u64);
+    };
+    let stop = std::sync::atomic::AtomicBool::new(false);
+    let options = demo::Options {
+        folder: arguments.out.clone(),
+        size: arguments.size,
+        lobes: 8,
+        samples: arguments.samples,
+        device: arguments.device.into(),
+        bake: relight_bake::scene::Options::standard(),
+    };
+    let report = demo::run(&options, Monitor { report: &report, stop: &stop });
+    bar.finish_and_clear();
+    let report = report?;
+    if json {
+        return Ok(serde_json::to_value(report)?);
+    }
+    println!(
+        "{} vertices in {} bytes, SSDF error near the visibility boundary {:.4} rad, \
+         environment relative L2 error {:.4}\nrendered on {}\n",
+        report.vertices,
+        report.bytes,
+        report.boundary_rms_error,
+        report.environment_relative_l2,
+        report.device,
+    );
+    println!("against truth       relative RMSE   noise-free   mean FLIP  energy ratio");
+    for (name, c) in [("ambient", &report.ambient), ("polar", &report.polar)] {
+        println!(
+            "{name:<18} {:>12.2} % {:>10.2} % {:>11.4} {:>13.4}",
+            100.0 * c.relative_rmse,
+            100.0 * c.relative_rmse_corrected.unwrap_or(c.relative_rmse),
+            c.mean_flip,
+            c.energy_ratio,
+        );
+    }
+    let noise = report.polar.relative_noise.unwrap_or(0.0);
+    println!("noise of the truth {:>12.2} %\n", 100.0 * noise);
+    for (stage, seconds) in &report.seconds {
+        println!("{stage:<18} {seconds:>8.1} s");
+    }
+    Ok(json!({ "ambient, polar, truth": report.triptych }))
 }
 
 fn read_scene(path: &Path) -> anyhow::Result<Scene> {

@@ -9,7 +9,7 @@ use anyhow::Context as _;
 use glam::{Quat, Vec3};
 use relight_bake::hdr::LatLong;
 use relight_bake::import::{ImportedTriangle, Mesh};
-use relight_bake::monitor::{Interrupted, Monitor};
+use relight_bake::monitor::Monitor;
 use relight_bake::scene_file::Ground;
 use relight_bake::scene_input::SceneInput;
 use relight_bake::{environment, ground, scene};
@@ -92,12 +92,8 @@ pub fn run(options: &Options, monitor: Monitor) -> anyhow::Result<Report> {
     lap("bake scene");
 
     let image = sky(512, 256);
-    let progress = |fraction| match monitor.step("fit environment", fraction) {
-        Ok(()) => std::ops::ControlFlow::Continue(()),
-        Err(Interrupted) => std::ops::ControlFlow::Break(()),
-    };
     let fit = environment::FitOptions { lobes: options.lobes };
-    let fitted = environment::fit(&image, &fit, &progress)?;
+    let fitted = environment::fit(&image, &fit, monitor)?;
     let environment_path = options.folder.join("demo-environment.relight");
     format::write_file(&environment_path, &format::write_environment(&fitted)?)?;
     let environment = format::read_environment(&read(&environment_path)?, &Limits::default())?;

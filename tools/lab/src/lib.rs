@@ -3,6 +3,7 @@
 
 pub mod camera;
 pub mod compare;
+pub mod demo;
 pub mod display;
 pub mod image_file;
 pub mod render;

@@ -14,6 +14,7 @@ mod cli;
 mod determinism;
 mod gpu;
 mod import;
+mod lab;
 mod meshes;
 mod real_meshes;
 mod support;
@@ -27,6 +28,7 @@ fn main() -> ExitCode {
         determinism::trials(),
         gpu::trials(),
         import::trials(),
+        lab::trials(),
         real_meshes::trials(),
         truth::trials(),
     ];

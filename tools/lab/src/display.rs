@@ -36,6 +36,31 @@ pub fn pixels(image: &Image, exposure: f32) -> Vec<[u8; 3]> {
     image.pixels.iter().map(show).collect()
 }
 
+/// Images of one height beside each other, shown at one exposure with a white gap between,
+/// as width and pixels.
+///
+/// # Panics
+/// If the heights differ.
+pub fn side_by_side(images: &[&Image], exposure: f32) -> (u32, Vec<[u8; 3]>) {
+    const GAP: usize = 4;
+    let shown: Vec<_> = images
+        .iter()
+        .map(|image| pixels(image, exposure))
+        .collect();
+    let mut joined = Vec::new();
+    let height = images.first().map_or(0, |image| image.height);
+    for row in 0..height as usize {
+        for (index, (image, pixels)) in images.iter().zip(&shown).enumerate() {
+            assert_eq!(image.height, height, "height of image {index}");
+            let width = image.width as usize;
+            let gap = if index == 0 { 0 } else { GAP };
+            joined.extend(std::iter::repeat_n([255; 3], gap));
+            joined.extend_from_slice(&pixels[row * width..(row + 1) * width]);
+        }
+    }
+    (joined.len() as u32 / height.max(1), joined)
+}
+
 /// Exposure in stops that shows the log-average luminance of the covered pixels as middle
 /// grey, 0.18 (Reinhard et al. 2002, §3.1); 0 for a black image.
 pub fn automatic_exposure(image: &Image) -> f32 {
@@ -75,6 +100,18 @@ mod tests {
         image.pixels = vec![[0.0; 4], [0.0, 0.0, 0.0, 1.0]];
         // sRGB of 0.18 is 0.4614.
         assert_eq!(pixels(&image, 0.0), [[118; 3], [0; 3]]);
+    }
+
+    #[test]
+    fn images_stand_beside_each_other() {
+        let mut left = Image::new(2, 2);
+        left.pixels[2] = [0.0, 0.0, 0.0, 1.0];
+        let right = Image::new(3, 2);
+        let (width, pixels) = side_by_side(&[&left, &right], 0.0);
+        assert_eq!((width, pixels.len()), (9, 18));
+        assert_eq!(pixels[2..6], [[255; 3]; 4]);
+        assert_eq!(pixels[9], [0; 3]);
+        assert_eq!(pixels[17], pixels[0]);
     }
 
     #[test]

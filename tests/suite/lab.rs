@@ -1,0 +1,172 @@
+//! `lab` as a user meets it, and its pictures against each other.
+
+use std::path::Path;
+use std::process::Command;
+
+use glam::Vec3;
+use libtest_mimic::Trial;
+use relight_bake::{monitor, scene, scene_input};
+use relight_format::{Environment, EnvironmentReport, Lobe};
+use relight_lab::image_file::{Image, read_exr, write_exr};
+use serde_json::Value;
+
+use crate::meshes::sphere_over_ground;
+use crate::support::{Outcome, binary, describe};
+
+/// Exit codes of `lab`, as its help lists them.
+const OK: i32 = 0;
+const BAD_INPUT: i32 = 1;
+const USAGE: i32 = 2;
+const INPUT_OUTPUT: i32 = 3;
+
+pub fn trials() -> Vec<Trial> {
+    vec![
+        Trial::test("lab::usage", usage),
+        Trial::test("lab::compare", compare),
+        Trial::test("lab::render_and_truth", render_and_truth),
+    ]
+}
+
+/// Standard output of a command that must end with `code`.
+fn expect(code: i32, command: &mut Command) -> String {
+    let output = command.output().expect("the binary starts");
+    let described = describe(&output);
+    assert_eq!(
+        output.status.code(),
+        Some(code),
+        "{command:?}: {described}"
+    );
+    if code != OK {
+        assert!(!output.stderr.is_empty(), "{command:?} is silent");
+    }
+    String::from_utf8(output.stdout).expect("output is UTF-8")
+}
+
+fn usage() -> Outcome {
+    for arguments in [
+        &[][..],
+        &["paint"],
+        &["render", "a.relight", "-o", "a.exr"],
+        &[
+            "truth", "a.relight", "--kind", "guess", "-o", "a.exr",
+        ],
+        &[
+            "truth", "a.relight", "--kind", "full", "-o", "a.exr", "--size", "0x4",
+        ],
+        &[
+            "truth", "a.relight", "--kind", "full", "-o", "a.exr", "--up", "1,2",
+        ],
+        &["compare", "a.exr"],
+    ] {
+        expect(USAGE, binary("lab").args(arguments));
+    }
+    let help = expect(OK, binary("lab").arg("--help"));
+    assert!(help.contains("Exit codes"));
+    Ok(())
+}
+
+fn compare() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let path = |name: &str| folder.path().join(name);
+    let mut image = Image::new(16, 16);
+    image.pixels.fill([1.0, 2.0, 3.0, 1.0]);
+    write_exr(&path("truth.exr"), &image)?;
+    image.pixels.fill([1.5, 3.0, 4.5, 1.0]);
+    write_exr(&path("candidate.exr"), &image)?;
+    let run = |candidate: &str| {
+        let mut lab = binary("lab");
+        lab.args(["compare", "--json"]);
+        lab.arg(path(candidate)).arg(path("truth.exr"));
+        lab
+    };
+    let report: Value = serde_json::from_str(&expect(OK, &mut run("candidate.exr")))?;
+    let number = |key: &str| report[key].as_f64().unwrap_or(f64::NAN);
+    // √((0.5² + 1² + 1.5²) / 3) over a mean of 2; halves and their squares are exact.
+    assert!((number("relative_rmse") - (3.5f64 / 3.0).sqrt() / 2.0).abs() < 1e-9);
+    assert!((number("energy_ratio") - 1.5).abs() < 1e-9);
+    assert!(number("mean_flip") > 0.0);
+    assert_eq!(report["covered_pixels"], 256);
+    assert!(report["relative_noise"].is_null());
+
+    expect(INPUT_OUTPUT, &mut run("absent.exr"));
+    std::fs::write(path("broken.exr"), b"not an image")?;
+    expect(BAD_INPUT, &mut run("broken.exr"));
+    write_exr(&path("small.exr"), &Image::new(8, 8))?;
+    expect(BAD_INPUT, &mut run("small.exr"));
+    Ok(())
+}
+
+/// Relative RMSE that polar must stay below on this coarse scene, and that the baseline
+/// exceeds: measured 0.020 and 0.091.
+const POLAR_ERROR: f64 = 0.04;
+/// The truth's noise must be small beside that.
+const TRUTH_NOISE: f64 = 0.01;
+
+fn render_and_truth() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let path = |name: &str| folder.path().join(name);
+    std::fs::write(path("scene.obj"), sphere_over_ground(24))?;
+    let options = scene::Options {
+        sample_resolution: 64,
+        basis_resolution: 32,
+        max_edge: 1.0,
+        ..scene::Options::draft()
+    };
+    let input = scene_input::load(&path("scene.obj"))?;
+    let (asset, _) = scene::bake(input, &options, monitor::SILENT)?;
+    let lobe = |axis: Vec3, sharpness, amplitude| Lobe {
+        axis: axis.normalize().into(),
+        sharpness,
+        amplitude,
+        reserved: 0.0,
+    };
+    let environment = Environment {
+        report: EnvironmentReport::default(),
+        lobes: vec![
+            lobe(Vec3::new(0.8, 1.0, 0.3), 60.0, [8.0, 5.0, 2.0]),
+            lobe(Vec3::new(-0.9, 0.7, 0.5), 20.0, [1.0, 2.0, 4.0]),
+            lobe(Vec3::Y, 1.5, [0.3, 0.3, 0.4]),
+        ],
+    };
+    write(&path("scene.relight"), &relight_format::write_scene(&asset)?)?;
+    write(
+        &path("environment.relight"),
+        &relight_format::write_environment(&environment)?,
+    )?;
+
+    let run = |command: &str, output: &str, arguments: &[&str]| -> Result<Value, _> {
+        let mut lab = binary("lab");
+        lab.arg(command).arg(path("scene.relight"));
+        lab.arg("--environment").arg(path("environment.relight"));
+        lab.args(["--size", "96x72", "--rotate", "40", "--json", "-o"]);
+        lab.arg(path(output)).args(arguments);
+        serde_json::from_str(&expect(OK, &mut lab))
+    };
+    let cpu = ["--device", "cpu", "--method"];
+    let polar = run("render", "polar.exr", &[&cpu[..], &["polar"]].concat())?;
+    run("render", "ambient.exr", &[&cpu[..], &["ambient"]].concat())?;
+    let truth = ["--kind", "lobes", "--samples", "512"];
+    let report = run("truth", "truth.exr", &truth)?;
+    assert_eq!(polar["device"], "cpu");
+    assert_eq!(polar["covered_pixels"], report["covered_pixels"]);
+
+    let truth = read_exr(&path("truth.exr"))?;
+    let error = |name: &str| -> Result<f64, Box<dyn std::error::Error>> {
+        let result = relight_lab::compare::compare(&read_exr(&path(name))?, &truth)?;
+        let noise = result.relative_noise.ok_or("no variance")?;
+        assert!(noise < TRUTH_NOISE, "noise {noise}");
+        Ok(result.relative_rmse)
+    };
+    let (polar, ambient) = (error("polar.exr")?, error("ambient.exr")?);
+    println!("polar {polar:.4}, ambient {ambient:.4}");
+    assert!(polar < POLAR_ERROR, "{polar}");
+    assert!(polar < ambient, "polar {polar}, ambient {ambient}");
+
+    run("render", "polar.png", &["--exposure", "-1"])?;
+    assert!(std::fs::read(path("polar.png"))?.starts_with(b"\x89PNG"));
+    Ok(())
+}
+
+fn write(path: &Path, bytes: &[u8]) -> Outcome {
+    Ok(relight_format::write_file(path, bytes)?)
+}

@@ -47,10 +47,7 @@ pub enum Error {
     },
 }
 
-#[expect(
-    clippy::needless_pass_by_value,
-    reason = "callers pass temporaries"
-)]
+#[expect(clippy::needless_pass_by_value, reason = "callers pass temporaries")]
 fn invalid(place: impl ToString, expected: impl ToString, found: impl ToString) -> Error {
     Error::Invalid {
         place: place.to_string(),

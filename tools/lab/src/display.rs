@@ -43,10 +43,7 @@ pub fn pixels(image: &Image, exposure: f32) -> Vec<[u8; 3]> {
 /// If the heights differ.
 pub fn side_by_side(images: &[&Image], exposure: f32) -> (u32, Vec<[u8; 3]>) {
     const GAP: usize = 4;
-    let shown: Vec<_> = images
-        .iter()
-        .map(|image| pixels(image, exposure))
-        .collect();
+    let shown: Vec<_> = images.iter().map(|image| pixels(image, exposure)).collect();
     let mut joined = Vec::new();
     let height = images.first().map_or(0, |image| image.height);
     for row in 0..height as usize {

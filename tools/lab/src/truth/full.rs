@@ -28,9 +28,7 @@ const RAY_OFFSET: f32 = 1e-4;
 /// that [`render`] reads is missing.
 pub fn unbaked(input: &SceneInput) -> Scene {
     let mesh = &input.mesh;
-    let diagonal = mesh
-        .bounds()
-        .map_or(0.0, |(low, high)| low.distance(high));
+    let diagonal = mesh.bounds().map_or(0.0, |(low, high)| low.distance(high));
     Scene {
         name: input.name.clone(),
         visibility: VisibilityParameters {

@@ -56,7 +56,9 @@ const NEGLIGIBLE: f32 = 1e-8;
 fn morton(point: Vec2) -> u32 {
     let spread = |x: f32| {
         let bits = (x * 65535.0) as u32;
-        (0..16).map(|bit| (bits >> bit & 1) << (2 * bit)).sum::<u32>()
+        (0..16)
+            .map(|bit| (bits >> bit & 1) << (2 * bit))
+            .sum::<u32>()
     };
     spread(point.x) | spread(point.y) << 1
 }

@@ -316,7 +316,7 @@ impl Context<'_> {
         let start = Instant::now();
         let rank = self.options.global_rank as usize;
         let basis = compress::analyse(&ssdfs, rank);
-        let compressed = compress::encode(&ssdfs, &basis, rank + 1);
+        let compressed = compress::Encoder::new(&ssdfs, &basis).encode(rank + 1);
         add_time(&self.compress_nanoseconds, start);
         Ok(Finished { triangles, vertices, compressed })
     }
@@ -361,9 +361,10 @@ impl Context<'_> {
     ) {
         let max_channels = self.options.max_tiles as usize * CHANNELS_PER_TILE;
         let basis = compress::analyse(&ssdfs, max_channels - 1);
+        let encoder = compress::Encoder::new(&ssdfs, &basis);
         let mut channels = CHANNELS_PER_TILE;
         let compressed = loop {
-            let compressed = compress::encode(&ssdfs, &basis, channels);
+            let compressed = encoder.encode(channels);
             let good = compressed.error.boundary_rms() <= self.options.max_error;
             if good || channels >= max_channels.min(basis.images.ncols()) {
                 break compressed;
@@ -385,7 +386,7 @@ impl Context<'_> {
         let mut keyed: Vec<(f32, u32)> = triangles.drain(..).map(|t| (position(t), t)).collect();
         keyed.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         let (low, high) = keyed.split_at(keyed.len() / 2);
-        drop(basis);
+        drop((encoder, basis));
         for half in [low, high] {
             let mut group: Vec<u32> = half.iter().map(|&(_, triangle)| triangle).collect();
             group.sort_unstable();

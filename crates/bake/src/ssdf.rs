@@ -395,6 +395,6 @@ mod tests {
         };
         let mean = 0.5 * (mean_error(&|x| x > 0.0) + mean_error(&|x| x < 0.0));
         assert!(worst < 0.02, "worst error {worst}");
-        assert!(mean.abs() < 0.001, "the zero crossing lies {mean} off");
+        assert!(mean.abs() < 0.002, "the zero crossing lies {mean} off");
     }
 }

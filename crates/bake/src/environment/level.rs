@@ -164,6 +164,45 @@ impl Level {
         }
     }
 
+    /// The same cells, of a finer image seen through a normalised lobe of some sharpness.
+    pub(super) fn blurred(&self, finer: &Self, sharpness: f64) -> Self {
+        let integrals: Vec<[f64; 3]> = (0..self.x.len())
+            .into_par_iter()
+            .map(|index| {
+                let axis = self.centre(index).normalize();
+                let kernel = Shape { axis, sharpness };
+                let whole = kernel.integral().0;
+                finer
+                    .moments(&kernel)
+                    .integral
+                    .map(|integral| integral / whole)
+            })
+            .collect();
+        let mut blurred = self.clone();
+        for row in &self.rows {
+            for index in row.start..row.start + row.count {
+                for (flux, integral) in blurred.flux.iter_mut().zip(integrals[index]) {
+                    flux[index] = (integral * row.solid_angle) as f32;
+                }
+            }
+        }
+        blurred
+    }
+
+    /// ∫ of the squared image, over all channels.
+    pub(super) fn power(&self) -> f64 {
+        self.rows
+            .iter()
+            .map(|row| {
+                let square = |flux: &Vec<f32>| -> f64 {
+                    let cells = &flux[row.start..row.start + row.count];
+                    cells.iter().map(|flux| (*flux as f64).powi(2)).sum()
+                };
+                self.flux.iter().map(square).sum::<f64>() / row.solid_angle
+            })
+            .sum()
+    }
+
     /// Integrals of the image times a lobe of amplitude 1, over the cells within the
     /// lobe's support.
     pub(super) fn moments(&self, shape: &Shape) -> Moments {

@@ -12,27 +12,29 @@
 
 use std::f64::consts::PI;
 
-use glam::{DMat3, DVec3};
-use nalgebra::{DMatrix, DVector};
+use glam::DVec3;
+use nalgebra::{Cholesky, DMatrix, DVector};
 use rayon::prelude::*;
 
 use super::amplitude;
 use super::level::{Level, Moments};
-use super::lobe::{DEGREE_WEIGHTS, Pair, Shape, irradiance_product};
+use super::lobe::{Blurred, GLOSS, Pair, Shape};
 use super::minimise::minimise;
 use crate::hdr::LatLong;
 
 /// Rows of the finest level: its cells are as large as the sharpest lobe is wide.
 const FINEST_ROWS: usize = 1024;
 
-/// Rows of the coarsest level that lobes are integrated on.
+/// Rows of the coarsest level that lobes are integrated on, and of the blurred image.
 const COARSEST_ROWS: usize = 32;
 
 /// Sharpness bounds: from near-constant to the disk of the sun, 4/radius² = 1.9e5.
 const SHARPNESS: (f64, f64) = (0.05, 2e5);
 
-/// Weight of the squared relative error of irradiance beside that of radiance.
-const IRRADIANCE_WEIGHT: f64 = 1.0;
+/// Weight of the blurred image's squared relative error beside that of the image itself.
+/// Without it all lobes go to the sun, whose square outweighs the sky's ten thousand times
+/// though its light is no more.
+const GLOSS_WEIGHT: f64 = 1.0;
 
 /// Cells per lobe width (1/√λ) on the level that a lobe is integrated on.
 #[derive(Clone, Copy, PartialEq)]
@@ -56,16 +58,15 @@ impl Resolution {
 pub(super) struct Problem {
     /// Finest first, each half the rows of the one before.
     pub(super) levels: Vec<Level>,
+    /// The image through a glossy lobe.
+    pub(super) blurred: Level,
     /// ∫ I per channel.
     flux: [f64; 3],
-    /// ∫ I ω and ∫ I ω ωᵀ per channel.
-    first: [DVec3; 3],
-    second: [DMat3; 3],
-    /// 1 / ∫ I² and weight / ∫ E² over all channels, E the irradiance.
+    /// Direction of the mean light.
+    mean: DVec3,
+    /// 1 / ∫ I², and [`GLOSS_WEIGHT`] over the same of the blurred image.
     radiance_weight: f64,
-    irradiance_weight: f64,
-    /// The value of the objective without any lobe.
-    constant: f64,
+    gloss_weight: f64,
     /// Angle between the image's own rows.
     pixel: f64,
 }
@@ -75,10 +76,19 @@ pub(super) struct Problem {
 pub(super) struct Fit {
     pub(super) shapes: Vec<Shape>,
     pub(super) amplitudes: Vec<[f64; 3]>,
-    /// Squared relative error of radiance plus weighted that of irradiance.
+    /// Squared relative error of the image plus weighted that of the blurred image.
     pub(super) value: f64,
     /// What the objective would grow by without each lobe, about.
     pub(super) worth: Vec<f64>,
+}
+
+/// How a lobe is integrated against the image.
+struct Place {
+    level: usize,
+    /// What the lobe is blurred by there, per axis.
+    variance: f64,
+    /// Sharpness up to which the level resolves it.
+    max_sharpness: f64,
 }
 
 struct Evaluation {
@@ -98,101 +108,121 @@ impl Problem {
         {
             levels.push(last.halved());
         }
-        let (mut flux, mut first, mut second) = ([0.0; 3], [DVec3::ZERO; 3], [DMat3::ZERO; 3]);
-        let mut power = 0.0;
-        for (centre, solid_angle, cell) in levels[0].cells() {
-            let outer = DMat3::from_cols(centre * centre.x, centre * centre.y, centre * centre.z);
-            for channel in 0..3 {
-                flux[channel] += cell[channel];
-                first[channel] += centre * cell[channel];
-                second[channel] += outer * cell[channel];
-                power += cell[channel] * cell[channel] / solid_angle;
+        let (mut flux, mut mean) = ([0.0; 3], DVec3::ZERO);
+        for (centre, _, cell) in levels[0].cells() {
+            for (flux, cell) in flux.iter_mut().zip(cell) {
+                *flux += cell;
+                mean += centre * cell;
             }
         }
-        let irradiance: f64 = flux.iter().map(|flux| PI / 4.0 * flux * flux).sum();
-        if power.partial_cmp(&0.0) != Some(std::cmp::Ordering::Greater) {
-            return None;
-        }
-        let mut problem = Self {
+        let coarse = levels
+            .iter()
+            .filter(|level| level.height() >= COARSEST_ROWS)
+            .count();
+        // Fine enough for the place of a sun to be right to a fiftieth of the blur.
+        let fine = levels
+            .iter()
+            .position(|level| level.height() <= 512)
+            .unwrap_or(0);
+        let blurred = levels[coarse.saturating_sub(1)].blurred(&levels[fine], GLOSS);
+        let (power, blurred_power) = (levels[0].power(), blurred.power());
+        (power > 0.0 && blurred_power > 0.0).then(|| Self {
             levels,
+            blurred,
             flux,
-            first,
-            second,
+            mean: mean.try_normalize().unwrap_or(DVec3::Y),
             radiance_weight: 1.0 / power,
-            irradiance_weight: IRRADIANCE_WEIGHT / irradiance,
-            constant: 0.0,
+            gloss_weight: GLOSS_WEIGHT / blurred_power,
             pixel: PI / image.height as f64,
-        };
-        problem.constant = 1.0 + problem.irradiance_weight * problem.image_irradiance();
-        Some(problem)
-    }
-
-    /// ∫ of the image's squared irradiance, less the constant part, over channels.
-    fn image_irradiance(&self) -> f64 {
-        (0..3)
-            .map(|channel| {
-                // Σ |I_1m|² = 3/4π |∫Iω|²; Σ |I_2m|² = 5/4π (3/2 ‖∫Iωωᵀ‖² − ½ (∫I)²).
-                let second: f64 = self.second[channel]
-                    .to_cols_array()
-                    .iter()
-                    .map(|x| x * x)
-                    .sum();
-                let flux = self.flux[channel];
-                DEGREE_WEIGHTS[0] * self.first[channel].length_squared()
-                    + DEGREE_WEIGHTS[1] * (1.5 * second - 0.5 * flux * flux)
-            })
-            .sum()
+        })
     }
 
     /// A wide lobe for the light from everywhere.
     pub(super) fn ambient(&self) -> Shape {
-        let mean: DVec3 = self.first.iter().sum();
         Shape {
-            axis: mean.try_normalize().unwrap_or(DVec3::Y),
+            axis: self.mean,
             sharpness: 0.2,
         }
     }
 
-    /// Largest sharpness that the image resolves.
-    pub(super) fn max_sharpness(&self) -> f64 {
+    /// Largest sharpness that the image resolves in some direction.
+    pub(super) fn max_sharpness(&self, axis: DVec3) -> f64 {
         // The variance of a tent over a pixel is a sixth of its area.
-        SHARPNESS.1.min(6.0 / self.levels[0].spacing().powi(2))
+        let area = self
+            .pixel_area(axis)
+            .max(self.levels[0].spacing().powi(2) * 0.5);
+        SHARPNESS.1.min(6.0 / area)
     }
 
-    /// Inner products of the image with a lobe, on one level.
-    fn moments(&self, shape: &Shape, level: usize) -> [Pair; 3] {
-        let level = &self.levels[level];
-        // Per axis, the tent of a pixel has h²/6, the box of a cell, less that of the
-        // pixels in it, H²/12 − h²/12.
-        let variance = (level.spacing().powi(2) + self.pixel.powi(2)) / 12.0;
-        let ratio = 1.0 / (1.0 + variance * shape.sharpness);
-        let blurred = Shape {
+    /// Solid angle of the image's pixels in some direction, but for the poles.
+    fn pixel_area(&self, axis: DVec3) -> f64 {
+        self.pixel * self.pixel * axis.x.hypot(axis.z).max(0.1)
+    }
+
+    /// Where to integrate a lobe: the coarsest level that resolves it.
+    fn place(&self, shape: &Shape, resolution: Resolution) -> Place {
+        let wanted = 1.0 / (shape.sharpness.sqrt() * resolution.cells_per_width());
+        let fits = |level: &&Level| level.spacing() <= wanted && level.height() >= COARSEST_ROWS;
+        let level = self.levels.iter().filter(fits).count().saturating_sub(1);
+        let cell = self.levels[level].spacing().powi(2);
+        let pixel = self.pixel_area(shape.axis);
+        Place {
+            level,
+            // Per axis, the tent of a pixel has a sixth of its area, the box of a cell,
+            // less that of the pixels in it, a twelfth of the difference.
+            variance: (cell.max(pixel) + pixel) / 12.0,
+            max_sharpness: match level {
+                0 => self.max_sharpness(shape.axis),
+                _ => 1.0 / cell,
+            },
+        }
+    }
+
+    /// Inner products of the image with a lobe.
+    fn target(&self, shape: &Shape, place: &Place) -> [Pair; 3] {
+        let ratio = 1.0 / (1.0 + place.variance * shape.sharpness);
+        let smooth = Shape {
             sharpness: shape.sharpness * ratio,
             ..*shape
         };
-        let Moments { integral, offset } = level.moments(&blurred);
+        let inner = inner_products(&self.levels[place.level], &smooth);
+        let blurred = shape.blurred();
+        let gloss = inner_products(&self.blurred, &blurred.shape);
         [0, 1, 2].map(|channel| {
-            let (integral, offset) = (integral[channel], offset[channel]);
-            let along = shape.axis.dot(offset);
-            Pair {
-                value: ratio * integral,
-                by_axis: (offset - shape.axis * along) * (ratio * blurred.sharpness),
-                by_sharpness: ratio * ratio * (ratio * along - variance * integral),
-            }
+            let inner = inner[channel];
+            let radiance = Pair {
+                value: ratio * inner.value,
+                by_axis: inner.by_axis * ratio,
+                by_sharpness: ratio
+                    * ratio
+                    * (ratio * inner.by_sharpness - place.variance * inner.value),
+            };
+            self.combine(radiance, blurred.chain(gloss[channel], 1.0))
         })
     }
 
-    fn level_of(&self, shape: &Shape, resolution: Resolution) -> usize {
-        let wanted = 1.0 / (shape.sharpness.sqrt() * resolution.cells_per_width());
-        let fits = |level: &&Level| level.spacing() <= wanted && level.height() >= COARSEST_ROWS;
-        self.levels.iter().filter(fits).count().saturating_sub(1)
+    /// How much a lobe alone would take from the objective, given what is left of the
+    /// image and of the blurred image.
+    pub(super) fn gain(&self, shape: &Shape, left: &Level, left_blurred: &Level) -> f64 {
+        let blurred = shape.blurred();
+        let radiance = left.moments(shape).integral;
+        let gloss = left_blurred.moments(&blurred.shape).integral;
+        let norm = self.radiance_weight * shape.product_integral(shape).value
+            + self.gloss_weight * blurred.product_integral(&blurred).value;
+        (0..3)
+            .map(|channel| {
+                let inner = self.radiance_weight * radiance[channel]
+                    + self.gloss_weight * blurred.amplitude * gloss[channel];
+                inner.max(0.0).powi(2) / norm
+            })
+            .sum()
     }
 
     /// The best amplitudes of given shapes.
     pub(super) fn project(&self, shapes: Vec<Shape>, resolution: Resolution) -> Fit {
-        let levels: Vec<usize> = shapes
+        let places: Vec<Place> = shapes
             .iter()
-            .map(|shape| self.level_of(shape, resolution))
+            .map(|shape| self.place(shape, resolution))
             .collect();
         let mut free = [(); 3].map(|()| vec![true; shapes.len()]);
         let Evaluation {
@@ -200,7 +230,7 @@ impl Problem {
             amplitudes,
             worth,
             ..
-        } = self.evaluate(&shapes, &levels, &mut free);
+        } = self.evaluate(&shapes, &places, &mut free);
         Fit {
             shapes,
             amplitudes,
@@ -212,18 +242,10 @@ impl Problem {
     /// Moves all axes and sharpnesses downhill for some steps.
     pub(super) fn refine(&self, fit: &Fit, resolution: Resolution, iterations: usize) -> Fit {
         let count = fit.shapes.len();
-        let levels: Vec<usize> = fit
+        let places: Vec<Place> = fit
             .shapes
             .iter()
-            .map(|shape| self.level_of(shape, resolution))
-            .collect();
-        // A lobe must stay wide enough for the level it is integrated on.
-        let largest: Vec<f64> = levels
-            .iter()
-            .map(|&level| match level {
-                0 => self.max_sharpness(),
-                _ => self.levels[level].spacing().powi(-2),
-            })
+            .map(|shape| self.place(shape, resolution))
             .collect();
         // Per lobe: axis in its tangent plane, in lobe widths, and log-sharpness.
         let frames: Vec<[DVec3; 2]> = fit
@@ -235,20 +257,20 @@ impl Problem {
                 [s * width, t * width]
             })
             .collect();
-        let place = |index: usize, x: &[f64]| {
+        let moved = |index: usize, x: &[f64]| {
             let [s, t] = frames[index];
-            let moved = fit.shapes[index].axis + s * x[0] + t * x[1];
+            let axis = fit.shapes[index].axis + s * x[0] + t * x[1];
             let sharpness = fit.shapes[index].sharpness * x[2].clamp(-20.0, 20.0).exp();
-            (moved, sharpness)
+            (axis, sharpness)
         };
         let shapes_at = |x: &[f64]| -> Vec<Shape> {
             x.chunks_exact(3)
                 .enumerate()
                 .map(|(index, x)| {
-                    let (moved, sharpness) = place(index, x);
-                    let sharpness = sharpness.clamp(SHARPNESS.0, largest[index]);
+                    let (axis, sharpness) = moved(index, x);
+                    let sharpness = sharpness.clamp(SHARPNESS.0, places[index].max_sharpness);
                     Shape {
-                        axis: moved.normalize(),
+                        axis: axis.normalize(),
                         sharpness,
                     }
                 })
@@ -260,22 +282,26 @@ impl Problem {
             .zip(&fit.amplitudes)
             .flat_map(|(shape, amplitude)| {
                 let square: f64 = amplitude.iter().map(|a| a * a).sum();
-                let power = square * shape.product_integral(shape).value * self.radiance_weight;
-                [power.max(1e-8); 3]
+                let blurred = shape.blurred();
+                // Steps are in widths of the lobe, of which blur leaves a part.
+                let part = blurred.shape.sharpness / shape.sharpness;
+                let power = self.radiance_weight * shape.product_integral(shape).value
+                    + self.gloss_weight * part * blurred.product_integral(&blurred).value;
+                [(square * power).max(1e-8); 3]
             })
             .collect();
         let mut free = [(); 3].map(|()| vec![true; count]);
         let best = minimise(vec![0.0; 3 * count], &curvature, iterations, 1e-7, |x| {
             let shapes = shapes_at(x);
-            let evaluation = self.evaluate(&shapes, &levels, &mut free);
+            let evaluation = self.evaluate(&shapes, &places, &mut free);
             let mut gradient = vec![0.0; x.len()];
             for (index, gradient) in gradient.chunks_exact_mut(3).enumerate() {
-                let (moved, sharpness) = place(index, &x[3 * index..3 * index + 3]);
-                let tangent = evaluation.by_axis[index] / moved.length();
+                let (axis, sharpness) = moved(index, &x[3 * index..3 * index + 3]);
+                let tangent = evaluation.by_axis[index] / axis.length();
                 gradient[0] = tangent.dot(frames[index][0]);
                 gradient[1] = tangent.dot(frames[index][1]);
                 // Beyond a bound the sharpness stands still.
-                if (SHARPNESS.0..=largest[index]).contains(&sharpness) {
+                if (SHARPNESS.0..=places[index].max_sharpness).contains(&sharpness) {
                     gradient[2] = evaluation.by_sharpness[index] * sharpness;
                 }
             }
@@ -287,26 +313,23 @@ impl Problem {
     fn evaluate(
         &self,
         shapes: &[Shape],
-        levels: &[usize],
+        places: &[Place],
         free: &mut [Vec<bool>; 3],
     ) -> Evaluation {
         let count = shapes.len();
-        let zonals: Vec<[(f64, f64); 2]> = shapes.iter().map(Shape::zonal).collect();
-        let (moments, pairs): (Vec<[Pair; 3]>, Vec<Vec<Pair>>) = (0..count)
+        let blurred: Vec<Blurred> = shapes.iter().map(Shape::blurred).collect();
+        let (targets, pairs): (Vec<[Pair; 3]>, Vec<Vec<Pair>>) = (0..count)
             .into_par_iter()
             .map(|index| {
-                let shape = &shapes[index];
-                let pairs = shapes
-                    .iter()
-                    .zip(&zonals)
-                    .map(|(other, zonal)| {
-                        let radiance = shape.product_integral(other);
-                        let irradiance =
-                            irradiance_product((shape, &zonals[index]), (other, zonal));
-                        self.combine(radiance, irradiance)
+                let pairs = (0..count)
+                    .map(|other| {
+                        self.combine(
+                            shapes[index].product_integral(&shapes[other]),
+                            blurred[index].product_integral(&blurred[other]),
+                        )
                     })
                     .collect();
-                (self.moments(shape, levels[index]), pairs)
+                (self.target(&shapes[index], &places[index]), pairs)
             })
             .unzip();
         let norms: Vec<f64> = (0..count).map(|i| pairs[i][i].value.sqrt()).collect();
@@ -315,21 +338,18 @@ impl Problem {
         });
         let integrals: Vec<(f64, f64)> = shapes.iter().map(Shape::integral).collect();
         let energy = DVector::from_fn(count, |i, _| integrals[i].0 / norms[i]);
-        let inverse = nalgebra::Cholesky::new(&gram + DMatrix::identity(count, count) * 1e-6)
+        let inverse = Cholesky::new(&gram + DMatrix::identity(count, count) * 1e-6)
             .map(|factor| factor.inverse());
 
         let mut evaluation = Evaluation {
-            value: self.constant,
+            value: 1.0 + GLOSS_WEIGHT,
             by_axis: vec![DVec3::ZERO; count],
             by_sharpness: vec![0.0; count],
             amplitudes: vec![[0.0; 3]; count],
             worth: vec![0.0; count],
         };
         for channel in 0..3 {
-            let targets: Vec<Pair> = (0..count)
-                .map(|i| self.target(channel, &shapes[i], &zonals[i], moments[i][channel]))
-                .collect();
-            let target = DVector::from_fn(count, |i, _| targets[i].value / norms[i]);
+            let target = DVector::from_fn(count, |i, _| targets[i][channel].value / norms[i]);
             let solution = amplitude::solve(
                 &gram,
                 &target,
@@ -345,9 +365,9 @@ impl Problem {
                 .map(|(a, norm)| a / norm)
                 .collect();
             for i in (0..count).filter(|&i| a[i] > 0.0) {
-                let mut by_axis = -targets[i].by_axis;
+                let mut by_axis = -targets[i][channel].by_axis;
                 let mut by_sharpness =
-                    solution.multiplier * integrals[i].1 - targets[i].by_sharpness;
+                    solution.multiplier * integrals[i].1 - targets[i][channel].by_sharpness;
                 for (pair, a) in pairs[i].iter().zip(&a) {
                     by_axis += pair.by_axis * *a;
                     by_sharpness += pair.by_sharpness * a;
@@ -362,41 +382,32 @@ impl Problem {
         evaluation
     }
 
-    fn combine(&self, radiance: Pair, irradiance: Pair) -> Pair {
-        let (r, i) = (self.radiance_weight, self.irradiance_weight);
+    fn combine(&self, radiance: Pair, gloss: Pair) -> Pair {
+        let (r, g) = (self.radiance_weight, self.gloss_weight);
         Pair {
-            value: r * radiance.value + i * irradiance.value,
-            by_axis: radiance.by_axis * r + irradiance.by_axis * i,
-            by_sharpness: r * radiance.by_sharpness + i * irradiance.by_sharpness,
+            value: r * radiance.value + g * gloss.value,
+            by_axis: radiance.by_axis * r + gloss.by_axis * g,
+            by_sharpness: r * radiance.by_sharpness + g * gloss.by_sharpness,
         }
     }
+}
 
-    /// Adds the inner product of irradiance to that of radiance.
-    fn target(
-        &self,
-        channel: usize,
-        shape: &Shape,
-        zonal: &[(f64, f64); 2],
-        radiance: Pair,
-    ) -> Pair {
-        let axis = shape.axis;
-        let first = axis.dot(self.first[channel]);
-        let turned = self.second[channel] * axis;
-        let second = 1.5 * axis.dot(turned) - 0.5 * self.flux[channel];
-        let weights = [0, 1].map(|degree| DEGREE_WEIGHTS[degree] * zonal[degree].0);
-        let tangential = |v: DVec3| v - axis * axis.dot(v);
-        let irradiance = Pair {
-            value: weights[0] * first + weights[1] * second,
-            by_axis: tangential(self.first[channel] * weights[0] + turned * (3.0 * weights[1])),
-            by_sharpness: DEGREE_WEIGHTS[0] * zonal[0].1 * first
-                + DEGREE_WEIGHTS[1] * zonal[1].1 * second,
-        };
-        self.combine(radiance, irradiance)
-    }
+/// ∫ I G per channel, as a sum over cells.
+fn inner_products(level: &Level, shape: &Shape) -> [Pair; 3] {
+    let Moments { integral, offset } = level.moments(shape);
+    [0, 1, 2].map(|channel| {
+        let along = shape.axis.dot(offset[channel]);
+        Pair {
+            value: integral[channel],
+            by_axis: (offset[channel] - shape.axis * along) * shape.sharpness,
+            by_sharpness: along,
+        }
+    })
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::{lobes, relative_l2};
     use super::*;
 
     /// Differences of sums of f32 products.
@@ -434,10 +445,13 @@ mod tests {
                 sharpness: 3.0,
             },
         ];
-        let levels = [0; 3];
+        let places: Vec<Place> = shapes
+            .iter()
+            .map(|shape| problem.place(shape, Resolution::Fine))
+            .collect();
         let value = |shapes: &[Shape]| {
             let mut free = [(); 3].map(|()| vec![true; shapes.len()]);
-            problem.evaluate(shapes, &levels, &mut free)
+            problem.evaluate(shapes, &places, &mut free)
         };
         let evaluation = value(&shapes);
         for index in 0..shapes.len() {
@@ -469,13 +483,17 @@ mod tests {
         let image = LatLong::repair(64, 32, pixels);
         let problem = Problem::new(&image).expect("light");
         let fit = problem.project(vec![problem.ambient()], Resolution::Fine);
-        let lobes = super::super::lobes(&fit);
-        let radiance = super::super::relative_l2(&image, &lobes) as f64;
-        let irradiance = super::super::irradiance_error(&image, &lobes) as f64;
-        let expected = radiance.powi(2) + IRRADIANCE_WEIGHT * irradiance.powi(2);
-        // Irradiance beyond degree 2, and the weighting by degree instead of by direction.
+        let lobes = lobes(&fit);
+        let radiance = relative_l2(&image, &lobes) as f64;
+        let mut left = problem.blurred.clone();
+        let blurred: Vec<Blurred> = fit.shapes.iter().map(Shape::blurred).collect();
+        let shapes: Vec<Shape> = blurred.iter().map(|blurred| blurred.shape).collect();
+        let amplitude = fit.amplitudes[0].map(|a| a * blurred[0].amplitude);
+        left.subtract(&shapes, &[amplitude]);
+        let expected = radiance.powi(2) + GLOSS_WEIGHT * left.power() / problem.blurred.power();
+        // Pixels are bilinear, and the blurred image's cells are of five degrees.
         assert!(
-            (fit.value / expected - 1.0).abs() < 0.03,
+            (fit.value / expected - 1.0).abs() < 0.02,
             "{} {expected}",
             fit.value
         );

@@ -11,6 +11,7 @@
 )]
 
 mod cli;
+mod demo;
 mod determinism;
 mod gpu;
 mod import;
@@ -25,6 +26,7 @@ use std::process::ExitCode;
 fn main() -> ExitCode {
     let trials = [
         cli::trials(),
+        demo::trials(),
         determinism::trials(),
         gpu::trials(),
         import::trials(),

@@ -125,13 +125,15 @@ struct EnvironmentArguments {
 
 /// Parses the command line, does the work and reports.
 pub fn run() -> ExitCode {
-    let cli = Cli::parse();
     static STOP: AtomicBool = AtomicBool::new(false);
+    let cli = Cli::parse();
     // Without a handler Ctrl-C ends the process at once, which leaves nothing behind
     // either: outputs are renamed into place.
     let _ = ctrlc::set_handler(|| STOP.store(true, Ordering::Relaxed));
     if cli.threads > 0 {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(cli.threads).build_global();
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(cli.threads)
+            .build_global();
         if let Err(error) = pool {
             eprintln!("error: cannot start {} threads: {error}", cli.threads);
             return ExitCode::from(3);
@@ -139,7 +141,10 @@ pub fn run() -> ExitCode {
     }
     let show = Show::new(cli.json);
     let report = |progress| show.progress(progress);
-    let monitor = Monitor { report: &report, stop: &STOP };
+    let monitor = Monitor {
+        report: &report,
+        stop: &STOP,
+    };
     let result = match &cli.command {
         Command::Scene(arguments) => bake_scene(arguments, monitor),
         Command::Environment(arguments) => bake_environment(arguments, monitor),
@@ -206,7 +211,9 @@ impl Show {
             bar.set_position((progress.fraction * 1000.0) as u64);
         }
         if let Some(last) = &self.plain {
-            let mut last = last.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+            let mut last = last
+                .lock()
+                .unwrap_or_else(std::sync::PoisonError::into_inner);
             if last.elapsed() >= Self::PLAIN_INTERVAL {
                 *last = Instant::now();
                 eprintln!("{}: {:.0} %", progress.stage, progress.fraction * 100.0);
@@ -221,15 +228,17 @@ impl Show {
     }
 }
 
+/// Puts what was given in place of a default.
+fn replace<T: Copy>(option: &mut T, given: Option<T>) {
+    *option = given.unwrap_or(*option);
+}
+
 fn scene_options(arguments: &SceneArguments) -> scene::Options {
     let mut options = match arguments.preset {
         Preset::Draft => scene::Options::draft(),
         Preset::Standard => scene::Options::standard(),
         Preset::High => scene::Options::high(),
     };
-    fn replace<T: Copy>(option: &mut T, given: Option<T>) {
-        *option = given.unwrap_or(*option);
-    }
     let representation = arguments.representation.map(|value| match value {
         RepresentationArgument::Clustered => format::Representation::ClusteredPca,
         RepresentationArgument::Global => format::Representation::GlobalPca,
@@ -313,7 +322,9 @@ fn bake_scene(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Su
 fn bake_environment(arguments: &EnvironmentArguments, monitor: Monitor) -> anyhow::Result<Summary> {
     check_output(&arguments.output)?;
     let start = Instant::now();
-    let options = environment::FitOptions { lobes: arguments.lobes };
+    let options = environment::FitOptions {
+        lobes: arguments.lobes,
+    };
     let environment = environment::bake(&arguments.input, &options, monitor)?;
     let image = hdr::load(&arguments.input)?;
     let irradiance_error = environment::irradiance_error(&image, &environment.lobes);
@@ -336,7 +347,10 @@ fn bake_environment(arguments: &EnvironmentArguments, monitor: Monitor) -> anyho
     }
     let report = &environment.report;
     if report.repaired_pixels > 0 {
-        eprintln!("warning: {} NaN, infinite or negative pixels repaired", report.repaired_pixels);
+        eprintln!(
+            "warning: {} NaN, infinite or negative pixels repaired",
+            report.repaired_pixels
+        );
     }
     let seconds = start.elapsed().as_secs_f64();
     Ok(Summary {
@@ -365,7 +379,9 @@ fn bake_environment(arguments: &EnvironmentArguments, monitor: Monitor) -> anyho
 
 /// Fails early, before hours of work, if the output's folder does not exist.
 fn check_output(output: &Path) -> anyhow::Result<()> {
-    let folder = output.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let folder = output
+        .parent()
+        .filter(|folder| !folder.as_os_str().is_empty());
     let folder = folder.unwrap_or(Path::new("."));
     let metadata = std::fs::metadata(folder)
         .with_context(|| format!("{}: cannot write there", folder.display()))?;
@@ -386,7 +402,10 @@ fn write_checked(
     format::write_file(path, bytes)?;
     let read = read(path)?;
     if read != bytes || !same(&read).with_context(|| path.display().to_string())? {
-        bail!("{}: what was read back is not what was written", path.display());
+        bail!(
+            "{}: what was read back is not what was written",
+            path.display()
+        );
     }
     Ok(())
 }
@@ -443,7 +462,11 @@ fn inspect(path: &Path) -> anyhow::Result<Summary> {
                 scene.textures.len(),
                 parameters.representation,
                 scene.clusters.len(),
-                scene.clusters.iter().map(|cluster| cluster.tiles).sum::<u32>(),
+                scene
+                    .clusters
+                    .iter()
+                    .map(|cluster| cluster.tiles)
+                    .sum::<u32>(),
                 scene.report.boundary_rms_error,
                 scene.report.rms_error,
                 r = parameters.basis_resolution,
@@ -475,7 +498,9 @@ fn inspect(path: &Path) -> anyhow::Result<Summary> {
                 environment.report.energy_error,
             );
             let lobes: Vec<Value> = (environment.lobes.iter())
-                .map(|l| json!({"axis": l.axis, "sharpness": l.sharpness, "amplitude": l.amplitude}))
+                .map(
+                    |l| json!({"axis": l.axis, "sharpness": l.sharpness, "amplitude": l.amplitude}),
+                )
                 .collect();
             json!({ "kind": "environment", "report": environment.report, "lobes": lobes })
         }

@@ -153,7 +153,9 @@ impl<'a> Encoder<'a> {
         for (mut out, image) in quantised.column_iter_mut().zip(basis.images.column_iter()) {
             let largest = image.amax();
             let scale = if largest > 0.0 { 127.0 / largest } else { 0.0 };
-            out.iter_mut().zip(&image).for_each(|(out, value)| *out = (value * scale).round() as i8);
+            out.iter_mut()
+                .zip(&image)
+                .for_each(|(out, value)| *out = (value * scale).round() as i8);
         }
         let decoded = quantised.map(|value: i8| f32::from(value) / 127.0);
         // Products of images, one row each: a normal matrix is their weighted sum.
@@ -172,14 +174,22 @@ impl<'a> Encoder<'a> {
         for first in (0..ssdfs.ncols()).step_by(BLOCK_VERTICES) {
             let count = BLOCK_VERTICES.min(ssdfs.ncols() - first);
             let block = ssdfs.columns(first, count);
-            let weights = block.map(|distance| {
-                FAR_WEIGHT + 1.0 / (1.0 + (distance / BOUNDARY_WIDTH).powi(4))
-            });
+            let weights = block
+                .map(|distance| FAR_WEIGHT + 1.0 / (1.0 + (distance / BOUNDARY_WIDTH).powi(4)));
             let weighted = weights.component_mul(&block);
-            systems.view_mut((0, first), (pairs, count)).copy_from(&(&products * weights));
-            systems.view_mut((pairs, first), (channels, count)).copy_from(&(&images * weighted));
+            systems
+                .view_mut((0, first), (pairs, count))
+                .copy_from(&(&products * weights));
+            systems
+                .view_mut((pairs, first), (channels, count))
+                .copy_from(&(&images * weighted));
         }
-        Self { ssdfs, quantised, decoded, systems }
+        Self {
+            ssdfs,
+            quantised,
+            decoded,
+            systems,
+        }
     }
 
     /// Fits and quantises the coefficients of the first `channels` images.
@@ -193,17 +203,28 @@ impl<'a> Encoder<'a> {
             out.copy_from(&solve(system.as_slice(), channels, self.quantised.ncols()));
         }
         let coefficient_scale = fitted.amax();
-        let to_integer = if coefficient_scale > 0.0 { 32767.0 / coefficient_scale } else { 0.0 };
+        let to_integer = if coefficient_scale > 0.0 {
+            32767.0 / coefficient_scale
+        } else {
+            0.0
+        };
         let integers = fitted.map(|value| (value * to_integer).round() as i16);
         let mut coefficients = vec![0i16; vertices * stored];
-        for (out, column) in coefficients.chunks_exact_mut(stored).zip(integers.column_iter()) {
-            out.iter_mut().zip(&column).for_each(|(out, value)| *out = *value);
+        for (out, column) in coefficients
+            .chunks_exact_mut(stored)
+            .zip(integers.column_iter())
+        {
+            out.iter_mut()
+                .zip(&column)
+                .for_each(|(out, value)| *out = *value);
         }
         let mut basis = vec![0i8; texels * stored];
         for (channel, image) in self.quantised.column_iter().take(channels).enumerate() {
             let (tile, lane) = (channel / CHANNELS_PER_TILE, channel % CHANNELS_PER_TILE);
-            let out = basis[tile * texels * CHANNELS_PER_TILE..].chunks_exact_mut(CHANNELS_PER_TILE);
-            out.zip(&image).for_each(|(texel, value)| texel[lane] = *value);
+            let out =
+                basis[tile * texels * CHANNELS_PER_TILE..].chunks_exact_mut(CHANNELS_PER_TILE);
+            out.zip(&image)
+                .for_each(|(texel, value)| texel[lane] = *value);
         }
         let images = self.decoded.columns(0, channels);
         let mut error = ErrorSums::default();
@@ -223,7 +244,13 @@ impl<'a> Encoder<'a> {
             }
         }
         error.all_count = (texels * vertices) as u64;
-        Compressed { tiles: tiles as u32, coefficient_scale, coefficients, basis, error }
+        Compressed {
+            tiles: tiles as u32,
+            coefficient_scale,
+            coefficients,
+            basis,
+            error,
+        }
     }
 }
 

@@ -36,8 +36,11 @@ pub struct ContourMesh {
     /// Edges with one triangle, or whose triangles all lie on one side from everywhere.
     boundary: Vec<[u32; 2]>,
     /// Every other edge: its triangles and whether each lies left of the edge's direction.
-    irregular: Vec<([u32; 2], Vec<(u32, bool)>)>,
+    irregular: Vec<IrregularEdge>,
 }
+
+/// Welded vertices; triangles and whether each lies left of the edge's direction.
+type IrregularEdge = ([u32; 2], Vec<(u32, bool)>);
 
 struct Group {
     blocks: [u32; 2],
@@ -195,7 +198,11 @@ impl ContourMesh {
 
     /// One bit per triangle: whether the eye is in front of it.
     fn find_facing(&self, eye: DVec3, facing: &mut [u64]) {
-        Arch::new().dispatch(FindFacing { mesh: self, eye, facing });
+        Arch::new().dispatch(FindFacing {
+            mesh: self,
+            eye,
+            facing,
+        });
     }
 
     fn for_each_contour(&self, facing: &[u64], mut contour: impl FnMut([u32; 2])) {
@@ -248,8 +255,9 @@ impl WithSimd for FindFacing<'_> {
             .zip(z.chunks(BLOCK).zip(mesh.offsets.chunks(BLOCK)));
         for (word, ((x, y), (z, d))) in facing.iter_mut().zip(blocks) {
             let mut in_front = [0u8; BLOCK];
-            for (bit, ((x, y), (z, d))) in
-                in_front.iter_mut().zip((x.iter().zip(y)).zip(z.iter().zip(d)))
+            for (bit, ((x, y), (z, d))) in in_front
+                .iter_mut()
+                .zip((x.iter().zip(y)).zip(z.iter().zip(d)))
             {
                 *bit = u8::from(x * eye.x + y * eye.y + z * eye.z > *d);
             }
@@ -363,9 +371,9 @@ impl Walls {
         }
         for y in 0..n {
             let links = &self.across_columns[y * stride..][..stride];
-            for x in 0..n {
+            for (x, link) in links.iter().enumerate().take(n) {
                 let texel = y * n + x;
-                if x > 0 && links[x] == 0 {
+                if x > 0 && *link == 0 {
                     parents[texel] = parents[texel - 1];
                 }
                 if y > 0 && self.across_rows[x * stride + y] == 0 {

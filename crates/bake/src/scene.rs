@@ -14,11 +14,11 @@ use relight_format as format;
 use relight_format::{CHANNELS_PER_TILE, MAX_TILES_PER_CLUSTER, Representation};
 
 use crate::compress::{self, Compressed, ErrorSums};
+use crate::contour::{ContourMesh, Scratch};
 use crate::import::Mesh;
 use crate::monitor::{Interrupted, Monitor};
 use crate::ray::RayCaster;
 use crate::scene_input::SceneInput;
-use crate::contour::{ContourMesh, Scratch};
 use crate::visibility::Directions;
 use crate::{cluster, refine, ssdf, visibility};
 
@@ -85,7 +85,11 @@ impl Options {
 
     /// Small errors at several times the size.
     pub fn high() -> Self {
-        Self { max_error: 0.004, max_edge: 0.01, ..Self::standard() }
+        Self {
+            max_error: 0.004,
+            max_edge: 0.01,
+            ..Self::standard()
+        }
     }
 }
 
@@ -161,20 +165,33 @@ pub fn bake(
         clock = Instant::now();
     };
     monitor.step("refine", 0.0)?;
-    let source = (input.mesh.vertices.len() as u64, input.mesh.triangles.len() as u64);
-    let diagonal = input.mesh.bounds().map_or(0.0, |(low, high)| low.distance(high));
+    let source = (
+        input.mesh.vertices.len() as u64,
+        input.mesh.triangles.len() as u64,
+    );
+    let diagonal = input
+        .mesh
+        .bounds()
+        .map_or(0.0, |(low, high)| low.distance(high));
     let (max_edge, max_vertices) = refinement(&input, options);
     let mut mesh = refine::refine(input.mesh, max_edge, max_vertices);
     let mut warnings = input.warnings;
-    warnings.extend(mesh.warnings.drain(..).filter(|w| !warnings.contains(w)).collect::<Vec<_>>());
+    warnings.extend(
+        mesh.warnings
+            .drain(..)
+            .filter(|w| !warnings.contains(w))
+            .collect::<Vec<_>>(),
+    );
     lap(&mut statistics, "refine");
 
     monitor.step("build bvh", 0.0)?;
     let positions: Vec<Vec3> = mesh.vertices.iter().map(|v| v.position.into()).collect();
     let triangles: Vec<[u32; 3]> = mesh.triangles.iter().map(|t| t.vertices).collect();
     let ray_offset = RELATIVE_RAY_OFFSET * diagonal;
-    let soup: Vec<[Vec3; 3]> =
-        triangles.iter().map(|t| t.map(|vertex| positions[vertex as usize])).collect();
+    let soup: Vec<[Vec3; 3]> = triangles
+        .iter()
+        .map(|t| t.map(|vertex| positions[vertex as usize]))
+        .collect();
     let directions = Directions::new(options.sample_resolution);
     let context = Context {
         options,
@@ -206,9 +223,15 @@ pub fn bake(
         Representation::GlobalPca => vec![context.bake_global()?],
     };
     let nanoseconds = |counter: &AtomicU64| Duration::from_nanos(counter.load(Ordering::Relaxed));
-    statistics.stages.push(("visibility", nanoseconds(&context.visibility_nanoseconds)));
-    statistics.stages.push(("ssdf", nanoseconds(&context.ssdf_nanoseconds)));
-    statistics.stages.push(("compress", nanoseconds(&context.compress_nanoseconds)));
+    statistics
+        .stages
+        .push(("visibility", nanoseconds(&context.visibility_nanoseconds)));
+    statistics
+        .stages
+        .push(("ssdf", nanoseconds(&context.ssdf_nanoseconds)));
+    statistics
+        .stages
+        .push(("compress", nanoseconds(&context.compress_nanoseconds)));
     statistics.sampled_vertices = context.sampled.load(Ordering::Relaxed);
     statistics.rays = context.rays.load(Ordering::Relaxed);
     for cluster in &finished {
@@ -254,9 +277,17 @@ pub fn bake(
 }
 
 fn check(options: &Options) -> Result<(), Error> {
-    let Options { sample_resolution: sample, basis_resolution: basis, .. } = *options;
+    let Options {
+        sample_resolution: sample,
+        basis_resolution: basis,
+        ..
+    } = *options;
     let wrong = |place, expected: String, found: String| {
-        Err(Error::Options { place, expected, found })
+        Err(Error::Options {
+            place,
+            expected,
+            found,
+        })
     };
     if !(8..=512).contains(&basis) || !(basis..=256).contains(&sample) || sample % basis != 0 {
         return wrong(
@@ -274,7 +305,11 @@ fn check(options: &Options) -> Result<(), Error> {
     }
     let max_rank = MAX_TILES_PER_CLUSTER * CHANNELS_PER_TILE as u32 - 1;
     if options.global_rank > max_rank {
-        return wrong("global_rank", format!("0..={max_rank}"), options.global_rank.to_string());
+        return wrong(
+            "global_rank",
+            format!("0..={max_rank}"),
+            options.global_rank.to_string(),
+        );
     }
     let positive = [options.distance_clamp, options.max_error, options.max_edge];
     if !positive.iter().all(|value| *value > 0.0) || options.distance_clamp > 3.0 {
@@ -290,8 +325,9 @@ fn check(options: &Options) -> Result<(), Error> {
 /// Edge bound in metres and vertex bound: the scene file's, else the options'.
 fn refinement(input: &SceneInput, options: &Options) -> (f32, usize) {
     let from_file = input.refinement.as_ref();
-    let max_edge =
-        from_file.map_or(options.max_edge * input.object_diagonal, |refinement| refinement.max_edge);
+    let max_edge = from_file.map_or(options.max_edge * input.object_diagonal, |refinement| {
+        refinement.max_edge
+    });
     let max_vertices = from_file
         .and_then(|refinement| refinement.max_vertices)
         .unwrap_or(options.max_vertices);
@@ -304,7 +340,7 @@ impl Context<'_> {
         let ssdfs = self.ssdfs(&vertices)?;
         let start = Instant::now();
         let mut finished = Vec::new();
-        self.compress_clusters(triangles, vertices, ssdfs, &mut finished);
+        self.compress_clusters(triangles, vertices, &ssdfs, &mut finished);
         add_time(&self.compress_nanoseconds, start);
         Ok(finished)
     }
@@ -318,7 +354,11 @@ impl Context<'_> {
         let basis = compress::analyse(&ssdfs, rank);
         let compressed = compress::Encoder::new(&ssdfs, &basis).encode(rank + 1);
         add_time(&self.compress_nanoseconds, start);
-        Ok(Finished { triangles, vertices, compressed })
+        Ok(Finished {
+            triangles,
+            vertices,
+            compressed,
+        })
     }
 
     /// Clamped SSDFs at the basis resolution: one column per vertex.
@@ -331,14 +371,19 @@ impl Context<'_> {
             )
             .collect::<Result<_, Interrupted>>()?;
         let texels = (self.options.basis_resolution as usize).pow(2);
-        Ok(DMatrix::from_iterator(texels, columns.len(), columns.into_iter().flatten()))
+        Ok(DMatrix::from_iterator(
+            texels,
+            columns.len(),
+            columns.into_iter().flatten(),
+        ))
     }
 
     fn ssdf(&self, vertex: u32, scratch: &mut Scratch) -> Result<Vec<f32>, Interrupted> {
         let start = Instant::now();
         let origin = self.origins[vertex as usize];
-        let (bitmap, rays) =
-            self.contours.sample(&self.caster, origin, &self.directions, scratch);
+        let (bitmap, rays) = self
+            .contours
+            .sample(&self.caster, origin, &self.directions, scratch);
         add_time(&self.visibility_nanoseconds, start);
         let start = Instant::now();
         let column = self.transform.apply(&bitmap, self.options.distance_clamp);
@@ -356,12 +401,12 @@ impl Context<'_> {
         &self,
         mut triangles: Vec<u32>,
         vertices: Vec<u32>,
-        ssdfs: DMatrix<f32>,
+        ssdfs: &DMatrix<f32>,
         finished: &mut Vec<Finished>,
     ) {
         let max_channels = self.options.max_tiles as usize * CHANNELS_PER_TILE;
-        let basis = compress::analyse(&ssdfs, max_channels - 1);
-        let encoder = compress::Encoder::new(&ssdfs, &basis);
+        let basis = compress::analyse(ssdfs, max_channels - 1);
+        let encoder = compress::Encoder::new(ssdfs, &basis);
         let mut channels = CHANNELS_PER_TILE;
         let compressed = loop {
             let compressed = encoder.encode(channels);
@@ -373,7 +418,11 @@ impl Context<'_> {
         };
         let good = compressed.error.boundary_rms() <= self.options.max_error;
         if good || vertices.len() < MIN_CLUSTER_VERTICES || triangles.len() < 2 {
-            finished.push(Finished { triangles, vertices, compressed });
+            finished.push(Finished {
+                triangles,
+                vertices,
+                compressed,
+            });
             return;
         }
         let position = |triangle: u32| -> f32 {
@@ -391,10 +440,12 @@ impl Context<'_> {
             let mut group: Vec<u32> = half.iter().map(|&(_, triangle)| triangle).collect();
             group.sort_unstable();
             let members = cluster::vertices_of(&group, self.triangles);
-            let columns: Vec<usize> =
-                members.iter().filter_map(|vertex| vertices.binary_search(vertex).ok()).collect();
+            let columns: Vec<usize> = members
+                .iter()
+                .filter_map(|vertex| vertices.binary_search(vertex).ok())
+                .collect();
             let subset = ssdfs.select_columns(&columns);
-            self.compress_clusters(group, members, subset, finished);
+            self.compress_clusters(group, members, &subset, finished);
         }
     }
 }
@@ -405,20 +456,29 @@ fn add_time(counter: &AtomicU64, start: Instant) {
 
 /// Lays out a cluster behind the others; vertices that several share are repeated.
 fn append(scene: &mut format::Scene, mesh: &Mesh, finished: Finished) {
-    let Finished { triangles, vertices, compressed } = finished;
+    let Finished {
+        triangles,
+        vertices,
+        compressed,
+    } = finished;
     let number = scene.clusters.len() as u16;
     let first_vertex = scene.vertices.len() as u32;
     scene.clusters.push(format::Cluster {
         first_vertex,
         vertex_count: vertices.len() as u32,
         first_coefficient: scene.coefficients.len() as u32,
-        first_tile: scene.clusters.last().map_or(0, |last| last.first_tile + last.tiles),
+        first_tile: scene
+            .clusters
+            .last()
+            .map_or(0, |last| last.first_tile + last.tiles),
         tiles: compressed.tiles,
         coefficient_scale: compressed.coefficient_scale,
     });
     scene.coefficients.extend(compressed.coefficients);
     scene.basis.extend(compressed.basis);
-    scene.vertices.extend(vertices.iter().map(|&v| mesh.vertices[v as usize]));
+    scene
+        .vertices
+        .extend(vertices.iter().map(|&v| mesh.vertices[v as usize]));
     scene.triangles.extend(triangles.iter().map(|&triangle| {
         let source = &mesh.triangles[triangle as usize];
         format::Triangle {

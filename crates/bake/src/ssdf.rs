@@ -114,7 +114,11 @@ impl Candidates {
 fn squared_chords([x, y, z]: &[[f32; LANES]; 3], direction: Vec3) -> [f32; LANES] {
     let mut squared = [0.0; LANES];
     for (lane, squared) in squared.iter_mut().enumerate() {
-        let (x, y, z) = (x[lane] - direction.x, y[lane] - direction.y, z[lane] - direction.z);
+        let (x, y, z) = (
+            x[lane] - direction.x,
+            y[lane] - direction.y,
+            z[lane] - direction.z,
+        );
         *squared = x * x + y * y + z * z;
     }
     squared
@@ -127,7 +131,8 @@ fn angle_of_squared_chord(squared: f32) -> f32 {
         return 2.0 * quarter.sqrt().min(1.0).asin();
     }
     // The series of the arcsine, to the last bit of single precision this near to zero.
-    let series = 1.0 / 6.0 + quarter * (3.0 / 40.0 + quarter * (15.0 / 336.0 + quarter * (105.0 / 3456.0)));
+    let series =
+        1.0 / 6.0 + quarter * (3.0 / 40.0 + quarter * (15.0 / 336.0 + quarter * (105.0 / 3456.0)));
     2.0 * quarter.sqrt() * (1.0 + quarter * series)
 }
 
@@ -136,7 +141,10 @@ impl Transform {
     /// squared texels. `resolution` must divide that of the samples.
     pub fn new(samples: &Directions, resolution: u32) -> Self {
         let n = samples.resolution();
-        assert!(n.is_multiple_of(resolution), "{resolution} does not divide {n}");
+        assert!(
+            n.is_multiple_of(resolution),
+            "{resolution} does not divide {n}"
+        );
         let mut pairs: Vec<[u32; 2]> = (0..n * n)
             .flat_map(|i| {
                 let (x, y) = ((i % n) as i32, (i / n) as i32);
@@ -158,7 +166,12 @@ impl Transform {
             .collect();
         let directions = Directions::new(resolution).as_slice().to_vec();
         let blocks = blocks(&directions, resolution, (0, 0, resolution), &BLOCKS);
-        Self { sample_resolution: n, directions, links, blocks }
+        Self {
+            sample_resolution: n,
+            directions,
+            links,
+            blocks,
+        }
     }
 
     /// The SSDF of a visibility bitmap, radians per texel, clamped to ± `limit`.
@@ -208,7 +221,10 @@ impl Transform {
     ) {
         let nearest = angle_of_squared_chord(boundary.select(block, near));
         if near.count == 0 || nearest - block.radius > limit {
-            block.texels.iter().for_each(|&i| distances[i as usize] *= limit);
+            block
+                .texels
+                .iter()
+                .for_each(|&i| distances[i as usize] *= limit);
             return;
         }
         for &texel in &block.texels {
@@ -231,7 +247,12 @@ impl WithSimd for ApplyBlocks<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        let Self { transform, boundary, limit, distances } = self;
+        let Self {
+            transform,
+            boundary,
+            limit,
+            distances,
+        } = self;
         let [mut coarse, mut fine] = [Candidates::default(), Candidates::default()];
         for block in &transform.blocks {
             boundary.select(block, &mut coarse);
@@ -244,8 +265,15 @@ impl WithSimd for ApplyBlocks<'_> {
 
 /// Divides the square region (x, y, side) of an `n` × `n` map into blocks of `sizes[0]`
 /// texels per side, and those into finer ones.
-fn blocks(directions: &[Vec3], n: u32, (x0, y0, side): (u32, u32, u32), sizes: &[u32]) -> Vec<Block> {
-    let Some((&size, finer)) = sizes.split_first() else { return Vec::new() };
+fn blocks(
+    directions: &[Vec3],
+    n: u32,
+    (x0, y0, side): (u32, u32, u32),
+    sizes: &[u32],
+) -> Vec<Block> {
+    let Some((&size, finer)) = sizes.split_first() else {
+        return Vec::new();
+    };
     let starts = || (0..side.div_ceil(size)).map(|i| i * size);
     starts()
         .flat_map(|y| starts().map(move |x| (x0 + x, y0 + y)))
@@ -274,7 +302,12 @@ fn blocks(directions: &[Vec3], n: u32, (x0, y0, side): (u32, u32, u32), sizes: &
 mod tests {
     use super::*;
 
-    fn brute_force(samples: &Directions, resolution: u32, visible: &Bitmap, limit: f32) -> Vec<f32> {
+    fn brute_force(
+        samples: &Directions,
+        resolution: u32,
+        visible: &Bitmap,
+        limit: f32,
+    ) -> Vec<f32> {
         let n = samples.resolution() as i32;
         let at = |x: i32, y: i32| {
             let (x, y) = octahedral::wrap(x, y, n as u32);
@@ -377,8 +410,11 @@ mod tests {
         let texels = directions.as_slice();
         let bitmap = Bitmap::from_fn(texels.len(), |i| angle(texels[i]) > radius);
         let distances = transform.apply(&bitmap, std::f32::consts::PI);
-        let exact: Vec<f32> =
-            transform.directions.iter().map(|&d| angle(d) - radius).collect();
+        let exact: Vec<f32> = transform
+            .directions
+            .iter()
+            .map(|&d| angle(d) - radius)
+            .collect();
         let worst = exact
             .iter()
             .zip(&distances)

@@ -8,7 +8,11 @@ use glam::{Vec2, Vec3};
 /// The point of the unit square that shows `direction` (any non-zero length).
 pub fn encode(direction: Vec3) -> Vec2 {
     let p = direction / (direction.x.abs() + direction.y.abs() + direction.z.abs());
-    let q = if p.y >= 0.0 { Vec2::new(p.x, p.z) } else { fold(Vec2::new(p.x, p.z)) };
+    let q = if p.y >= 0.0 {
+        Vec2::new(p.x, p.z)
+    } else {
+        fold(Vec2::new(p.x, p.z))
+    };
     q * 0.5 + 0.5
 }
 
@@ -67,11 +71,18 @@ mod tests {
     fn wrapped_texels_are_neighbours_on_the_sphere() {
         let n = 64;
         for i in 0..n as i32 {
-            for (outside, inside) in [((-1, i), (0, i)), ((n as i32, i), (n as i32 - 1, i)), ((i, -1), (i, 0))] {
+            for (outside, inside) in [
+                ((-1, i), (0, i)),
+                ((n as i32, i), (n as i32 - 1, i)),
+                ((i, -1), (i, 0)),
+            ] {
                 let (x, y) = wrap(outside.0, outside.1, n);
                 let a = texel_direction(x, y, n);
                 let b = texel_direction(inside.0 as u32, inside.1 as u32, n);
-                assert!(a.distance(b) < 3.0 / n as f32, "{outside:?} wraps to ({x}, {y})");
+                assert!(
+                    a.distance(b) < 3.0 / n as f32,
+                    "{outside:?} wraps to ({x}, {y})"
+                );
             }
         }
     }

@@ -20,7 +20,12 @@ pub enum Entry {
 
 impl Entry {
     /// All of them.
-    pub const ALL: [Self; 4] = [Self::VisibilityBuffer, Self::Shade, Self::Tonemap, Self::Library];
+    pub const ALL: [Self; 4] = [
+        Self::VisibilityBuffer,
+        Self::Shade,
+        Self::Tonemap,
+        Self::Library,
+    ];
 }
 
 /// Joined in this order; the order does not matter to WGSL.

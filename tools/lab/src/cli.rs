@@ -9,10 +9,10 @@ use anyhow::Context as _;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use glam::Vec3;
 use indicatif::{ProgressBar, ProgressStyle};
+use relight_bake::monitor::{Monitor, Progress};
 use relight_bake::{hdr, scene_input};
 use relight_format::{Camera, Environment, FieldOfView, Limits, Scene};
 use relight_lab::truth::{self, Filter, Geometry, full, lobes};
-use relight_bake::monitor::{Monitor, Progress};
 use relight_lab::{camera, compare, demo, image_file, render};
 use relight_shading::camera::View;
 use relight_shading::polar::PolarOptions;
@@ -378,7 +378,8 @@ fn run_compare(arguments: &Compare) -> anyhow::Result<Value> {
 
 fn run_demo(arguments: &Demo, json: bool) -> anyhow::Result<Value> {
     let bar = ProgressBar::new(1000).with_style(
-        ProgressStyle::with_template("{msg:<28} {bar:40} {percent:>3} %").expect("a valid template"),
+        ProgressStyle::with_template("{msg:<28} {bar:40} {percent:>3} %")
+            .expect("a valid template"),
     );
     let report = |progress: Progress| {
         if bar.message() != progress.stage {
@@ -395,7 +396,13 @@ fn run_demo(arguments: &Demo, json: bool) -> anyhow::Result<Value> {
         device: arguments.device.into(),
         bake: relight_bake::scene::Options::standard(),
     };
-    let report = demo::run(&options, Monitor { report: &report, stop: &stop });
+    let report = demo::run(
+        &options,
+        Monitor {
+            report: &report,
+            stop: &stop,
+        },
+    );
     bar.finish_and_clear();
     let report = report?;
     if json {

@@ -25,7 +25,7 @@ use serde::Serialize;
 
 use crate::compare::{Comparison, compare};
 use crate::display;
-use crate::image_file::{self, Image};
+use crate::image_file;
 use crate::render::{Device, Renderer};
 use crate::truth::{self, Filter, Geometry, lobes};
 
@@ -92,7 +92,9 @@ pub fn run(options: &Options, monitor: Monitor) -> anyhow::Result<Report> {
     lap("bake scene");
 
     let image = sky(512, 256);
-    let fit = environment::FitOptions { lobes: options.lobes };
+    let fit = environment::FitOptions {
+        lobes: options.lobes,
+    };
     let fitted = environment::fit(&image, &fit, monitor)?;
     let environment_path = options.folder.join("demo-environment.relight");
     format::write_file(&environment_path, &format::write_environment(&fitted)?)?;
@@ -103,8 +105,13 @@ pub fn run(options: &Options, monitor: Monitor) -> anyhow::Result<Report> {
     let mut renderer = Renderer::open(options.device)?;
     let camera = scene.camera.context("the demo scene has a camera")?;
     let mut render = |method| {
-        let frame =
-            Frame { camera, lights: &lights, rotation: Quat::IDENTITY, method, exposure: 1.0 };
+        let frame = Frame {
+            camera,
+            lights: &lights,
+            rotation: Quat::IDENTITY,
+            method,
+            exposure: 1.0,
+        };
         renderer.render(&scene, &frame, options.size)
     };
     monitor.step("render ambient", 0.0)?;
@@ -124,14 +131,21 @@ pub fn run(options: &Options, monitor: Monitor) -> anyhow::Result<Report> {
         &Geometry::new(&scene, View::new(&camera, width, height, 1.0)),
         &lights,
         options.size,
-        &truth::Options { samples: options.samples, filter: Filter::Center, seed: 0 },
+        &truth::Options {
+            samples: options.samples,
+            filter: Filter::Center,
+            seed: 0,
+        },
         &row_done,
     );
     monitor.step("trace truth", 1.0)?;
     lap("trace truth");
 
     let triptych = options.folder.join("demo.png");
-    write_side_by_side(&triptych, &[&ambient, &polar, &truth], display::automatic_exposure(&truth))?;
+    let shown = [&ambient, &polar, &truth];
+    let exposure = display::automatic_exposure(&truth);
+    let (joined, pixels) = display::side_by_side(&shown, exposure);
+    image_file::write_png(&triptych, joined, &pixels)?;
     for (name, image) in [("ambient", &ambient), ("polar", &polar), ("truth", &truth)] {
         image_file::write_exr(&options.folder.join(name).with_extension("exr"), image)?;
     }
@@ -154,32 +168,15 @@ fn read(path: &Path) -> anyhow::Result<Vec<u8>> {
     std::fs::read(path).with_context(|| path.display().to_string())
 }
 
-/// Writes pictures of equal height next to each other, alike exposed.
-pub fn write_side_by_side(
-    path: &Path,
-    images: &[&Image],
-    exposure: f32,
-) -> Result<(), image_file::Error> {
-    let rows: Vec<Vec<[u8; 3]>> =
-        images.iter().map(|image| display::pixels(image, exposure)).collect();
-    let height = images.iter().map(|image| image.height).min().unwrap_or(0) as usize;
-    let width: u32 = images.iter().map(|image| image.width).sum();
-    let mut pixels = Vec::with_capacity(width as usize * height);
-    for y in 0..height {
-        for (image, row) in images.iter().zip(&rows) {
-            let stride = image.width as usize;
-            pixels.extend_from_slice(&row[y * stride..(y + 1) * stride]);
-        }
-    }
-    image_file::write_png(path, width, &pixels)
-}
-
 /// A knot, a sphere of brushed gold and a post over a glossy plane.
 fn scene_input() -> anyhow::Result<SceneInput> {
     let mut mesh = Mesh::default();
     let material = |name: &str, diffuse, f0, alpha: [f32; 2]| Material {
         name: name.into(),
-        surface: Surface::Layered { diffuse, specular: Specular::Ggx { f0, alpha } },
+        surface: Surface::Layered {
+            diffuse,
+            specular: Specular::Ggx { f0, alpha },
+        },
         base_color_texture: None,
         metallic_roughness_texture: None,
         normal_texture: None,
@@ -204,7 +201,10 @@ fn scene_input() -> anyhow::Result<SceneInput> {
     let (low, high) = mesh.bounds().context("the demo mesh has vertices")?;
     let surface = Surface::Layered {
         diffuse: [0.45; 3],
-        specular: Specular::Ggx { f0: [0.06; 3], alpha: [0.25; 2] },
+        specular: Specular::Ggx {
+            f0: [0.06; 3],
+            alpha: [0.25; 2],
+        },
     };
     let options = Ground {
         size: Some(6.0),
@@ -233,11 +233,17 @@ fn scene_input() -> anyhow::Result<SceneInput> {
 }
 
 /// A grid of vertices, `columns + 1` per row, joined by triangles.
-fn grid(mesh: &mut Mesh, material: u16, [columns, rows]: [u32; 2], at: impl Fn(f32, f32) -> Vertex) {
+fn grid(
+    mesh: &mut Mesh,
+    material: u16,
+    [columns, rows]: [u32; 2],
+    at: impl Fn(f32, f32) -> Vertex,
+) {
     let base = mesh.vertices.len() as u32;
     for row in 0..=rows {
         for column in 0..=columns {
-            mesh.vertices.push(at(column as f32 / columns as f32, row as f32 / rows as f32));
+            mesh.vertices
+                .push(at(column as f32 / columns as f32, row as f32 / rows as f32));
         }
     }
     for row in 0..rows {
@@ -257,7 +263,11 @@ fn grid(mesh: &mut Mesh, material: u16, [columns, rows]: [u32; 2], at: impl Fn(f
 fn sphere(mesh: &mut Mesh, material: u16, centre: Vec3, radius: f32, rows: u32) {
     grid(mesh, material, [2 * rows, rows], |u, v| {
         let (phi, theta) = (TAU * u, PI * v);
-        let normal = Vec3::new(phi.sin() * theta.sin(), theta.cos(), phi.cos() * theta.sin());
+        let normal = Vec3::new(
+            phi.sin() * theta.sin(),
+            theta.cos(),
+            phi.cos() * theta.sin(),
+        );
         let tangent = Vec3::new(phi.cos(), 0.0, -phi.sin());
         vertex(centre + radius * normal, normal, tangent, [u, v])
     });
@@ -277,7 +287,7 @@ fn tube(
         // Any direction that the curve is never parallel to makes a frame without twist.
         let helper = Vec3::new(0.31, 0.11, 0.94).normalize();
         let side = tangent.cross(helper).normalize();
-        let normal = Quat::from_axis_angle(tangent, TAU * u) * side;
+        let normal = Quat::from_axis_angle(tangent, -TAU * u) * side;
         vertex(curve(v) + radius * normal, normal, tangent, [u, v])
     });
 }
@@ -295,7 +305,11 @@ fn vertex(position: Vec3, normal: Vec3, tangent: Vec3, uv: [f32; 2]) -> Vertex {
 fn sky(width: u32, height: u32) -> LatLong {
     // Direction, sharpness, radiance.
     let lights = [
-        (Vec3::new(-0.75, 0.6, 0.35), 400.0, Vec3::new(60.0, 14.0, 5.0)),
+        (
+            Vec3::new(-0.75, 0.6, 0.35),
+            400.0,
+            Vec3::new(60.0, 14.0, 5.0),
+        ),
         (Vec3::new(0.8, 0.75, 0.15), 120.0, Vec3::new(3.0, 16.0, 6.0)),
         (Vec3::new(0.1, 0.7, -0.75), 40.0, Vec3::new(1.5, 2.5, 9.0)),
     ];
@@ -304,7 +318,7 @@ fn sky(width: u32, height: u32) -> LatLong {
             let (u, v) = ((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
             let direction = LatLong::direction_at(u / f64::from(width), v / f64::from(height));
             let direction = direction.as_vec3();
-            let sky = Vec3::new(0.16, 0.2, 0.28) * (0.3 + 0.7 * direction.y.max(0.0));
+            let sky = Vec3::new(0.05, 0.06, 0.09) * (0.3 + 0.7 * direction.y.max(0.0));
             let light: Vec3 = lights
                 .iter()
                 .map(|(axis, sharpness, radiance)| {

@@ -50,7 +50,8 @@ pub struct Options {
     /// Global: components besides the mean.
     pub global_rank: u32,
     /// Longest edge after refinement, as a fraction of the diagonal of the scene without
-    /// its ground. A scene file may set its own in metres.
+    /// its ground. A scene file may set its own in metres. The default leaves the default
+    /// ground, of 1/80 of three extents, as it is.
     pub max_edge: f32,
     /// Refinement stops here.
     pub max_vertices: usize,
@@ -63,7 +64,7 @@ impl Options {
             sample_resolution: 64,
             max_tiles: 2,
             max_error: 0.02,
-            max_edge: 0.04,
+            max_edge: 0.08,
             ..Self::standard()
         }
     }
@@ -78,7 +79,7 @@ impl Options {
             max_tiles: 4,
             max_error: 0.01,
             global_rank: 24,
-            max_edge: 0.02,
+            max_edge: 0.04,
             max_vertices: 1_000_000,
         }
     }
@@ -87,7 +88,7 @@ impl Options {
     pub fn high() -> Self {
         Self {
             max_error: 0.004,
-            max_edge: 0.01,
+            max_edge: 0.02,
             ..Self::standard()
         }
     }

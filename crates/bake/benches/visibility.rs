@@ -1,79 +1,258 @@
-//! Visibility from contours against one ray per texel, on the same vertices in one run.
+//! Visibility from contours against one ray per texel and against Embree, on the same
+//! vertices, directions and threads, in one run.
 //!
-//! `cargo bench -p relight-bake --bench visibility -- MESH.obj...`: per mesh, time per
-//! vertex of both on one thread, their ratio, rays cast, and texels that differ.
+//! `cargo bench -p relight-bake --bench visibility -- [MESH...] [--vertices N]
+//! [--threads N] [--rounds N] [--robust] [--json]`
+//!
+//! The contenders take turns and the fastest round of each counts, so that whatever else
+//! the machine does falls on all of them alike. Embree takes part if its program is built
+//! (`tools/peers/README.md`); `--robust` makes it watertight, as the others are.
 
+mod common;
+
+use std::io::{BufRead as _, BufReader, Write as _};
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use std::time::Instant;
 
+use common::Subject;
 use glam::Vec3;
+use rayon::prelude::*;
 use relight_bake::contour::ContourMesh;
-use relight_bake::import;
 use relight_bake::ray::RayCaster;
 use relight_bake::ssdf::Transform;
-use relight_bake::visibility::{self, Directions};
+use relight_bake::visibility::{self, Bitmap, Directions};
+use serde_json::{Value, json};
+
+const RESOLUTION: u32 = 128;
+const BASIS_RESOLUTION: u32 = 64;
 
 fn main() {
-    let paths = std::env::args()
-        .skip(1)
-        .filter(|argument| !argument.starts_with("--"));
-    println!(
-        "mesh, triangles, contours µs, rays µs, ratio, rays per vertex, differing texels, ssdf µs, setup ms"
-    );
-    for path in paths {
-        let mesh = import::mesh(path.as_ref()).expect("a mesh");
-        let positions: Vec<Vec3> = mesh.vertices.iter().map(|v| v.position.into()).collect();
-        let triangles: Vec<[u32; 3]> = mesh.triangles.iter().map(|t| t.vertices).collect();
-        let soup: Vec<[Vec3; 3]> = triangles
-            .iter()
-            .map(|t| t.map(|v| positions[v as usize]))
-            .collect();
-        let (low, high) = positions
-            .iter()
-            .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), p| {
-                (l.min(*p), h.max(*p))
-            });
-        let origins = visibility::origins(&positions, &triangles, 1e-4 * low.distance(high));
-        let step = (origins.len() / 200).max(1);
-        let origins: Vec<Vec3> = origins.into_iter().step_by(step).take(200).collect();
-        let caster = RayCaster::new(&soup);
-        let directions = Directions::new(128);
-        let setup = Instant::now();
-        let mesh = ContourMesh::new(&soup);
-        let setup = setup.elapsed().as_secs_f64() * 1e3;
-        let mut scratch = mesh.scratch(&directions);
-        let per_vertex =
-            |start: Instant| start.elapsed().as_secs_f64() * 1e6 / origins.len() as f64;
-        let start = Instant::now();
-        let exact: Vec<_> = origins
-            .iter()
-            .map(|&o| visibility::sample(&caster, o, &directions))
-            .collect();
-        let ray_time = per_vertex(start);
-        let start = Instant::now();
-        let fast: Vec<_> = origins
-            .iter()
-            .map(|&o| mesh.sample(&caster, o, &directions, &mut scratch))
-            .collect();
-        let contour_time = per_vertex(start);
-        let rays: u32 = fast.iter().map(|(_, rays)| rays).sum();
-        let differing: usize = (exact.iter().zip(&fast))
-            .map(|(a, (b, _))| (0..128 * 128).filter(|&i| a.get(i) != b.get(i)).count())
-            .sum();
-        let transform = Transform::new(&directions, 64);
-        let start = Instant::now();
-        for bitmap in &exact {
-            std::hint::black_box(transform.apply(bitmap, 0.5));
+    let number = |name, default| {
+        common::option(name).map_or(default, |value| value.parse().expect("a number"))
+    };
+    let vertices = number("--vertices", 200);
+    let rounds = number("--rounds", 3);
+    let threads = number("--threads", 2);
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build_global()
+        .expect("threads");
+    let mut rows = Vec::new();
+    for path in common::paths() {
+        let row = measure(&common::subject(&path, vertices), rounds, threads);
+        if common::flag("--json") {
+            rows.push(row);
+            continue;
         }
-        let ssdf_time = per_vertex(start);
-        let name = std::path::Path::new(&path)
-            .file_stem()
-            .unwrap_or_default()
-            .display();
+        if rows.is_empty() {
+            println!("us per vertex, {threads} threads, best of {rounds} rounds in turn");
+            println!(
+                "{:<14}{:>9}{:>10}{:>9}{:>9}{:>10}{:>10}{:>7}{:>9}{:>8}{:>8}{:>9}",
+                "mesh",
+                "triangles",
+                "contours",
+                "rays",
+                "Embree",
+                "rays/c.",
+                "Embree/c.",
+                "rays",
+                "differ",
+                "Embree",
+                "SSDF",
+                "set-up",
+            );
+        }
         println!(
-            "{name}, {}, {contour_time:.0}, {ray_time:.0}, {:.1}, {:.0}, {differing}, {ssdf_time:.0}, {setup:.0}",
-            triangles.len(),
-            ray_time / contour_time,
-            f64::from(rays) / origins.len() as f64,
+            "{:<14}{:>9}{:>10.0}{:>9.0}{:>9.0}{:>10.2}{:>10.2}{:>7.0}{:>9}{:>8}{:>7.0}%{:>6.0} ms",
+            row["mesh"].as_str().unwrap_or_default(),
+            row["triangles"].to_string(),
+            figure(&row["contours_us"]),
+            figure(&row["rays_us"]),
+            figure(&row["embree_us"]),
+            figure(&row["rays_over_contours"]),
+            figure(&row["embree_over_contours"]),
+            figure(&row["rays_per_vertex"]),
+            row["differing_texels"].to_string(),
+            row["embree_differing_texels"].to_string(),
+            figure(&row["ssdf_fraction"]) * 100.0,
+            figure(&row["setup_ms"]),
         );
+        rows.push(row);
+    }
+    if common::flag("--json") {
+        println!("{}", Value::from(rows));
+    }
+}
+
+fn figure(value: &Value) -> f64 {
+    value.as_f64().unwrap_or(f64::NAN)
+}
+
+fn measure(subject: &Subject, rounds: usize, threads: usize) -> Value {
+    let Subject {
+        name,
+        soup,
+        origins,
+    } = subject;
+    let directions = Directions::new(RESOLUTION);
+    let caster = RayCaster::new(soup);
+    let setup = Instant::now();
+    let contours = ContourMesh::new(soup);
+    let setup = setup.elapsed().as_secs_f64();
+    let transform = Transform::new(&directions, BASIS_RESOLUTION);
+    let mut embree =
+        Embree::find().map(|program| Embree::start(&program, subject, &directions, threads));
+    // Contours, rays, Embree, SSDF.
+    let mut best = [f64::INFINITY; 4];
+    let mut exact: Vec<Bitmap> = Vec::new();
+    let mut fast: Vec<(Bitmap, u32)> = Vec::new();
+    for _ in 0..rounds {
+        let mut lap = |contender: usize, work: &mut dyn FnMut()| {
+            let start = Instant::now();
+            work();
+            best[contender] = best[contender].min(start.elapsed().as_secs_f64());
+        };
+        lap(0, &mut || {
+            let sample = |scratch: &mut _, &origin: &Vec3| {
+                contours.sample(&caster, origin, &directions, scratch)
+            };
+            fast = (origins.par_iter())
+                .map_init(|| contours.scratch(&directions), sample)
+                .collect();
+        });
+        lap(1, &mut || {
+            exact = (origins.par_iter())
+                .map(|&origin| visibility::sample(&caster, origin, &directions))
+                .collect();
+        });
+        lap(3, &mut || {
+            exact.par_iter().for_each(|bitmap| {
+                std::hint::black_box(transform.apply(bitmap, 0.5));
+            });
+        });
+        if let Some(embree) = &mut embree {
+            best[2] = best[2].min(embree.round());
+        }
+    }
+    let texels = RESOLUTION.pow(2) as usize;
+    let differing: usize = (exact.iter().zip(&fast))
+        .map(|(a, (b, _))| (0..texels).filter(|&i| a.get(i) != b.get(i)).count())
+        .sum();
+    let rays: u64 = fast.iter().map(|(_, rays)| u64::from(*rays)).sum();
+    let per_vertex = |seconds: f64| seconds * 1e6 / origins.len() as f64;
+    let mut row = json!({
+        "mesh": name,
+        "triangles": soup.len(),
+        "vertices": origins.len(),
+        "threads": threads,
+        "contours_us": per_vertex(best[0]),
+        "rays_us": per_vertex(best[1]),
+        "rays_over_contours": best[1] / best[0],
+        "rays_per_vertex": rays as f64 / origins.len() as f64,
+        "differing_texels": differing,
+        "ssdf_us": per_vertex(best[3]),
+        "ssdf_fraction": best[3] / best[0],
+        "setup_ms": setup * 1e3,
+    });
+    if let Some(embree) = embree {
+        let bitmaps = embree.finish();
+        let differing: usize = (exact.iter().zip(bitmaps.chunks_exact(texels / 8)))
+            .map(|(a, b)| {
+                (0..texels)
+                    .filter(|&i| a.get(i) != (b[i / 8] >> (i % 8) & 1 == 1))
+                    .count()
+            })
+            .sum();
+        row["embree_us"] = json!(per_vertex(best[2]));
+        row["embree_over_contours"] = json!(best[2] / best[0]);
+        row["embree_differing_texels"] = json!(differing);
+        row["embree_robust"] = json!(common::flag("--robust"));
+    }
+    row
+}
+
+/// The program of `tools/peers/embree`, running.
+struct Embree {
+    child: Child,
+    input: ChildStdin,
+    output: BufReader<ChildStdout>,
+    folder: tempfile::TempDir,
+}
+
+impl Embree {
+    /// `RELIGHT_EMBREE`, else where its build line puts it.
+    fn find() -> Option<PathBuf> {
+        if let Some(path) = std::env::var_os("RELIGHT_EMBREE") {
+            return Some(path.into());
+        }
+        let built = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tools/peers/embree/occluded");
+        built.is_file().then_some(built)
+    }
+
+    fn start(program: &Path, subject: &Subject, directions: &Directions, threads: usize) -> Self {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let rays = folder.path().join("rays");
+        let counts = [
+            RESOLUTION,
+            subject.soup.len() as u32,
+            subject.origins.len() as u32,
+            0,
+        ];
+        let mut bytes = b"RAYPEER1".to_vec();
+        bytes.extend(counts.iter().flat_map(|count| count.to_le_bytes()));
+        let vectors = (directions.as_slice().iter())
+            .chain(subject.soup.iter().flatten())
+            .chain(&subject.origins);
+        bytes.extend(
+            vectors
+                .flat_map(|v| v.to_array())
+                .flat_map(f32::to_le_bytes),
+        );
+        std::fs::write(&rays, bytes).expect("a writable folder");
+        let mut command = Command::new(program);
+        command
+            .arg(&rays)
+            .arg("--bitmaps")
+            .arg(folder.path().join("bitmaps"));
+        command.args(["--threads", &threads.to_string()]);
+        if common::flag("--robust") {
+            command.arg("--robust");
+        }
+        command.stdin(Stdio::piped()).stdout(Stdio::piped());
+        let mut child = command.spawn().expect("the peer starts");
+        let input = child.stdin.take().expect("piped");
+        let output = BufReader::new(child.stdout.take().expect("piped"));
+        Self {
+            child,
+            input,
+            output,
+            folder,
+        }
+    }
+
+    /// Seconds of one round.
+    fn round(&mut self) -> f64 {
+        self.input.write_all(b"\n").expect("the peer listens");
+        let mut line = String::new();
+        self.output.read_line(&mut line).expect("the peer answers");
+        let answer: Value = serde_json::from_str(&line).expect("the peer answers in JSON");
+        figure(&answer["seconds"])
+    }
+
+    /// Ends the program and returns the bitmaps of its last round.
+    fn finish(self) -> Vec<u8> {
+        let Self {
+            mut child,
+            input,
+            folder,
+            ..
+        } = self;
+        drop(input);
+        assert!(
+            child.wait().is_ok_and(|status| status.success()),
+            "the peer fails"
+        );
+        std::fs::read(folder.path().join("bitmaps")).expect("the peer writes bitmaps")
     }
 }

@@ -1,0 +1,86 @@
+//! What benches share: meshes, the points that are sampled, the command line.
+
+#![allow(dead_code, reason = "every bench uses another part")]
+
+use std::path::{Path, PathBuf};
+
+use glam::Vec3;
+use relight_bake::{import, visibility};
+
+/// Meshes that are measured unless others are named, below the data folder.
+const MESHES: [&str; 5] = [
+    "figures/spot.obj",
+    "figures/cesium_man_walk/walk_1.obj",
+    "stanford/bunny.obj",
+    "stanford/armadillo.obj",
+    "stanford/dragon_100k.obj",
+];
+
+/// A mesh as the bake samples it.
+pub struct Subject {
+    /// The file's name without its extension.
+    pub name: String,
+    /// Corners of every triangle.
+    pub soup: Vec<[Vec3; 3]>,
+    /// Points that visibility is sampled from.
+    pub origins: Vec<Vec3>,
+}
+
+/// `--name value` of the command line.
+pub fn option(name: &str) -> Option<String> {
+    let mut arguments = std::env::args().skip_while(|argument| argument != name);
+    arguments.nth(1)
+}
+
+/// Whether `--name` is on the command line.
+pub fn flag(name: &str) -> bool {
+    std::env::args().any(|argument| argument == name)
+}
+
+/// Mesh files named on the command line, else those of the data folder if `cargo bench`
+/// runs us, else none: a test run of all targets is over at once.
+pub fn paths() -> Vec<PathBuf> {
+    let mut paths = Vec::new();
+    let mut arguments = std::env::args().skip(1);
+    while let Some(argument) = arguments.next() {
+        if !argument.starts_with("--") {
+            paths.push(argument.into());
+        } else if !["--bench", "--json", "--robust", "--test"].contains(&argument.as_str()) {
+            // Every other option has a value.
+            arguments.next();
+        }
+    }
+    if paths.is_empty() && flag("--bench") {
+        paths = MESHES
+            .map(|mesh| data_folder().join("meshes").join(mesh))
+            .into();
+    }
+    paths
+}
+
+/// `RELIGHT_DATA`, else `../shared/data` beside the checkout.
+pub fn data_folder() -> PathBuf {
+    std::env::var_os("RELIGHT_DATA").map_or_else(
+        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"),
+        PathBuf::from,
+    )
+}
+
+/// Loads a mesh and picks `count` of its vertices at equal steps.
+pub fn subject(path: &Path, count: usize) -> Subject {
+    let mesh = import::mesh(path).unwrap_or_else(|error| panic!("{error}"));
+    let positions: Vec<Vec3> = mesh.vertices.iter().map(|v| v.position.into()).collect();
+    let triangles: Vec<[u32; 3]> = mesh.triangles.iter().map(|t| t.vertices).collect();
+    let soup = triangles
+        .iter()
+        .map(|t| t.map(|v| positions[v as usize]))
+        .collect();
+    let (low, high) = mesh.bounds().expect("imported meshes have vertices");
+    let origins = visibility::origins(&positions, &triangles, 1e-4 * low.distance(high));
+    let step = (origins.len() / count).max(1);
+    Subject {
+        name: path.file_stem().unwrap_or_default().display().to_string(),
+        soup,
+        origins: origins.into_iter().step_by(step).take(count).collect(),
+    }
+}

@@ -55,6 +55,13 @@ impl Bitmap {
         Self { words }
     }
 
+    /// Sets whether the direction of texel `index` is visible.
+    pub(crate) fn set(&mut self, index: usize, visible: bool) {
+        let bit = 1 << (index % 64);
+        let word = &mut self.words[index / 64];
+        *word = if visible { *word | bit } else { *word & !bit };
+    }
+
     /// Whether the direction of texel `index` is visible.
     pub fn get(&self, index: usize) -> bool {
         self.words[index / 64] >> (index % 64) & 1 == 1

@@ -1,0 +1,309 @@
+//! Surface layers over an octahedral map, counted from the contours that bound them.
+//!
+//! In each octant the octahedral map is a central projection, so a contour edge maps to
+//! straight segments in the square. Coordinates are in texels: texel (x, y) has its centre
+//! at (x, y) and the square spans −½ to n − ½. Steps are summed where segments cross the
+//! vertical lines through texel centres, and the line through the centres of row 0, which
+//! joins the columns. Beyond the border column x continues as column n − 1 − x, so the sums
+//! along both must meet.
+
+use glam::Vec3;
+use pulp::{Arch, Simd, WithSimd};
+
+use super::Contour;
+use crate::visibility::Bitmap;
+
+/// Distance from a segment within which a texel centre is uncertain, in texels: several
+/// times the rounding of projected segments and of the texels' directions.
+const CLEARANCE: f32 = 2.5e-4;
+/// Edges that are projected side by side.
+const LANES: usize = 16;
+
+type Point = [f32; 2];
+
+/// Sums of steps, and the layers that they lead to.
+pub(super) struct Layers {
+    n: usize,
+    /// Steps between rows j − 1 and j of every column, n + 1 rows of n. The outer two are
+    /// halves of links over the border.
+    steps: Vec<i32>,
+    /// Steps between columns j − 1 and j along row 0.
+    first_row: Vec<i32>,
+    layers: Vec<i32>,
+    /// Texels that need a ray of their own; some may be named twice.
+    uncertain: Vec<u32>,
+    /// Whether some contour could not be projected.
+    broken: bool,
+}
+
+impl Layers {
+    pub(super) fn new(n: usize) -> Self {
+        Self {
+            n,
+            steps: vec![0; n * (n + 1)],
+            first_row: vec![0; n + 1],
+            layers: vec![0; n * n],
+            uncertain: Vec::new(),
+            broken: false,
+        }
+    }
+
+    /// Sums the steps of all contours, seen from `eye`.
+    pub(super) fn count(&mut self, positions: &[Vec3], eye: Vec3, contours: &[Contour]) {
+        self.steps.fill(0);
+        self.first_row.fill(0);
+        self.uncertain.clear();
+        self.broken = false;
+        Arch::new().dispatch(Count {
+            layers: self,
+            positions,
+            eye,
+            contours,
+        });
+    }
+
+    /// The bitmap, and the number of rays it took: `visible` casts one at a texel.
+    pub(super) fn resolve(&mut self, mut visible: impl FnMut(usize) -> bool) -> (Bitmap, u32) {
+        let texels = self.n * self.n;
+        if self.broken || !self.sum() {
+            return (Bitmap::from_fn(texels, visible), texels as u32);
+        }
+        for &texel in &self.uncertain {
+            self.layers[texel as usize] = i32::MAX;
+        }
+        let fewest = self.layers.iter().copied().fold(i32::MAX, i32::min);
+        let mut rays = 0;
+        let mut bitmap = Bitmap::from_fn(texels, |_| false);
+        if fewest < i32::MAX {
+            let representative = self.layers.iter().position(|&layers| layers == fewest);
+            rays += 1;
+            if representative.is_some_and(&mut visible) {
+                bitmap = Bitmap::from_fn(texels, |texel| self.layers[texel] == fewest);
+            }
+        }
+        self.uncertain.sort_unstable();
+        self.uncertain.dedup();
+        for &texel in &self.uncertain {
+            rays += 1;
+            bitmap.set(texel as usize, visible(texel as usize));
+        }
+        (bitmap, rays)
+    }
+
+    /// Prefix sums of the steps. Columns whose sums do not meet beyond the lower border
+    /// become uncertain; false if row 0's do not meet beyond the upper one.
+    fn sum(&mut self) -> bool {
+        let n = self.n;
+        let mut along = 0;
+        for (layers, step) in self.layers[..n].iter_mut().zip(&self.first_row) {
+            along += step;
+            *layers = along;
+        }
+        for y in 1..n {
+            let (above, row) = self.layers[(y - 1) * n..][..2 * n].split_at_mut(n);
+            let steps = &self.steps[y * n..][..n];
+            for ((layers, above), step) in row.iter_mut().zip(above).zip(steps) {
+                *layers = *above + step;
+            }
+        }
+        let (top, bottom) = (&self.layers[..n], &self.layers[(n - 1) * n..]);
+        let (over, under) = (&self.steps[..n], &self.steps[n * n..]);
+        for x in 0..n / 2 {
+            let other = n - 1 - x;
+            if top[x] - over[x] != top[other] - over[other] {
+                return false;
+            }
+            if bottom[x] + under[x] != bottom[other] + under[other] {
+                let columns = [x, other].into_iter();
+                self.uncertain
+                    .extend(columns.flat_map(|x| (0..n).map(move |y| (y * n + x) as u32)));
+            }
+        }
+        true
+    }
+
+    /// Adds an edge that the vectorised pass has not done away with.
+    fn add(&mut self, from: Vec3, to: Vec3, step: i32) {
+        let half = self.n as f32 * 0.5;
+        let signs = |p: Vec3| [p.x < 0.0, p.y < 0.0, p.z < 0.0];
+        if signs(from) == signs(to) {
+            let (a, b) = (project_own(from, half), project_own(to, half));
+            self.add_segment(a, b, step);
+            return;
+        }
+        // Cut at the coordinate planes.
+        let mut cuts = [(1.0, 3); 4];
+        for axis in 0..3 {
+            let (a, b) = (from[axis], to[axis]);
+            if (a < 0.0) != (b < 0.0) {
+                cuts[axis] = (a / (a - b), axis);
+            }
+        }
+        cuts.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
+        let (mut start, mut done) = (from, 0.0);
+        for (cut, axis) in cuts {
+            if cut <= done {
+                continue;
+            }
+            let mut end = to;
+            if cut < 1.0 {
+                end = from.lerp(to, cut);
+                // Exactly on the plane, so that the pieces on both sides meet.
+                end[axis] = 0.0;
+            }
+            let middle = start + end;
+            let sign = Vec3::ONE.copysign(middle);
+            let (a, b) = (project(start * sign, sign, half), project(end * sign, sign, half));
+            self.add_segment(a, b, step);
+            (start, done) = (end, cut);
+        }
+    }
+
+    /// Adds a piece of an edge within one octant.
+    fn add_segment(&mut self, a: Point, b: Point, step: i32) {
+        if !(a[0] + a[1] + b[0] + b[1]).is_finite() {
+            // The edge ends at the eye.
+            self.broken = true;
+            return;
+        }
+        let n = self.n;
+        // To the left of a segment of growing x lies growing y.
+        let (p, q, down) = if a[0] <= b[0] { (a, b, step) } else { (b, a, -step) };
+        let first = (p[0] - CLEARANCE).ceil().max(0.0) as usize;
+        let last = (q[0] + CLEARANCE + 1.0) as usize;
+        let slope = (q[1] - p[1]) / (q[0] - p[0]).max(1e-12);
+        let reach = CLEARANCE + CLEARANCE * slope.abs();
+        let low = p[1].min(q[1]) - CLEARANCE;
+        let high = p[1].max(q[1]) + CLEARANCE;
+        for column in first..last.min(n) {
+            let line = column as f32;
+            let at = p[1] + (line - p[0]) * slope;
+            let near = (at - reach).clamp(low, high).ceil().max(0.0) as usize;
+            // One past the last row within reach.
+            let past = ((at + reach).clamp(low, high) + 1.0) as usize;
+            for row in near..past.min(n) {
+                self.uncertain.push((row * n + column) as u32);
+            }
+            if p[0] <= line && line < q[0] {
+                let link = at.clamp(low, high).ceil().max(0.0) as usize;
+                self.steps[link.min(n) * n + column] += down;
+            }
+        }
+        // To the right of a segment of growing y lies growing x.
+        let (p, q, along) = if a[1] <= b[1] { (a, b, -step) } else { (b, a, step) };
+        if p[1] <= 0.0 && 0.0 < q[1] {
+            let at = p[0] - p[1] * (q[0] - p[0]) / (q[1] - p[1]);
+            let link = at.ceil().max(0.0) as usize;
+            self.first_row[link.min(n)] += along;
+        }
+    }
+}
+
+/// Projects a point of the octant that it lies in.
+fn project_own(p: Vec3, half: f32) -> Point {
+    let sign = |x: f32| if x < 0.0 { -1.0 } else { 1.0 };
+    project(p.abs(), Vec3::new(sign(p.x), sign(p.y), sign(p.z)), half)
+}
+
+/// Projects a point, given by its coordinates in an octant, to the square. The arithmetic
+/// depends on the point and the octant alone: edges that share a vertex meet exactly.
+#[inline(always)]
+fn project(p: Vec3, sign: Vec3, half: f32) -> Point {
+    let (px, py, pz) = (max_zero(p.x), max_zero(p.y), max_zero(p.z));
+    let inverse = 1.0 / (px + py + pz);
+    let (mut x, mut z) = (px * inverse, pz * inverse);
+    // On the equator x + z = 1, exactly: both hemispheres give the same point there.
+    let equator = (x + 2.0) - 2.0;
+    if py == 0.0 {
+        x = equator;
+        z = 1.0 - equator;
+    }
+    let (u, v) = if sign.y > 0.0 { (x, z) } else { (1.0 - z, 1.0 - x) };
+    [
+        half * (u * sign.x) + (half - 0.5),
+        half * (v * sign.z) + (half - 0.5),
+    ]
+}
+
+/// Keeps NaN, unlike `f32::max`.
+#[inline(always)]
+fn max_zero(x: f32) -> f32 {
+    if x < 0.0 { 0.0 } else { x }
+}
+
+/// The vectorised part of [`Layers::count`]: most edges lie between two lines of texel
+/// centres and change nothing.
+struct Count<'a> {
+    layers: &'a mut Layers,
+    positions: &'a [Vec3],
+    eye: Vec3,
+    contours: &'a [Contour],
+}
+
+impl WithSimd for Count<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self {
+            layers,
+            positions,
+            eye,
+            contours,
+        } = self;
+        let half = layers.n as f32 * 0.5;
+        for batch in contours.chunks(LANES) {
+            let mut ends = [[[0.0; LANES]; 3]; 2];
+            for (lane, contour) in batch.iter().enumerate() {
+                for (end, vertex) in ends.iter_mut().zip(contour.vertices) {
+                    let p = positions[vertex as usize];
+                    end[0][lane] = p.x;
+                    end[1][lane] = p.y;
+                    end[2][lane] = p.z;
+                }
+            }
+            let crosses = crossing(&mut ends, eye, half);
+            for (lane, contour) in batch.iter().enumerate() {
+                if crosses[lane] {
+                    let [a, b] = [0, 1].map(|end| ends[end].map(|axis| axis[lane]));
+                    layers.add(a.into(), b.into(), contour.step);
+                }
+            }
+        }
+    }
+}
+
+/// Makes the ends relative to the eye and tells which edges come near a line that counts.
+#[inline(always)]
+fn crossing(ends: &mut [[[f32; LANES]; 3]; 2], eye: Vec3, half: f32) -> [bool; LANES] {
+    let mut points = [[[0.0; LANES]; 2]; 2];
+    let mut signs = [[0u8; LANES]; 2];
+    for (end, (point, signs)) in ends.iter_mut().zip(points.iter_mut().zip(&mut signs)) {
+        for lane in 0..LANES {
+            let x = end[0][lane] - eye.x;
+            let y = end[1][lane] - eye.y;
+            let z = end[2][lane] - eye.z;
+            (end[0][lane], end[1][lane], end[2][lane]) = (x, y, z);
+            signs[lane] = u8::from(x < 0.0) | u8::from(y < 0.0) << 1 | u8::from(z < 0.0) << 2;
+            let sign = |x: f32| if x < 0.0 { -1.0 } else { 1.0 };
+            let absolute = Vec3::new(x.abs(), y.abs(), z.abs());
+            let [u, v] = project(absolute, Vec3::new(sign(x), sign(y), sign(z)), half);
+            point[0][lane] = u;
+            point[1][lane] = v;
+        }
+    }
+    let mut crosses = [true; LANES];
+    let [[u0, v0], [u1, v1]] = &points;
+    for lane in 0..LANES {
+        // Written so that NaN crosses.
+        let (low, high) = if u0[lane] < u1[lane] {
+            (u0[lane], u1[lane])
+        } else {
+            (u1[lane], u0[lane])
+        };
+        let between = (low - CLEARANCE).floor() == (high + CLEARANCE).floor();
+        let below = v0[lane] > CLEARANCE && v1[lane] > CLEARANCE;
+        crosses[lane] = !(between && below && signs[0][lane] == signs[1][lane]);
+    }
+    crosses
+}

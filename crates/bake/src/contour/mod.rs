@@ -1,0 +1,212 @@
+//! Visibility from contours: the bits of one ray per texel for the price of a few rays.
+//!
+//! Along a direction a ray crosses some number of surface layers; it is visible where that
+//! number is zero. Seen from a point, an edge whose triangles lie on both sides of the plane
+//! through the edge and the point changes nothing: one layer ends where the other begins.
+//! Layers begin and end at *contour* edges alone, those whose triangles lie more to one
+//! side. So the differences between neighbouring texels are sums over the contours that
+//! pass between their centres ([`layers`]), their prefix sums are the layers of every texel
+//! up to one constant, and a single ray, at a texel where layers are fewest, fixes that
+//! constant: if it is visible, texels of as few layers are visible; if it is blocked, every
+//! texel is (compare quantitative invisibility, Appel 1967).
+//!
+//! The result equals one ray per texel. Texels within rounding of a contour get a ray of
+//! their own, and sums around the map, which must vanish, are checked: where they do not,
+//! rays are cast.
+
+mod facing;
+mod layers;
+
+use glam::Vec3;
+
+use crate::ray::RayCaster;
+use crate::visibility::{Bitmap, Directions};
+use facing::Facing;
+use layers::Layers;
+
+/// A mesh's edges, prepared for finding contours from any point.
+pub struct ContourMesh {
+    /// Welded vertex positions.
+    positions: Vec<Vec3>,
+    facing: Facing,
+}
+
+/// An edge where layers begin or end, as seen from some point.
+#[derive(Clone, Copy, Debug, Default)]
+struct Contour {
+    vertices: [u32; 2],
+    /// Layers to the left of the edge, seen along its direction, less those to its right.
+    step: i32,
+}
+
+/// Memory that sampling one point after the other reuses.
+pub struct Scratch {
+    facing: Vec<u64>,
+    contours: Vec<Contour>,
+    layers: Layers,
+}
+
+impl ContourMesh {
+    /// Welds vertices of equal coordinates and collects edges. Triangles without area and
+    /// repeated triangles are left out: neither changes what is visible.
+    pub fn new(triangles: &[[Vec3; 3]]) -> Self {
+        let mut ids = std::collections::HashMap::new();
+        let mut positions = Vec::new();
+        let mut weld = |vertex: Vec3| {
+            // Adding zero turns −0 into +0.
+            *ids.entry((vertex + Vec3::ZERO).to_array().map(f32::to_bits))
+                .or_insert_with(|| {
+                    positions.push(vertex);
+                    positions.len() as u32 - 1
+                })
+        };
+        let mut seen = std::collections::HashSet::new();
+        let mut welded = Vec::with_capacity(triangles.len());
+        for triangle in triangles {
+            let [a, b, c] = triangle.map(Vec3::as_dvec3);
+            let vertices = triangle.map(&mut weld);
+            let mut key = vertices;
+            key.sort_unstable();
+            if (b - a).cross(c - a) != glam::DVec3::ZERO && seen.insert(key) {
+                welded.push(vertices);
+            }
+        }
+        let facing = Facing::new(&positions, welded);
+        Self { positions, facing }
+    }
+
+    /// Memory for [`Self::sample`] at the directions' resolution.
+    pub fn scratch(&self, directions: &Directions) -> Scratch {
+        Scratch {
+            facing: Vec::new(),
+            contours: Vec::new(),
+            layers: Layers::new(directions.resolution() as usize),
+        }
+    }
+
+    /// The same bitmap as [`crate::visibility::sample`], and the number of rays it took.
+    pub fn sample(
+        &self,
+        caster: &RayCaster,
+        origin: Vec3,
+        directions: &Directions,
+        scratch: &mut Scratch,
+    ) -> (Bitmap, u32) {
+        let Scratch {
+            facing,
+            contours,
+            layers,
+        } = scratch;
+        self.facing.find_contours(origin, facing, contours);
+        layers.count(&self.positions, origin, contours);
+        let directions = directions.as_slice();
+        layers.resolve(|texel| !caster.any_hit(origin, directions[texel]))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::visibility;
+
+    /// Deterministic numbers in [0, 1).
+    fn random(state: &mut u64) -> f32 {
+        *state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        (*state >> 40) as f32 / (1u64 << 24) as f32
+    }
+
+    fn random_point(state: &mut u64) -> Vec3 {
+        Vec3::new(random(state), random(state), random(state)) * 2.0 - 1.0
+    }
+
+    fn sphere(centre: Vec3, radius: f32, n: u32) -> Vec<[Vec3; 3]> {
+        let at = |i: u32, j: u32| {
+            let theta = std::f32::consts::PI * j as f32 / n as f32;
+            let phi = std::f32::consts::TAU * (i % (2 * n)) as f32 / (2 * n) as f32;
+            let pole = j == 0 || j == n;
+            let ring = if pole { 0.0 } else { theta.sin() };
+            centre + radius * Vec3::new(ring * phi.cos(), theta.cos(), ring * phi.sin())
+        };
+        (0..n)
+            .flat_map(|j| (0..2 * n).map(move |i| (i, j)))
+            .flat_map(|(i, j)| {
+                [
+                    [at(i, j), at(i + 1, j), at(i + 1, j + 1)],
+                    [at(i, j), at(i + 1, j + 1), at(i, j + 1)],
+                ]
+            })
+            .collect()
+    }
+
+    fn assert_same_bits(triangles: &[[Vec3; 3]], origins: &[Vec3], resolution: u32) -> u64 {
+        let caster = RayCaster::new(triangles);
+        let mesh = ContourMesh::new(triangles);
+        let directions = Directions::new(resolution);
+        let mut scratch = mesh.scratch(&directions);
+        let mut total = 0;
+        for (index, &origin) in origins.iter().enumerate() {
+            let exact = visibility::sample(&caster, origin, &directions);
+            let (fast, rays) = mesh.sample(&caster, origin, &directions, &mut scratch);
+            let wrong = (0..(resolution * resolution) as usize)
+                .filter(|&texel| exact.get(texel) != fast.get(texel))
+                .count();
+            assert_eq!(wrong, 0, "{wrong} texels differ at origin {index} {origin}");
+            total += u64::from(rays);
+        }
+        total
+    }
+
+    #[test]
+    fn closed_surfaces_give_the_bits_of_one_ray_per_texel() {
+        let mut state = 3;
+        let mut triangles = sphere(Vec3::new(0.2, 0.1, -0.3), 0.5, 20);
+        triangles.extend(sphere(Vec3::new(-0.5, 0.6, 0.2), 0.25, 12));
+        let origins: Vec<Vec3> = (0..60).map(|_| random_point(&mut state) * 1.5).collect();
+        let rays = assert_same_bits(&triangles, &origins, 64);
+        assert!(rays < 60 * 64 * 64 / 20, "components are few: {rays} rays");
+    }
+
+    #[test]
+    fn soups_with_boundaries_and_shared_planes_give_the_same_bits() {
+        let mut state = 11;
+        let mut triangles: Vec<[Vec3; 3]> = (0..60)
+            .map(|_| {
+                let centre = random_point(&mut state);
+                [0; 3].map(|_| centre + 0.3 * random_point(&mut state))
+            })
+            .collect();
+        // Axis-aligned faces put contours on octant borders and through texel centres.
+        for axis in 0..3 {
+            let quad = [[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]].map(|[a, b]| {
+                let mut p = [0.25; 3];
+                p[(axis + 1) % 3] = a;
+                p[(axis + 2) % 3] = b;
+                Vec3::from(p)
+            });
+            triangles.push([quad[0], quad[1], quad[2]]);
+            triangles.push([quad[0], quad[2], quad[3]]);
+            triangles.push([quad[2], quad[1], quad[0]]);
+        }
+        triangles.push([Vec3::ONE, Vec3::ONE, Vec3::X]);
+        let mut origins: Vec<Vec3> = (0..60).map(|_| random_point(&mut state)).collect();
+        origins.extend([
+            Vec3::ZERO,
+            Vec3::new(0.5, 0.0, 0.0),
+            Vec3::new(0.0, -0.5, 0.0),
+        ]);
+        assert_same_bits(&triangles, &origins, 32);
+    }
+
+    #[test]
+    fn surface_points_give_the_same_bits() {
+        let triangles = sphere(Vec3::ZERO, 1.0, 30);
+        let origins: Vec<Vec3> = triangles
+            .iter()
+            .step_by(37)
+            .map(|[a, b, c]| (*a + *b + *c) / 3.0 * 1.0001)
+            .collect();
+        assert_same_bits(&triangles, &origins, 64);
+    }
+}

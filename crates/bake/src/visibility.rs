@@ -55,6 +55,22 @@ impl Bitmap {
         Self { words }
     }
 
+    /// A bitmap set where an element equals `value`.
+    #[inline(always)]
+    pub(crate) fn equal(elements: &[i32], value: i32) -> Self {
+        let words = elements
+            .chunks(64)
+            .map(|elements| {
+                let mut bits = [0; 64];
+                for (bit, element) in bits.iter_mut().zip(elements) {
+                    *bit = u8::from(*element == value);
+                }
+                pack_bits(&bits)
+            })
+            .collect();
+        Self { words }
+    }
+
     /// Sets whether the direction of texel `index` is visible.
     pub(crate) fn set(&mut self, index: usize, visible: bool) {
         let bit = 1 << (index % 64);
@@ -66,6 +82,18 @@ impl Bitmap {
     pub fn get(&self, index: usize) -> bool {
         self.words[index / 64] >> (index % 64) & 1 == 1
     }
+}
+
+/// A word of the lowest bits of 64 bytes.
+#[inline(always)]
+pub(crate) fn pack_bits(bits: &[u8; 64]) -> u64 {
+    let mut word = 0;
+    for (byte, eight) in bits.as_chunks::<8>().0.iter().enumerate() {
+        // Gathers the lowest bit of each byte into the top byte.
+        let eight = u64::from_le_bytes(*eight).wrapping_mul(0x0102_0408_1020_4080) >> 56;
+        word |= eight << (8 * byte);
+    }
+    word
 }
 
 /// Casts one ray per texel from `origin`. Directions below the tangent plane are traced

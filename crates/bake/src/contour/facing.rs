@@ -5,32 +5,47 @@
 //! range of the planes' offsets tell for most blocks that all of their triangles face one
 //! way (Johnson & Cohen 2001); only the others are looked at one by one.
 
+use std::ops::Range;
+
 use glam::{DVec3, Vec3};
 use pulp::{Arch, Simd, WithSimd};
 
 use super::Contour;
 
-/// Triangles whose facing bits share a word.
+/// Triangles that are tested together; their edges are grouped by it.
 const BLOCK: usize = 64;
 /// Cones that are tested side by side.
 const LANES: usize = 16;
 /// How far a quarter turn of the normal counts against a distance of the scene's extent
 /// when triangles are grouped.
-const NORMAL_WEIGHT: f32 = 0.2;
+const NORMAL_WEIGHT: f32 = 0.1;
 /// Slack of the cone test against rounding, relative to the distances involved. A block
 /// within it is looked at triangle by triangle.
 const SLACK: f32 = 1e-5;
+/// Bounds the rounding of a plane's offset and of its product with a point in single
+/// precision, relative to their size: a few units in the last place.
+const PLANE_ROUNDING: f32 = 1e-6;
+/// Edges whose contours are collected together; at most 256, a power of two.
+const CHUNK: usize = 128;
 
 /// Triangles in blocks, and their edges.
 pub(super) struct Facing {
-    /// Planes `n·p = d` of the triangles, structure of arrays, padded to whole blocks.
-    normals: [Vec<f64>; 3],
-    offsets: Vec<f64>,
+    /// Planes `n·p = d` of the triangles with unit normals, structure of arrays, padded to
+    /// whole blocks.
+    planes: [Vec<f32>; 4],
+    /// The same to double precision, for eyes close to a plane; normals of any length.
+    precise: Vec<[f64; 4]>,
+    /// Bounds the rounding of the planes in single precision for an eye at the origin;
+    /// grows with the eye's distance from it.
+    rounding: f32,
     cones: Vec<Cones>,
     blocks: usize,
-    /// Edges between two consistently wound triangles, grouped by their pair of blocks.
-    groups: Vec<Group>,
-    regular: Vec<RegularEdge>,
+    /// Edges between two triangles of one block, block after block, and where each block's
+    /// begin; triangles as numbers in their block.
+    inner: Edges<u8>,
+    first_inner: Vec<u32>,
+    /// Edges between triangles of different blocks.
+    outer: Edges<u32>,
     /// Edges of one triangle, or of several that do not pair up.
     irregular: Vec<IrregularEdge>,
 }
@@ -48,16 +63,10 @@ struct Cones {
     high: [f32; LANES],
 }
 
-struct Group {
-    blocks: [u32; 2],
-    first_edge: u32,
-}
-
-/// The first triangle is wound along the edge, the second against it.
-#[derive(Clone, Copy)]
-struct RegularEdge {
-    vertices: [u32; 2],
-    bits: [u8; 2],
+/// Edges between two triangles: the first is wound along the edge, the second against it.
+struct Edges<T> {
+    triangles: Vec<[T; 2]>,
+    vertices: Vec<[u32; 2]>,
 }
 
 /// The triangles at an edge and whether each is wound along it.
@@ -72,13 +81,14 @@ impl Facing {
         let order = group(positions, &triangles);
         let blocks = order.len().div_ceil(BLOCK);
         let mut facing = Self {
-            normals: [(); 3].map(|()| vec![0.0; blocks * BLOCK]),
-            // Fills up the last block: such a plane faces no point.
-            offsets: vec![f64::INFINITY; blocks * BLOCK],
+            planes: [(); 4].map(|()| vec![0.0; blocks * BLOCK]),
+            precise: vec![[0.0; 4]; blocks * BLOCK],
+            rounding: 0.0,
             cones: vec![Cones::default(); blocks.div_ceil(LANES)],
             blocks,
-            groups: Vec::new(),
-            regular: Vec::new(),
+            inner: Edges::new(),
+            first_inner: Vec::new(),
+            outer: Edges::new(),
             irregular: Vec::new(),
         };
         // Edge from lower to higher vertex, triangle, whether it is wound along that.
@@ -87,10 +97,13 @@ impl Facing {
             let vertices = triangles[triangle as usize];
             let [a, b, c] = vertices.map(|vertex| positions[vertex as usize].as_dvec3());
             let normal = (b - a).cross(c - a);
-            for (out, value) in facing.normals.iter_mut().zip(normal.to_array()) {
+            facing.precise[index] = normal.extend(normal.dot(a)).to_array();
+            let unit = normal.normalize();
+            let plane = unit.extend(unit.dot(a)).as_vec4();
+            for (out, value) in facing.planes.iter_mut().zip(plane.to_array()) {
                 out[index] = value;
             }
-            facing.offsets[index] = normal.dot(a);
+            facing.rounding = facing.rounding.max(PLANE_ROUNDING * plane.w.abs());
             for i in 0..3 {
                 let (from, to) = (vertices[i], vertices[(i + 1) % 3]);
                 halves.push(([from.min(to), from.max(to)], index as u32, from < to));
@@ -108,19 +121,13 @@ impl Facing {
 
     fn add_edges(&mut self, mut halves: Vec<([u32; 2], u32, bool)>) {
         halves.sort_unstable();
-        let block = |triangle: u32| triangle / BLOCK as u32;
-        let bit = |triangle: u32| (triangle as usize % BLOCK) as u8;
-        let mut regular: Vec<([u32; 2], RegularEdge)> = Vec::new();
+        // Triangles, vertices: in the order of the triangles.
+        let mut regular: Vec<([u32; 2], [u32; 2])> = Vec::new();
         for sides in halves.chunk_by(|a, b| a.0 == b.0) {
             let vertices = sides[0].0;
             match *sides {
                 [(_, a, along_a), (_, b, along_b)] if along_a != along_b => {
-                    let (along, against) = if along_a { (a, b) } else { (b, a) };
-                    let edge = RegularEdge {
-                        vertices,
-                        bits: [bit(along), bit(against)],
-                    };
-                    regular.push(([block(along), block(against)], edge));
+                    regular.push((if along_a { [a, b] } else { [b, a] }, vertices));
                 }
                 _ => self.irregular.push(IrregularEdge {
                     vertices,
@@ -128,53 +135,53 @@ impl Facing {
                 }),
             }
         }
-        regular.sort_by_key(|(blocks, _)| *blocks);
-        for group in regular.chunk_by(|a, b| a.0 == b.0) {
-            self.groups.push(Group {
-                blocks: group[0].0,
-                first_edge: self.regular.len() as u32,
-            });
-            self.regular.extend(group.iter().map(|(_, edge)| *edge));
+        regular.sort_unstable();
+        for (triangles, vertices) in regular {
+            let [a, b] = triangles.map(|triangle| triangle as usize / BLOCK);
+            if a == b {
+                let begun = self.inner.vertices.len() as u32;
+                self.first_inner
+                    .resize(self.first_inner.len().max(a + 1), begun);
+                self.inner
+                    .triangles
+                    .push(triangles.map(|t| (t as usize % BLOCK) as u8));
+                self.inner.vertices.push(vertices);
+            } else {
+                self.outer.triangles.push(triangles);
+                self.outer.vertices.push(vertices);
+            }
         }
+        let end = self.inner.vertices.len() as u32;
+        self.first_inner.resize(self.blocks + 1, end);
     }
 
-    /// All contours seen from `eye`. `facing` is scratch memory.
-    pub(super) fn find_contours(
-        &self,
-        eye: Vec3,
-        facing: &mut Vec<u64>,
-        contours: &mut Vec<Contour>,
-    ) {
-        facing.clear();
-        facing.resize(self.blocks.next_multiple_of(LANES), 0);
+    /// All contours seen from `eye`. `faces` is scratch memory.
+    pub(super) fn find_contours(&self, eye: Vec3, faces: &mut Faces, contours: &mut Vec<Contour>) {
+        faces.triangles.resize(self.blocks * BLOCK, 0);
+        faces.mixed.clear();
         contours.clear();
-        Arch::new().dispatch(FindFacing {
+        Arch::new().dispatch(FindFaces {
             mesh: self,
             eye,
-            facing,
+            faces,
         });
-        let ends = self.groups.iter().skip(1).map(|group| group.first_edge);
-        let ends = ends.chain([self.regular.len() as u32]);
-        for (group, end) in self.groups.iter().zip(ends) {
-            let [a, b] = group.blocks.map(|block| facing[block as usize]);
-            if a == b && (a == 0 || a == u64::MAX) {
-                continue;
-            }
-            for edge in &self.regular[group.first_edge as usize..end as usize] {
-                let [along, against] = [a >> edge.bits[0] & 1, b >> edge.bits[1] & 1];
-                if along != against {
-                    contours.push(Contour {
-                        vertices: edge.vertices,
-                        step: 2 * (along as i32 - against as i32),
-                    });
-                }
-            }
+        for &block in &faces.mixed {
+            let block = block as usize;
+            let range = self.first_inner[block] as usize..self.first_inner[block + 1] as usize;
+            let members = &faces.triangles[block * BLOCK..(block + 1) * BLOCK];
+            let face = |triangle: u8| members[usize::from(triangle) % BLOCK];
+            self.inner.collect(range, face, contours);
         }
+        let face = |triangle: u32| faces.triangles[triangle as usize];
+        self.outer
+            .collect(0..self.outer.vertices.len(), face, contours);
         for edge in &self.irregular {
             let left = |&(triangle, along): &(u32, bool)| {
-                let word = facing[triangle as usize / BLOCK];
-                let faces = word >> (triangle as usize % BLOCK) & 1 == 1;
-                if faces == along { 1 } else { -1 }
+                if (face(triangle) == 1) == along {
+                    1
+                } else {
+                    -1
+                }
             };
             let step = edge.triangles.iter().map(left).sum();
             if step != 0 {
@@ -185,6 +192,43 @@ impl Facing {
             }
         }
     }
+}
+
+impl<T: Copy> Edges<T> {
+    fn new() -> Self {
+        Self {
+            triangles: Vec::new(),
+            vertices: Vec::new(),
+        }
+    }
+
+    /// Appends those edges of `range` of which one triangle faces the eye and one does not.
+    #[inline(always)]
+    fn collect(&self, range: Range<usize>, face: impl Fn(T) -> u8, contours: &mut Vec<Contour>) {
+        let mut found = [0; CHUNK];
+        let vertices = self.vertices[range.clone()].chunks(CHUNK);
+        for (triangles, vertices) in self.triangles[range].chunks(CHUNK).zip(vertices) {
+            // Collected without a branch, which would often be guessed wrong.
+            let mut count = 0;
+            for (index, pair) in triangles.iter().enumerate() {
+                found[count % CHUNK] = index as u8;
+                count += usize::from(face(pair[0]) ^ face(pair[1]));
+            }
+            contours.extend(found[..count].iter().map(|&index| Contour {
+                vertices: vertices[usize::from(index)],
+                step: 4 * i32::from(face(triangles[usize::from(index)][0])) - 2,
+            }));
+        }
+    }
+}
+
+/// Which triangles face the eye.
+#[derive(Default)]
+pub(super) struct Faces {
+    /// 1 or 0 per triangle.
+    triangles: Vec<u8>,
+    /// Blocks whose triangles may differ.
+    mixed: Vec<u32>,
 }
 
 impl Cones {
@@ -219,8 +263,16 @@ impl Cones {
         }
         self.cosine[lane] = cosine as f32;
         self.sine[lane] = (1.0 - cosine * cosine).max(0.0).sqrt() as f32;
-        self.low[lane] = if wide { f32::NEG_INFINITY } else { (least - slack) as f32 };
-        self.high[lane] = if wide { f32::INFINITY } else { (largest + slack) as f32 };
+        self.low[lane] = if wide {
+            f32::NEG_INFINITY
+        } else {
+            (least - slack) as f32
+        };
+        self.high[lane] = if wide {
+            f32::INFINITY
+        } else {
+            (largest + slack) as f32
+        };
     }
 
     /// Per block: 1 if all triangles face the eye, −1 if none does, 0 if it is unknown.
@@ -235,43 +287,53 @@ impl Cones {
             let along = mx * x + my * y + mz * z;
             let [cx, cy, cz] = [my * z - mz * y, mz * x - mx * z, mx * y - my * x];
             let across = (cx * cx + cy * cy + cz * cz).sqrt();
-            let slack = SLACK * (along.abs() + across);
-            let middle = along * self.cosine[lane];
-            let spread = across * self.sine[lane] + slack;
-            let front = middle - spread + self.low[lane] > 0.0;
-            let back = middle + spread + self.high[lane] < 0.0;
+            let length = (along * along + across * across).sqrt();
+            let (cosine, sine) = (self.cosine[lane], self.sine[lane]);
+            // Extremes over the cone; at its axis' or the opposite side if that is inside.
+            let least = if along < -length * cosine {
+                -length
+            } else {
+                along * cosine - across * sine
+            };
+            let largest = if along > length * cosine {
+                length
+            } else {
+                along * cosine + across * sine
+            };
+            let slack = SLACK * length;
+            let front = least - slack + self.low[lane] > 0.0;
+            let back = largest + slack + self.high[lane] < 0.0;
             result[lane] = i8::from(front) - i8::from(back);
         }
         result
     }
 }
 
-/// The vectorised body of [`Facing::find_contours`]: one bit per triangle, set where the
-/// eye is in front of it.
-struct FindFacing<'a> {
+/// The vectorised body of [`Facing::find_contours`].
+struct FindFaces<'a> {
     mesh: &'a Facing,
     eye: Vec3,
-    facing: &'a mut [u64],
+    faces: &'a mut Faces,
 }
 
-impl WithSimd for FindFacing<'_> {
+impl WithSimd for FindFaces<'_> {
     type Output = ();
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        let Self { mesh, eye, facing } = self;
-        let precise = eye.as_dvec3();
-        for (number, (cones, words)) in (mesh.cones.iter())
-            .zip(facing.chunks_exact_mut(LANES))
-            .enumerate()
-        {
-            for (lane, (class, word)) in cones.test(eye).into_iter().zip(words).enumerate() {
-                let block = number * LANES + lane;
-                *word = match class {
-                    1 => u64::MAX,
-                    0 if block < mesh.blocks => mesh.block_facing(block, precise),
-                    _ => 0,
-                };
+        let Self { mesh, eye, faces } = self;
+        let groups = faces.triangles.chunks_mut(LANES * BLOCK);
+        for (number, (cones, group)) in mesh.cones.iter().zip(groups).enumerate() {
+            let classes = cones.test(eye);
+            let blocks = group.as_chunks_mut::<BLOCK>().0;
+            for (lane, (class, block)) in classes.into_iter().zip(blocks).enumerate() {
+                if class == 0 {
+                    let index = number * LANES + lane;
+                    mesh.find_faces(index, eye, block);
+                    faces.mixed.push(index as u32);
+                } else {
+                    block.fill(u8::from(class > 0));
+                }
             }
         }
     }
@@ -279,30 +341,26 @@ impl WithSimd for FindFacing<'_> {
 
 impl Facing {
     #[inline(always)]
-    fn block_facing(&self, block: usize, eye: DVec3) -> u64 {
+    fn find_faces(&self, block: usize, eye: Vec3, faces: &mut [u8; BLOCK]) {
         let range = block * BLOCK..(block + 1) * BLOCK;
-        let [x, y, z] = [0, 1, 2].map(|axis| &self.normals[axis][range.clone()]);
-        let d = &self.offsets[range];
-        let mut in_front = [0u8; BLOCK];
-        for (bit, ((x, y), (z, d))) in in_front
-            .iter_mut()
-            .zip((x.iter().zip(y)).zip(z.iter().zip(d)))
-        {
-            *bit = u8::from(x * eye.x + y * eye.y + z * eye.z > *d);
+        let [x, y, z, d] = [0, 1, 2, 3].map(|i| {
+            let whole = self.planes[i][range.clone()].as_chunks::<BLOCK>().0;
+            &whole[0]
+        });
+        let rounding = self.rounding + PLANE_ROUNDING * eye.abs().element_sum();
+        let mut unclear = false;
+        for i in 0..BLOCK {
+            let height = x[i] * eye.x + y[i] * eye.y + z[i] * eye.z - d[i];
+            faces[i] = u8::from(height > 0.0);
+            unclear |= height.abs() < rounding;
         }
-        pack_bits(&in_front)
+        if unclear {
+            let eye = eye.as_dvec3();
+            for (face, [x, y, z, d]) in faces.iter_mut().zip(&self.precise[range]) {
+                *face = u8::from(x * eye.x + y * eye.y + z * eye.z > *d);
+            }
+        }
     }
-}
-
-#[inline(always)]
-fn pack_bits(bits: &[u8; BLOCK]) -> u64 {
-    let mut word = 0;
-    for (byte, eight) in bits.as_chunks::<8>().0.iter().enumerate() {
-        // Gathers the lowest bit of each byte into the top byte.
-        let eight = u64::from_le_bytes(*eight).wrapping_mul(0x0102_0408_1020_4080) >> 56;
-        word |= eight << (8 * byte);
-    }
-    word
 }
 
 /// An order of the triangles in which runs of [`BLOCK`] are close in place and normal:

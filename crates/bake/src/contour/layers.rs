@@ -78,7 +78,7 @@ impl Layers {
             let representative = self.layers.iter().position(|&layers| layers == fewest);
             rays += 1;
             if representative.is_some_and(&mut visible) {
-                bitmap = Bitmap::from_fn(texels, |texel| self.layers[texel] == fewest);
+                bitmap = Bitmap::equal(&self.layers, fewest);
             }
         }
         self.uncertain.sort_unstable();
@@ -153,7 +153,10 @@ impl Layers {
             }
             let middle = start + end;
             let sign = Vec3::ONE.copysign(middle);
-            let (a, b) = (project(start * sign, sign, half), project(end * sign, sign, half));
+            let (a, b) = (
+                project(start * sign, sign, half),
+                project(end * sign, sign, half),
+            );
             self.add_segment(a, b, step);
             (start, done) = (end, cut);
         }
@@ -168,7 +171,11 @@ impl Layers {
         }
         let n = self.n;
         // To the left of a segment of growing x lies growing y.
-        let (p, q, down) = if a[0] <= b[0] { (a, b, step) } else { (b, a, -step) };
+        let (p, q, down) = if a[0] <= b[0] {
+            (a, b, step)
+        } else {
+            (b, a, -step)
+        };
         let first = (p[0] - CLEARANCE).ceil().max(0.0) as usize;
         let last = (q[0] + CLEARANCE + 1.0) as usize;
         let slope = (q[1] - p[1]) / (q[0] - p[0]).max(1e-12);
@@ -190,7 +197,11 @@ impl Layers {
             }
         }
         // To the right of a segment of growing y lies growing x.
-        let (p, q, along) = if a[1] <= b[1] { (a, b, -step) } else { (b, a, step) };
+        let (p, q, along) = if a[1] <= b[1] {
+            (a, b, -step)
+        } else {
+            (b, a, step)
+        };
         if p[1] <= 0.0 && 0.0 < q[1] {
             let at = p[0] - p[1] * (q[0] - p[0]) / (q[1] - p[1]);
             let link = at.ceil().max(0.0) as usize;
@@ -218,7 +229,11 @@ fn project(p: Vec3, sign: Vec3, half: f32) -> Point {
         x = equator;
         z = 1.0 - equator;
     }
-    let (u, v) = if sign.y > 0.0 { (x, z) } else { (1.0 - z, 1.0 - x) };
+    let (u, v) = if sign.y > 0.0 {
+        (x, z)
+    } else {
+        (1.0 - z, 1.0 - x)
+    };
     [
         half * (u * sign.x) + (half - 0.5),
         half * (v * sign.z) + (half - 0.5),

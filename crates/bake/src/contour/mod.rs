@@ -21,7 +21,7 @@ use glam::Vec3;
 
 use crate::ray::RayCaster;
 use crate::visibility::{Bitmap, Directions};
-use facing::Facing;
+use facing::{Faces, Facing};
 use layers::Layers;
 
 /// A mesh's edges, prepared for finding contours from any point.
@@ -41,7 +41,7 @@ struct Contour {
 
 /// Memory that sampling one point after the other reuses.
 pub struct Scratch {
-    facing: Vec<u64>,
+    facing: Faces,
     contours: Vec<Contour>,
     layers: Layers,
 }
@@ -78,7 +78,7 @@ impl ContourMesh {
     /// Memory for [`Self::sample`] at the directions' resolution.
     pub fn scratch(&self, directions: &Directions) -> Scratch {
         Scratch {
-            facing: Vec::new(),
+            facing: Faces::default(),
             contours: Vec::new(),
             layers: Layers::new(directions.resolution() as usize),
         }

@@ -204,11 +204,7 @@ impl Embree {
         let vectors = (directions.as_slice().iter())
             .chain(subject.soup.iter().flatten())
             .chain(&subject.origins);
-        bytes.extend(
-            vectors
-                .flat_map(|v| v.to_array())
-                .flat_map(f32::to_le_bytes),
-        );
+        bytes.extend(vectors.flat_map(Vec3::to_array).flat_map(f32::to_le_bytes));
         std::fs::write(&rays, bytes).expect("a writable folder");
         let mut command = Command::new(program);
         command

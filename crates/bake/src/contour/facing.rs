@@ -77,8 +77,8 @@ struct IrregularEdge {
 
 impl Facing {
     /// `triangles` index `positions`; each has an area.
-    pub(super) fn new(positions: &[Vec3], triangles: Vec<[u32; 3]>) -> Self {
-        let order = group(positions, &triangles);
+    pub(super) fn new(positions: &[Vec3], triangles: &[[u32; 3]]) -> Self {
+        let order = group(positions, triangles);
         let blocks = order.len().div_ceil(BLOCK);
         let mut facing = Self {
             planes: [(); 4].map(|()| vec![0.0; blocks * BLOCK]),
@@ -113,7 +113,7 @@ impl Facing {
             let corners = members
                 .iter()
                 .map(|&t| triangles[t as usize].map(|v| positions[v as usize]));
-            facing.cones[block / LANES].set(block % LANES, corners);
+            facing.cones[block / LANES].set(block % LANES, &corners);
         }
         facing.add_edges(halves);
         facing
@@ -232,7 +232,7 @@ pub(super) struct Faces {
 }
 
 impl Cones {
-    fn set(&mut self, lane: usize, corners: impl Iterator<Item = [Vec3; 3]> + Clone) {
+    fn set(&mut self, lane: usize, corners: &(impl Iterator<Item = [Vec3; 3]> + Clone)) {
         let normal = |[a, b, c]: [Vec3; 3]| {
             let [a, b, c] = [a, b, c].map(Vec3::as_dvec3);
             (b - a).cross(c - a).normalize_or_zero()
@@ -279,7 +279,7 @@ impl Cones {
     #[inline(always)]
     fn test(&self, eye: Vec3) -> [i8; LANES] {
         let mut result = [0; LANES];
-        for lane in 0..LANES {
+        for (lane, class) in result.iter_mut().enumerate() {
             let x = eye.x - self.centre[0][lane];
             let y = eye.y - self.centre[1][lane];
             let z = eye.z - self.centre[2][lane];
@@ -303,7 +303,7 @@ impl Cones {
             let slack = SLACK * length;
             let front = least - slack + self.low[lane] > 0.0;
             let back = largest + slack + self.high[lane] < 0.0;
-            result[lane] = i8::from(front) - i8::from(back);
+            *class = i8::from(front) - i8::from(back);
         }
         result
     }

@@ -29,7 +29,8 @@ pub(super) struct Layers {
     steps: Vec<i32>,
     /// Steps between columns j − 1 and j along row 0.
     first_row: Vec<i32>,
-    layers: Vec<i32>,
+    /// Layers of surface at every texel, up to a constant.
+    totals: Vec<i32>,
     /// Texels that need a ray of their own; some may be named twice.
     uncertain: Vec<u32>,
     /// Whether some contour could not be projected.
@@ -42,7 +43,7 @@ impl Layers {
             n,
             steps: vec![0; n * (n + 1)],
             first_row: vec![0; n + 1],
-            layers: vec![0; n * n],
+            totals: vec![0; n * n],
             uncertain: Vec::new(),
             broken: false,
         }
@@ -69,16 +70,16 @@ impl Layers {
             return (Bitmap::from_fn(texels, visible), texels as u32);
         }
         for &texel in &self.uncertain {
-            self.layers[texel as usize] = i32::MAX;
+            self.totals[texel as usize] = i32::MAX;
         }
-        let fewest = self.layers.iter().copied().fold(i32::MAX, i32::min);
+        let fewest = self.totals.iter().copied().fold(i32::MAX, i32::min);
         let mut rays = 0;
         let mut bitmap = Bitmap::from_fn(texels, |_| false);
         if fewest < i32::MAX {
-            let representative = self.layers.iter().position(|&layers| layers == fewest);
+            let representative = self.totals.iter().position(|&layers| layers == fewest);
             rays += 1;
             if representative.is_some_and(&mut visible) {
-                bitmap = Bitmap::equal(&self.layers, fewest);
+                bitmap = Bitmap::equal(&self.totals, fewest);
             }
         }
         self.uncertain.sort_unstable();
@@ -95,18 +96,18 @@ impl Layers {
     fn sum(&mut self) -> bool {
         let n = self.n;
         let mut along = 0;
-        for (layers, step) in self.layers[..n].iter_mut().zip(&self.first_row) {
+        for (layers, step) in self.totals[..n].iter_mut().zip(&self.first_row) {
             along += step;
             *layers = along;
         }
         for y in 1..n {
-            let (above, row) = self.layers[(y - 1) * n..][..2 * n].split_at_mut(n);
+            let (above, row) = self.totals[(y - 1) * n..][..2 * n].split_at_mut(n);
             let steps = &self.steps[y * n..][..n];
             for ((layers, above), step) in row.iter_mut().zip(above).zip(steps) {
                 *layers = *above + step;
             }
         }
-        let (top, bottom) = (&self.layers[..n], &self.layers[(n - 1) * n..]);
+        let (top, bottom) = (&self.totals[..n], &self.totals[(n - 1) * n..]);
         let (over, under) = (&self.steps[..n], &self.steps[n * n..]);
         for x in 0..n / 2 {
             let other = n - 1 - x;

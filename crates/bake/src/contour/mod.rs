@@ -71,7 +71,7 @@ impl ContourMesh {
                 welded.push(vertices);
             }
         }
-        let facing = Facing::new(&positions, welded);
+        let facing = Facing::new(&positions, &welded);
         Self { positions, facing }
     }
 

@@ -1,16 +1,30 @@
 //! The baseline integrator (Wang et al. 2009, §5): the lobe's integral times the fraction of
 //! the lobe inside the half-space at the signed distance of its axis. One SSDF sample.
+//!
+//! Here the lobe of that fraction is the product with the clamped cosine, itself a spherical
+//! Gaussian for this purpose: the axis of a broad lobe may lie below the horizon, where a
+//! saturated field tells nothing of the part above.
 
 use glam::Vec3;
 
 use crate::ssdf::SignedDistance;
 use crate::tables::Tables;
 
+/// Sharpness of the spherical Gaussian nearest to the clamped cosine (Wang et al. 2009, §4).
+const COSINE_SHARPNESS: f32 = 2.133;
+
 /// An estimate of ∫ exp(λ(p·ω − 1)) max(n·ω, 0) \[D(ω) > 0\] dω, for the lobe of sharpness
 /// λ about the unit vector p = `axis` and the unit vector n = `normal`.
 pub fn integrate(field: &impl SignedDistance, sharpness: f32, axis: Vec3, normal: Vec3) -> f32 {
     let tables = Tables::get();
     let unoccluded = tables.cosine_integral(sharpness, normal.dot(axis));
+    let product = sharpness * axis + COSINE_SHARPNESS * normal;
+    let sharpness = product.length();
+    let axis = if sharpness > 1e-6 {
+        product / sharpness
+    } else {
+        normal
+    };
     // A field that saturates says "at least" at its limit: there the lobe counts as wholly
     // visible or blocked, and the fractions between are stretched to meet that.
     let limit = field.limit();

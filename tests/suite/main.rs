@@ -13,6 +13,7 @@
 mod cli;
 mod demo;
 mod determinism;
+mod farm;
 mod gpu;
 mod import;
 mod lab;
@@ -28,6 +29,7 @@ fn main() -> ExitCode {
         cli::trials(),
         demo::trials(),
         determinism::trials(),
+        farm::trials(),
         gpu::trials(),
         import::trials(),
         lab::trials(),

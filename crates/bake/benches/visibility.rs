@@ -20,7 +20,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 use relight_bake::contour::ContourMesh;
 use relight_bake::ray::RayCaster;
-use relight_bake::ssdf::Transform;
+use relight_bake::ssdf::{Crossings, Transform};
 use relight_bake::visibility::{self, Bitmap, Directions};
 use serde_json::{Value, json};
 
@@ -28,12 +28,9 @@ const RESOLUTION: u32 = 128;
 const BASIS_RESOLUTION: u32 = 64;
 
 fn main() {
-    let number = |name, default| {
-        common::option(name).map_or(default, |value| value.parse().expect("a number"))
-    };
-    let vertices = number("--vertices", 200);
-    let rounds = number("--rounds", 3);
-    let threads = number("--threads", 2);
+    let vertices = common::number("--vertices", 200);
+    let rounds = common::number("--rounds", 3);
+    let threads = common::number("--threads", 2);
     rayon::ThreadPoolBuilder::new()
         .num_threads(threads)
         .build_global()
@@ -128,7 +125,7 @@ fn measure(subject: &Subject, rounds: usize, threads: usize) -> Value {
         });
         lap(3, &mut || {
             exact.par_iter().for_each(|bitmap| {
-                std::hint::black_box(transform.apply(bitmap, 0.5));
+                std::hint::black_box(transform.apply(bitmap, &Crossings::default(), 0.5));
             });
         });
         if let Some(embree) = &mut embree {

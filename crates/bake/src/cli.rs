@@ -1,5 +1,7 @@
 //! The command line: arguments in, assets and messages out.
 
+use std::error::Error;
+use std::fmt::Write;
 use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -9,11 +11,13 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail};
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{HumanDuration, ProgressBar, ProgressState, ProgressStyle};
 use relight_bake::monitor::{Interrupted, Monitor, Progress};
-use relight_bake::{environment, hdr, scene, scene_input};
+use relight_bake::{environment, hdr, scene};
 use relight_format as format;
 use serde_json::{Value, json};
+
+use crate::scene_command;
 
 const EXIT_CODES: &str = "\
 Exit codes:
@@ -21,7 +25,11 @@ Exit codes:
   1    the input is not what it should be; the message says where and why
   2    the command line is wrong
   3    a file could not be read or written
-  130  interrupted; nothing half-written is left";
+  130  interrupted; no output is half-written, and --resume continues a scene bake";
+
+/// Largest niceness that Unix knows.
+#[cfg(unix)]
+const LOWEST_PRIORITY: i32 = 19;
 
 /// Bakes meshes and HDR environments into .relight assets.
 #[derive(Parser)]
@@ -35,12 +43,25 @@ struct Cli {
     /// Worker threads; 0 means one per core.
     #[arg(long, global = true, default_value_t = 0, value_name = "N")]
     threads: usize,
+    /// Yield to everything else on the machine.
+    #[cfg(unix)]
+    #[arg(long, global = true)]
+    low_priority: bool,
 }
 
 #[derive(Subcommand)]
 enum Command {
     /// Bake a scene file (.toml) or a mesh (.gltf, .glb, .obj).
     Scene(SceneArguments),
+    /// Join the shards of a scene into the asset that one bake gives.
+    Merge {
+        /// What `bake scene --shard` wrote, every shard once.
+        #[arg(required = true)]
+        shards: Vec<PathBuf>,
+        /// Asset to write.
+        #[arg(short, long, value_name = "OUT.relight")]
+        output: PathBuf,
+    },
     /// Fit spherical Gaussians to a lat-long HDR image (.hdr, .exr).
     Environment(EnvironmentArguments),
     /// Show what an asset holds.
@@ -71,12 +92,22 @@ enum RepresentationArgument {
 }
 
 #[derive(Args)]
-struct SceneArguments {
+pub(crate) struct SceneArguments {
     /// Scene file or mesh.
-    input: PathBuf,
-    /// Asset to write.
+    pub(crate) input: PathBuf,
+    /// Asset to write, or with --shard the part.
     #[arg(short, long, value_name = "OUT.relight")]
-    output: PathBuf,
+    pub(crate) output: PathBuf,
+    /// Continue from OUT.relight.parts, which an interrupted or killed bake leaves; start
+    /// from the beginning if there is none.
+    #[arg(long)]
+    pub(crate) resume: bool,
+    /// Bake the I-th of N parts, I from 1; `bake merge` joins them.
+    #[arg(long, value_name = "I/N", value_parser = shard)]
+    pub(crate) shard: Option<Shard>,
+    /// Also cast one ray per texel at every vertex; any difference is an error.
+    #[arg(long)]
+    pub(crate) verify_visibility: bool,
     /// Starting point for the options below.
     #[arg(long, value_enum, default_value_t = Preset::Standard)]
     preset: Preset,
@@ -108,6 +139,25 @@ struct SceneArguments {
     basis_resolution: Option<u32>,
 }
 
+/// One of several parts of a scene.
+#[derive(Clone, Copy)]
+pub(crate) struct Shard {
+    /// From 1.
+    pub(crate) number: u32,
+    pub(crate) count: u32,
+}
+
+fn shard(text: &str) -> Result<Shard, String> {
+    text.split_once('/')
+        .and_then(|(number, count)| {
+            let (number, count) = (number.parse().ok()?, count.parse().ok()?);
+            (1..=count)
+                .contains(&number)
+                .then_some(Shard { number, count })
+        })
+        .ok_or_else(|| "expected I/N with I from 1 to N".to_owned())
+}
+
 #[derive(Args)]
 struct EnvironmentArguments {
     /// Lat-long image.
@@ -127,6 +177,11 @@ struct EnvironmentArguments {
 pub fn run() -> ExitCode {
     static STOP: AtomicBool = AtomicBool::new(false);
     let cli = Cli::parse();
+    #[cfg(unix)]
+    if cli.low_priority {
+        // Before any other thread starts: they inherit it. A refusal costs speed alone.
+        let _ = rustix::process::nice(LOWEST_PRIORITY);
+    }
     // Without a handler Ctrl-C ends the process at once, which leaves nothing behind
     // either: outputs are renamed into place.
     let _ = ctrlc::set_handler(|| STOP.store(true, Ordering::Relaxed));
@@ -146,7 +201,8 @@ pub fn run() -> ExitCode {
         stop: &STOP,
     };
     let result = match &cli.command {
-        Command::Scene(arguments) => bake_scene(arguments, monitor),
+        Command::Scene(arguments) => scene_command::bake(arguments, monitor),
+        Command::Merge { shards, output } => scene_command::merge(shards, output, monitor),
         Command::Environment(arguments) => bake_environment(arguments, monitor),
         Command::Inspect { file } => inspect(file),
         Command::Validate { file } => validate(file),
@@ -165,7 +221,7 @@ pub fn run() -> ExitCode {
 
 fn exit_code(error: &anyhow::Error) -> u8 {
     for cause in error.chain() {
-        if cause.is::<Interrupted>() {
+        if is_interruption(cause) {
             return 130;
         }
         if cause.is::<std::io::Error>() {
@@ -175,16 +231,34 @@ fn exit_code(error: &anyhow::Error) -> u8 {
     1
 }
 
+/// Whether somebody asked to stop. The scene's own error hides what it passes on.
+pub(crate) fn is_interruption(cause: &(dyn Error + 'static)) -> bool {
+    cause.is::<Interrupted>() || matches!(cause.downcast_ref(), Some(scene::Error::Interrupted(_)))
+}
+
 /// What a command says at its end.
-struct Summary {
-    text: String,
-    json: Value,
+pub(crate) struct Summary {
+    pub(crate) text: String,
+    pub(crate) json: Value,
 }
 
 /// A bar on a terminal, a line every few seconds elsewhere, nothing with `--json`.
 struct Show {
     bar: Option<ProgressBar>,
-    plain: Option<Mutex<Instant>>,
+    plain: Option<Mutex<Plain>>,
+}
+
+struct Plain {
+    stage: &'static str,
+    start: Instant,
+    last: Instant,
+}
+
+/// Stages report what is proportional to the work, so the rest takes as long per part as
+/// what is done.
+fn time_left(elapsed: Duration, fraction: f32) -> Option<Duration> {
+    let seconds = elapsed.as_secs_f64() * (1.0 / f64::from(fraction) - 1.0);
+    Duration::try_from_secs_f64(seconds.round()).ok()
 }
 
 impl Show {
@@ -193,30 +267,51 @@ impl Show {
     fn new(json: bool) -> Self {
         let terminal = std::io::stderr().is_terminal();
         let style = ProgressStyle::with_template(
-            "{msg:<28} {bar:40} {percent:>3} %  elapsed {elapsed}  left {eta}",
+            "{msg:<28} {bar:40} {percent:>3} %  elapsed {elapsed}  left {left}",
         )
-        .unwrap_or_else(|_| ProgressStyle::default_bar());
+        .unwrap_or_else(|_| ProgressStyle::default_bar())
+        .with_key("left", |state: &ProgressState, out: &mut dyn Write| {
+            if let Some(left) = time_left(state.elapsed(), state.fraction()) {
+                let _ = write!(out, "{}", HumanDuration(left));
+            }
+        });
+        let now = Instant::now();
+        let plain = Plain {
+            stage: "",
+            start: now,
+            last: now,
+        };
         Self {
             bar: (terminal && !json).then(|| ProgressBar::new(1000).with_style(style)),
-            plain: (!terminal && !json).then(|| Mutex::new(Instant::now())),
+            plain: (!terminal && !json).then(|| Mutex::new(plain)),
         }
     }
 
     fn progress(&self, progress: Progress) {
+        let Progress { stage, fraction } = progress;
         if let Some(bar) = &self.bar {
-            if bar.message() != progress.stage {
-                bar.set_message(progress.stage);
+            if bar.message() != stage {
+                bar.set_message(stage);
                 bar.reset_elapsed();
             }
-            bar.set_position((progress.fraction * 1000.0) as u64);
+            bar.set_position((fraction * 1000.0) as u64);
         }
-        if let Some(last) = &self.plain {
-            let mut last = last
+        if let Some(plain) = &self.plain {
+            let mut plain = plain
                 .lock()
                 .unwrap_or_else(std::sync::PoisonError::into_inner);
-            if last.elapsed() >= Self::PLAIN_INTERVAL {
-                *last = Instant::now();
-                eprintln!("{}: {:.0} %", progress.stage, progress.fraction * 100.0);
+            if plain.stage != stage {
+                (plain.stage, plain.start) = (stage, Instant::now());
+            }
+            if plain.last.elapsed() >= Self::PLAIN_INTERVAL {
+                plain.last = Instant::now();
+                let left = time_left(plain.start.elapsed(), fraction)
+                    .map(|left| format!(", {} left", HumanDuration(left)));
+                eprintln!(
+                    "{stage}: {:.0} %{}",
+                    fraction * 100.0,
+                    left.unwrap_or_default()
+                );
             }
         }
     }
@@ -233,7 +328,7 @@ fn replace<T: Copy>(option: &mut T, given: Option<T>) {
     *option = given.unwrap_or(*option);
 }
 
-fn scene_options(arguments: &SceneArguments) -> scene::Options {
+pub(crate) fn scene_options(arguments: &SceneArguments) -> scene::Options {
     let mut options = match arguments.preset {
         Preset::Draft => scene::Options::draft(),
         Preset::Standard => scene::Options::standard(),
@@ -252,71 +347,6 @@ fn scene_options(arguments: &SceneArguments) -> scene::Options {
     replace(&mut options.sample_resolution, arguments.sample_resolution);
     replace(&mut options.basis_resolution, arguments.basis_resolution);
     options
-}
-
-fn bake_scene(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Summary> {
-    let options = scene_options(arguments);
-    check_output(&arguments.output)?;
-    let start = Instant::now();
-    monitor.step("read", 0.0)?;
-    let input = scene_input::load(&arguments.input)?;
-    let read = start.elapsed();
-    let (scene, mut statistics) = scene::bake(input, &options, monitor)
-        .with_context(|| arguments.input.display().to_string())?;
-    statistics.stages.insert(0, ("read", read));
-    let clock = Instant::now();
-    monitor.step("write", 0.0)?;
-    let bytes = format::write_scene(&scene)?;
-    let written = write_checked(&arguments.output, &bytes, |bytes| {
-        format::read_scene(bytes, &format::Limits::default()).map(|read| read == scene)
-    });
-    written?;
-    statistics.stages.push(("write", clock.elapsed()));
-    for warning in &scene.report.warnings {
-        eprintln!("warning: {warning}");
-    }
-    let wall = start.elapsed().as_secs_f64();
-    let bytes_per_vertex = bytes.len() as f64 / scene.vertices.len().max(1) as f64;
-    let stages: serde_json::Map<String, Value> = statistics
-        .stages
-        .iter()
-        .map(|(stage, time)| ((*stage).to_owned(), json!(time.as_secs_f64())))
-        .collect();
-    let mut text = format!(
-        "{}: {} vertices, {} triangles, {} clusters, {} bytes ({bytes_per_vertex:.0} per vertex)\n\
-         error near the visibility boundary {:.4} rad, over all {:.4} rad (root mean square)\n\
-         {} rays, {wall:.1} s; processor time per stage:",
-        arguments.output.display(),
-        scene.vertices.len(),
-        scene.triangles.len(),
-        scene.clusters.len(),
-        bytes.len(),
-        statistics.error.boundary_rms(),
-        statistics.error.rms(),
-        statistics.rays,
-    );
-    for (stage, time) in &statistics.stages {
-        text += &format!(" {stage} {:.1} s", time.as_secs_f64());
-    }
-    text.push('\n');
-    Ok(Summary {
-        text,
-        json: json!({
-            "output": arguments.output,
-            "bytes": bytes.len(),
-            "vertices": scene.vertices.len(),
-            "triangles": scene.triangles.len(),
-            "clusters": scene.clusters.len(),
-            "tiles": scene.clusters.iter().map(|cluster| cluster.tiles).sum::<u32>(),
-            "boundary_rms_error": statistics.error.boundary_rms(),
-            "rms_error": statistics.error.rms(),
-            "rays": statistics.rays,
-            "sampled_vertices": statistics.sampled_vertices,
-            "seconds": wall,
-            "processor_seconds": stages,
-            "warnings": scene.report.warnings,
-        }),
-    })
 }
 
 fn bake_environment(arguments: &EnvironmentArguments, monitor: Monitor) -> anyhow::Result<Summary> {
@@ -378,7 +408,7 @@ fn bake_environment(arguments: &EnvironmentArguments, monitor: Monitor) -> anyho
 }
 
 /// Fails early, before hours of work, if the output's folder does not exist.
-fn check_output(output: &Path) -> anyhow::Result<()> {
+pub(crate) fn check_output(output: &Path) -> anyhow::Result<()> {
     let folder = output
         .parent()
         .filter(|folder| !folder.as_os_str().is_empty());
@@ -394,7 +424,7 @@ fn check_output(output: &Path) -> anyhow::Result<()> {
 }
 
 /// Writes an asset, reads it back and compares it with what was meant.
-fn write_checked(
+pub(crate) fn write_checked(
     path: &Path,
     bytes: &[u8],
     same: impl FnOnce(&[u8]) -> Result<bool, format::Error>,

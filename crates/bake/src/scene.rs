@@ -1,10 +1,11 @@
 //! The scene bake: every stage in order, from an imported scene to the asset.
 //!
 //! Clusters are made from geometry alone, before visibility is known, so the bake streams:
-//! a chunk of triangles is sampled, transformed, compressed and forgotten before the next.
-//! What is held grows with threads × chunk, never with vertices × texels.
+//! a chunk of triangles is sampled, transformed, compressed and handed over before the
+//! next. What is held grows with neither vertices × texels nor threads.
 
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use glam::Vec3;
@@ -15,6 +16,7 @@ use relight_format::{CHANNELS_PER_TILE, MAX_TILES_PER_CLUSTER, Representation};
 
 use crate::compress::{self, Compressed, ErrorSums};
 use crate::contour::{ContourMesh, Scratch};
+use crate::fingerprint::Fingerprint;
 use crate::import::Mesh;
 use crate::monitor::{Interrupted, Monitor};
 use crate::ray::RayCaster;
@@ -22,8 +24,11 @@ use crate::scene_input::SceneInput;
 use crate::visibility::Directions;
 use crate::{cluster, refine, ssdf, visibility};
 
-/// Vertices whose SSDFs are in memory at once, per thread.
+/// Vertices of a chunk, at most.
 const CHUNK_VERTICES: usize = 1024;
+/// What the SSDFs of all chunks at hand may take, bytes; copies that compression makes of
+/// them come to about four times as much.
+const CHUNK_BUDGET_BYTES: usize = 96 << 20;
 /// A cluster of fewer vertices is not split further: its basis would outweigh it.
 const MIN_CLUSTER_VERTICES: usize = 96;
 /// Distance of a visibility sample from its surface, in diagonals of the scene: far above
@@ -99,19 +104,21 @@ impl Options {
 pub struct Statistics {
     /// Name of the stage and processor time spent in it, summed over threads.
     pub stages: Vec<(&'static str, Duration)>,
-    /// Rays cast.
+    /// Rays cast, without those that only verify.
     pub rays: u64,
     /// Vertices sampled; more than the asset's where chunks share vertices.
     pub sampled_vertices: u64,
-    /// Compression error.
-    pub error: ErrorSums,
+    /// Vertices whose visibility was compared with one ray per texel.
+    pub verified_vertices: u64,
+    /// Texels that differed; anything but zero fails the bake.
+    pub differing_texels: u64,
 }
 
 /// Why a scene could not be baked.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// Asked to stop.
-    #[error("stopped")]
+    #[error(transparent)]
     Interrupted(#[from] Interrupted),
     /// The options contradict each other or the scene.
     #[error("{place}: expected {expected}, found {found}")]
@@ -123,158 +130,360 @@ pub enum Error {
         /// What was given.
         found: String,
     },
+    /// Contours and rays disagree.
+    #[error(
+        "visibility: expected the texels that one ray each gives, found {texels} others at \
+         {vertices} vertices"
+    )]
+    Visibility {
+        /// Vertices compared.
+        vertices: u64,
+        /// Texels that differ.
+        texels: u64,
+    },
 }
 
-/// A finished cluster, in indices of the whole mesh.
-struct Finished {
-    triangles: Vec<u32>,
-    vertices: Vec<u32>,
-    compressed: Compressed,
+/// A finished cluster; needs nothing else of the scene.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Cluster {
+    /// As stored.
+    pub vertices: Vec<format::Vertex>,
+    /// Indices into `vertices`; `cluster` is 0.
+    pub triangles: Vec<format::Triangle>,
+    /// Visibility of the vertices.
+    pub compressed: Compressed,
 }
 
-/// What every chunk shares.
-struct Context<'a> {
-    options: &'a Options,
-    triangles: &'a [[u32; 3]],
-    origins: &'a [Vec3],
+/// A scene ready to be sampled: refined, divided into chunks that can be baked in any
+/// order, apart from each other and on different machines.
+pub struct Bake<'a> {
+    options: Options,
+    monitor: Monitor<'a>,
+    fingerprint: u128,
+    mesh: Mesh,
+    /// What is known of the asset before sampling.
+    head: format::Scene,
+    triangles: Vec<[u32; 3]>,
+    origins: Vec<Vec3>,
+    chunks: Vec<Vec<u32>>,
     caster: RayCaster,
     contours: ContourMesh,
     directions: Directions,
     transform: ssdf::Transform,
-    monitor: Monitor<'a>,
-    /// Vertices to sample, a close estimate.
-    total: usize,
+    verify: bool,
+    stages: Vec<(&'static str, Duration)>,
+    counters: Counters,
+}
+
+/// Sums over all threads.
+#[derive(Default)]
+struct Counters {
+    /// Vertices to sample and compress.
+    total: AtomicU64,
     sampled: AtomicU64,
+    compressed: AtomicU64,
     rays: AtomicU64,
+    verified: AtomicU64,
+    differing: AtomicU64,
     visibility_nanoseconds: AtomicU64,
     ssdf_nanoseconds: AtomicU64,
     compress_nanoseconds: AtomicU64,
+    verify_nanoseconds: AtomicU64,
 }
 
-/// Bakes a scene. Deterministic: the same input and options give the same asset on any
-/// number of threads.
+/// Bakes a scene in memory. Deterministic: the same input and options give the same asset
+/// on any number of threads.
 pub fn bake(
     input: SceneInput,
     options: &Options,
     monitor: Monitor,
 ) -> Result<(format::Scene, Statistics), Error> {
-    check(options)?;
-    let mut statistics = Statistics::default();
-    let mut clock = Instant::now();
-    let mut lap = |statistics: &mut Statistics, stage| {
-        statistics.stages.push((stage, clock.elapsed()));
-        clock = Instant::now();
-    };
-    monitor.step("refine", 0.0)?;
-    let source = (
-        input.mesh.vertices.len() as u64,
-        input.mesh.triangles.len() as u64,
-    );
-    let diagonal = input
-        .mesh
-        .bounds()
-        .map_or(0.0, |(low, high)| low.distance(high));
-    let (max_edge, max_vertices) = refinement(&input, options);
-    let mut mesh = refine::refine(input.mesh, max_edge, max_vertices);
-    let mut warnings = input.warnings;
-    warnings.extend(
-        mesh.warnings
-            .drain(..)
-            .filter(|w| !warnings.contains(w))
-            .collect::<Vec<_>>(),
-    );
-    lap(&mut statistics, "refine");
-
-    monitor.step("build bvh", 0.0)?;
-    let positions: Vec<Vec3> = mesh.vertices.iter().map(|v| v.position.into()).collect();
-    let triangles: Vec<[u32; 3]> = mesh.triangles.iter().map(|t| t.vertices).collect();
-    let ray_offset = RELATIVE_RAY_OFFSET * diagonal;
-    let soup: Vec<[Vec3; 3]> = triangles
-        .iter()
-        .map(|t| t.map(|vertex| positions[vertex as usize]))
-        .collect();
-    let directions = Directions::new(options.sample_resolution);
-    let context = Context {
-        options,
-        triangles: &triangles,
-        origins: &visibility::origins(&positions, &triangles, ray_offset),
-        caster: RayCaster::new(&soup),
-        contours: ContourMesh::new(&soup),
-        transform: ssdf::Transform::new(&directions, options.basis_resolution),
-        directions,
-        monitor,
-        total: positions.len(),
-        sampled: AtomicU64::new(0),
-        rays: AtomicU64::new(0),
-        visibility_nanoseconds: AtomicU64::new(0),
-        ssdf_nanoseconds: AtomicU64::new(0),
-        compress_nanoseconds: AtomicU64::new(0),
-    };
-    lap(&mut statistics, "build bvh");
-
-    let finished = match options.representation {
-        Representation::ClusteredPca => {
-            let chunks = cluster::partition(&positions, &triangles, CHUNK_VERTICES);
-            let finished: Vec<Vec<Finished>> = chunks
-                .into_par_iter()
-                .map(|chunk| context.bake_chunk(chunk))
-                .collect::<Result<_, _>>()?;
-            finished.into_iter().flatten().collect()
-        }
-        Representation::GlobalPca => vec![context.bake_global()?],
-    };
-    let nanoseconds = |counter: &AtomicU64| Duration::from_nanos(counter.load(Ordering::Relaxed));
-    statistics
-        .stages
-        .push(("visibility", nanoseconds(&context.visibility_nanoseconds)));
-    statistics
-        .stages
-        .push(("ssdf", nanoseconds(&context.ssdf_nanoseconds)));
-    statistics
-        .stages
-        .push(("compress", nanoseconds(&context.compress_nanoseconds)));
-    statistics.sampled_vertices = context.sampled.load(Ordering::Relaxed);
-    statistics.rays = context.rays.load(Ordering::Relaxed);
-    for cluster in &finished {
-        statistics.error.add(&cluster.compressed.error);
-    }
-    if finished.len() > usize::from(u16::MAX) {
-        return Err(Error::Options {
-            place: "max_error",
-            expected: format!("at most {} clusters", u16::MAX),
-            found: format!("{} clusters; allow a larger error", finished.len()),
-        });
-    }
-    let mut scene = format::Scene {
-        name: input.name,
-        visibility: format::VisibilityParameters {
-            representation: options.representation,
-            sample_resolution: options.sample_resolution,
-            basis_resolution: options.basis_resolution,
-            distance_clamp: options.distance_clamp,
-            ray_offset,
-        },
-        camera: input.camera,
-        materials: std::mem::take(&mut mesh.materials),
-        textures: std::mem::take(&mut mesh.textures),
-        report: format::BakeReport {
-            source_vertices: source.0,
-            source_triangles: source.1,
-            rms_error: statistics.error.rms(),
-            boundary_rms_error: statistics.error.boundary_rms(),
-            warnings,
-        },
-        vertices: Vec::new(),
-        triangles: Vec::new(),
-        clusters: Vec::new(),
-        coefficients: Vec::new(),
-        basis: Vec::new(),
-    };
-    for cluster in finished {
-        append(&mut scene, &mesh, cluster);
-    }
+    let bake = Bake::new(input, options, monitor)?;
+    let all: Vec<usize> = (0..bake.chunk_count()).collect();
+    let finished: Vec<Mutex<Vec<Cluster>>> = all.iter().map(|_| Mutex::default()).collect();
+    bake.run(&all, |chunk, clusters| {
+        *finished[chunk]
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner) = clusters;
+        Ok::<_, Error>(())
+    })?;
+    let (head, statistics) = bake.finish();
+    let chunks = finished
+        .into_iter()
+        .map(|chunk| Ok(chunk.into_inner().unwrap_or_else(PoisonError::into_inner)));
+    let scene = assemble::<Error>(head, chunks)?;
     monitor.step("bake", 1.0)?;
     Ok((scene, statistics))
+}
+
+impl<'a> Bake<'a> {
+    /// Refines the mesh, divides it into chunks and builds what rays and contours need.
+    pub fn new(input: SceneInput, options: &Options, monitor: Monitor<'a>) -> Result<Self, Error> {
+        check(options)?;
+        let mut stages = Vec::new();
+        let mut clock = Instant::now();
+        monitor.step("refine", 0.0)?;
+        let fingerprint = fingerprint(&input, options);
+        let diagonal = input
+            .mesh
+            .bounds()
+            .map_or(0.0, |(low, high)| low.distance(high));
+        let (max_edge, max_vertices) = refinement(&input, options);
+        let mut report = format::BakeReport {
+            source_vertices: input.mesh.vertices.len() as u64,
+            source_triangles: input.mesh.triangles.len() as u64,
+            warnings: input.warnings,
+            ..Default::default()
+        };
+        let mut mesh = refine::refine(input.mesh, max_edge, max_vertices);
+        for warning in mesh.warnings.drain(..) {
+            if !report.warnings.contains(&warning) {
+                report.warnings.push(warning);
+            }
+        }
+        let ray_offset = RELATIVE_RAY_OFFSET * diagonal;
+        let head = format::Scene {
+            name: input.name,
+            visibility: format::VisibilityParameters {
+                representation: options.representation,
+                sample_resolution: options.sample_resolution,
+                basis_resolution: options.basis_resolution,
+                distance_clamp: options.distance_clamp,
+                ray_offset,
+            },
+            camera: input.camera,
+            materials: std::mem::take(&mut mesh.materials),
+            textures: std::mem::take(&mut mesh.textures),
+            report,
+            vertices: Vec::new(),
+            triangles: Vec::new(),
+            clusters: Vec::new(),
+            coefficients: Vec::new(),
+            basis: Vec::new(),
+        };
+        let positions: Vec<Vec3> = mesh.vertices.iter().map(|v| v.position.into()).collect();
+        let triangles: Vec<[u32; 3]> = mesh.triangles.iter().map(|t| t.vertices).collect();
+        let chunks = match options.representation {
+            Representation::ClusteredPca => {
+                cluster::partition(&positions, &triangles, CHUNK_VERTICES)
+            }
+            Representation::GlobalPca => vec![(0..triangles.len() as u32).collect()],
+        };
+        stages.push(("refine", clock.elapsed()));
+
+        clock = Instant::now();
+        monitor.step("build bvh", 0.0)?;
+        let soup: Vec<[Vec3; 3]> = triangles
+            .iter()
+            .map(|t| t.map(|vertex| positions[vertex as usize]))
+            .collect();
+        let caster = RayCaster::new(&soup);
+        let contours = ContourMesh::new(&soup);
+        let directions = Directions::new(options.sample_resolution);
+        let transform = ssdf::Transform::new(&directions, options.basis_resolution);
+        stages.push(("build bvh", clock.elapsed()));
+        Ok(Self {
+            options: options.clone(),
+            monitor,
+            fingerprint,
+            head,
+            origins: visibility::origins(&positions, &triangles, ray_offset),
+            mesh,
+            triangles,
+            chunks,
+            caster,
+            contours,
+            directions,
+            transform,
+            verify: false,
+            stages,
+            counters: Counters::default(),
+        })
+    }
+
+    /// Also casts one ray per texel at every vertex; a difference fails the bake.
+    pub fn verify_visibility(&mut self) {
+        self.verify = true;
+    }
+
+    /// Chunks in all, numbered from 0.
+    pub fn chunk_count(&self) -> usize {
+        self.chunks.len()
+    }
+
+    /// Vertices of the refined mesh; chunks share some.
+    pub fn vertex_count(&self) -> usize {
+        self.mesh.vertices.len()
+    }
+
+    /// Of the input, the options and the version: chunks of equal fingerprints are the same.
+    pub fn fingerprint(&self) -> u128 {
+        self.fingerprint
+    }
+
+    /// Bakes chunks and hands each over as it finishes, from many threads and in no
+    /// particular order. Stops at the first error.
+    ///
+    /// Chunks at hand at a time are bounded by memory as well as by threads; vertices of a
+    /// chunk are sampled in parallel.
+    pub fn run<E: From<Error> + Send>(
+        &self,
+        chunks: &[usize],
+        hand_over: impl Fn(usize, Vec<Cluster>) -> Result<(), E> + Sync,
+    ) -> Result<(), E> {
+        let vertices = |chunk: &usize| {
+            cluster::vertices_of(&self.chunks[*chunk], &self.triangles).len() as u64
+        };
+        let total = chunks.par_iter().map(vertices).sum();
+        self.counters.total.store(total, Ordering::Relaxed);
+        let queue = Queue {
+            order: scattered(chunks),
+            next: AtomicUsize::new(0),
+            failed: AtomicBool::new(false),
+            error: Mutex::new(None),
+        };
+        let texels = (self.options.basis_resolution as usize).pow(2);
+        let chunk_bytes = CHUNK_VERTICES * texels * size_of::<f32>();
+        let at_hand = (CHUNK_BUDGET_BYTES / chunk_bytes).clamp(1, rayon::current_num_threads());
+        let bake_next = |chunk| hand_over(chunk, self.bake_chunk(&self.chunks[chunk])?);
+        rayon::scope(|scope| {
+            for _ in 0..at_hand {
+                scope.spawn(|scope| queue.work(scope, &bake_next));
+            }
+        });
+        if let Some(error) = queue
+            .error
+            .into_inner()
+            .unwrap_or_else(PoisonError::into_inner)
+        {
+            return Err(error);
+        }
+        let (vertices, texels) = (
+            load(&self.counters.verified),
+            load(&self.counters.differing),
+        );
+        if texels > 0 {
+            return Err(Error::Visibility { vertices, texels }.into());
+        }
+        Ok(())
+    }
+
+    /// The asset without its clusters, and what was done.
+    pub fn finish(self) -> (format::Scene, Statistics) {
+        let counters = &self.counters;
+        let mut stages = self.stages;
+        for (stage, nanoseconds) in [
+            ("visibility", &counters.visibility_nanoseconds),
+            ("ssdf", &counters.ssdf_nanoseconds),
+            ("compress", &counters.compress_nanoseconds),
+            ("verify", &counters.verify_nanoseconds),
+        ] {
+            stages.push((stage, Duration::from_nanos(load(nanoseconds))));
+        }
+        if !self.verify {
+            stages.pop();
+        }
+        let statistics = Statistics {
+            stages,
+            rays: load(&counters.rays),
+            sampled_vertices: load(&counters.sampled),
+            verified_vertices: load(&counters.verified),
+            differing_texels: load(&counters.differing),
+        };
+        (self.head, statistics)
+    }
+}
+
+/// Chunks to bake, and the first error.
+struct Queue<E> {
+    order: Vec<usize>,
+    next: AtomicUsize,
+    failed: AtomicBool,
+    error: Mutex<Option<E>>,
+}
+
+impl<E: Send> Queue<E> {
+    /// Bakes one chunk and queues itself again. A thread that waits for another's vertices
+    /// may start on the next chunk meanwhile; one chunk per job keeps that short.
+    fn work<'s>(
+        &'s self,
+        scope: &rayon::Scope<'s>,
+        bake: &'s (impl Fn(usize) -> Result<(), E> + Sync),
+    ) {
+        let next = self.next.fetch_add(1, Ordering::Relaxed);
+        let Some(&chunk) = self.order.get(next) else {
+            return;
+        };
+        if self.failed.load(Ordering::Relaxed) {
+            return;
+        }
+        match bake(chunk) {
+            Ok(()) => scope.spawn(move |scope| self.work(scope, bake)),
+            Err(error) => {
+                self.failed.store(true, Ordering::Relaxed);
+                let mut first = self.error.lock().unwrap_or_else(PoisonError::into_inner);
+                first.get_or_insert(error);
+            }
+        }
+    }
+}
+
+/// The chunks in steps of about the golden section. Chunks come in spatial order and
+/// neighbours cost alike; this way any stretch of the work is a fair sample of the whole,
+/// and the time left can be told from the time spent.
+fn scattered(chunks: &[usize]) -> Vec<usize> {
+    let count = chunks.len();
+    let coprime = |step: &usize| {
+        let (mut a, mut b) = (*step, count);
+        while b > 0 {
+            (a, b) = (b, a % b);
+        }
+        a == 1
+    };
+    let first = (count as f64 * 0.618) as usize;
+    let step = (1..=first).rev().find(coprime).unwrap_or(1);
+    (0..count).map(|i| chunks[i * step % count]).collect()
+}
+
+fn load(counter: &AtomicU64) -> u64 {
+    counter.load(Ordering::Relaxed)
+}
+
+/// Everything that the asset depends on.
+fn fingerprint(input: &SceneInput, options: &Options) -> u128 {
+    let SceneInput {
+        name,
+        mesh,
+        object_diagonal,
+        camera,
+        environment: _,
+        refinement,
+        measured: _,
+        warnings,
+    } = input;
+    let mut fingerprint = Fingerprint::default();
+    fingerprint.add(env!("CARGO_PKG_VERSION").as_bytes());
+    // Debug text of a number tells all its bits.
+    let small = (
+        name,
+        object_diagonal,
+        camera,
+        refinement,
+        warnings,
+        &mesh.materials,
+    );
+    fingerprint.add(format!("{options:?} {small:?}").as_bytes());
+    fingerprint.add(bytemuck::cast_slice(&mesh.vertices));
+    for triangle in &mesh.triangles {
+        fingerprint.add(bytemuck::cast_slice(&triangle.vertices));
+        fingerprint.add(&triangle.material.to_le_bytes());
+    }
+    for texture in &mesh.textures {
+        let (width, height, encoding) = (texture.width, texture.height, texture.encoding);
+        fingerprint.add(format!("{width} {height} {encoding:?}").as_bytes());
+        fingerprint.add(&texture.texels);
+    }
+    fingerprint.value()
 }
 
 fn check(options: &Options) -> Result<(), Error> {
@@ -335,76 +544,93 @@ fn refinement(input: &SceneInput, options: &Options) -> (f32, usize) {
     (max_edge, max_vertices)
 }
 
-impl Context<'_> {
-    fn bake_chunk(&self, triangles: Vec<u32>) -> Result<Vec<Finished>, Interrupted> {
-        let vertices = cluster::vertices_of(&triangles, self.triangles);
+impl Bake<'_> {
+    fn bake_chunk(&self, triangles: &[u32]) -> Result<Vec<Cluster>, Error> {
+        let vertices = cluster::vertices_of(triangles, &self.triangles);
         let ssdfs = self.ssdfs(&vertices)?;
+        let count = vertices.len() as u64;
         let start = Instant::now();
         let mut finished = Vec::new();
-        self.compress_clusters(triangles, vertices, &ssdfs, &mut finished);
-        add_time(&self.compress_nanoseconds, start);
+        if self.options.representation == Representation::GlobalPca {
+            let rank = self.options.global_rank as usize;
+            let basis = compress::analyse(&ssdfs, rank);
+            let compressed = compress::Encoder::new(&ssdfs, &basis).encode(rank + 1);
+            finished.push(self.cluster(triangles, &vertices, compressed));
+        } else {
+            self.compress_clusters(triangles, &vertices, &ssdfs, &mut finished)?;
+        }
+        add_time(&self.counters.compress_nanoseconds, start);
+        self.counters.compressed.fetch_add(count, Ordering::Relaxed);
+        self.report()?;
         Ok(finished)
-    }
-
-    fn bake_global(&self) -> Result<Finished, Interrupted> {
-        let triangles: Vec<u32> = (0..self.triangles.len() as u32).collect();
-        let vertices = cluster::vertices_of(&triangles, self.triangles);
-        let ssdfs = self.ssdfs(&vertices)?;
-        let start = Instant::now();
-        let rank = self.options.global_rank as usize;
-        let basis = compress::analyse(&ssdfs, rank);
-        let compressed = compress::Encoder::new(&ssdfs, &basis).encode(rank + 1);
-        add_time(&self.compress_nanoseconds, start);
-        Ok(Finished {
-            triangles,
-            vertices,
-            compressed,
-        })
     }
 
     /// Clamped SSDFs at the basis resolution: one column per vertex.
     fn ssdfs(&self, vertices: &[u32]) -> Result<DMatrix<f32>, Interrupted> {
-        let columns: Vec<Vec<f32>> = vertices
-            .par_iter()
-            .map_init(
-                || self.contours.scratch(&self.directions),
-                |scratch, &vertex| self.ssdf(vertex, scratch),
-            )
-            .collect::<Result<_, Interrupted>>()?;
         let texels = (self.options.basis_resolution as usize).pow(2);
-        Ok(DMatrix::from_iterator(
-            texels,
-            columns.len(),
-            columns.into_iter().flatten(),
-        ))
+        let mut ssdfs = DMatrix::zeros(texels, vertices.len());
+        (ssdfs.as_mut_slice().par_chunks_exact_mut(texels))
+            .zip(vertices)
+            .try_for_each_init(
+                || self.contours.scratch(&self.directions),
+                |scratch, (column, &vertex)| {
+                    column.copy_from_slice(&self.ssdf(vertex, scratch)?);
+                    Ok(())
+                },
+            )?;
+        Ok(ssdfs)
     }
 
     fn ssdf(&self, vertex: u32, scratch: &mut Scratch) -> Result<Vec<f32>, Interrupted> {
+        let counters = &self.counters;
         let start = Instant::now();
         let origin = self.origins[vertex as usize];
         let (bitmap, rays) = self
             .contours
             .sample(&self.caster, origin, &self.directions, scratch);
-        add_time(&self.visibility_nanoseconds, start);
+        add_time(&counters.visibility_nanoseconds, start);
         let start = Instant::now();
-        let column = self.transform.apply(&bitmap, self.options.distance_clamp);
-        add_time(&self.ssdf_nanoseconds, start);
-        self.rays.fetch_add(u64::from(rays), Ordering::Relaxed);
-        let done = self.sampled.fetch_add(1, Ordering::Relaxed) + 1;
-        let fraction = (done as f32 / self.total as f32).min(0.999);
-        self.monitor.step("visibility and compression", fraction)?;
+        let crossings = self.contours.crossings(&bitmap, scratch);
+        let column = self
+            .transform
+            .apply(&bitmap, crossings, self.options.distance_clamp);
+        add_time(&counters.ssdf_nanoseconds, start);
+        if self.verify {
+            let start = Instant::now();
+            let exact = visibility::sample(&self.caster, origin, &self.directions);
+            let texels = 0..self.directions.as_slice().len();
+            let differing = texels.filter(|&i| exact.get(i) != bitmap.get(i)).count();
+            counters.verified.fetch_add(1, Ordering::Relaxed);
+            counters
+                .differing
+                .fetch_add(differing as u64, Ordering::Relaxed);
+            add_time(&counters.verify_nanoseconds, start);
+        }
+        counters.rays.fetch_add(u64::from(rays), Ordering::Relaxed);
+        counters.sampled.fetch_add(1, Ordering::Relaxed);
+        self.report()?;
         Ok(column)
+    }
+
+    /// Sampling and compressing a vertex count alike: once the first chunks are through,
+    /// both go on side by side, and any weights tell the time left.
+    fn report(&self) -> Result<(), Interrupted> {
+        let done = load(&self.counters.sampled) + load(&self.counters.compressed);
+        let fraction = done as f64 / (2 * load(&self.counters.total)) as f64;
+        self.monitor
+            .step("visibility and compression", fraction.min(0.999) as f32)
     }
 
     /// Adds tiles until the cluster meets the error bound, or splits it along its leading
     /// principal component: vertices that see alike stay together.
     fn compress_clusters(
         &self,
-        mut triangles: Vec<u32>,
-        vertices: Vec<u32>,
+        triangles: &[u32],
+        vertices: &[u32],
         ssdfs: &DMatrix<f32>,
-        finished: &mut Vec<Finished>,
-    ) {
+        finished: &mut Vec<Cluster>,
+    ) -> Result<(), Interrupted> {
+        self.report()?;
         let max_channels = self.options.max_tiles as usize * CHANNELS_PER_TILE;
         let basis = compress::analyse(ssdfs, max_channels - 1);
         let encoder = compress::Encoder::new(ssdfs, &basis);
@@ -419,12 +645,8 @@ impl Context<'_> {
         };
         let good = compressed.error.boundary_rms() <= self.options.max_error;
         if good || vertices.len() < MIN_CLUSTER_VERTICES || triangles.len() < 2 {
-            finished.push(Finished {
-                triangles,
-                vertices,
-                compressed,
-            });
-            return;
+            finished.push(self.cluster(triangles, vertices, compressed));
+            return Ok(());
         }
         let position = |triangle: u32| -> f32 {
             self.triangles[triangle as usize]
@@ -433,20 +655,41 @@ impl Context<'_> {
                 .map(|column| basis.projections[(0, column)])
                 .sum()
         };
-        let mut keyed: Vec<(f32, u32)> = triangles.drain(..).map(|t| (position(t), t)).collect();
+        let mut keyed: Vec<(f32, u32)> = triangles.iter().map(|&t| (position(t), t)).collect();
         keyed.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         let (low, high) = keyed.split_at(keyed.len() / 2);
         drop((encoder, basis));
         for half in [low, high] {
             let mut group: Vec<u32> = half.iter().map(|&(_, triangle)| triangle).collect();
             group.sort_unstable();
-            let members = cluster::vertices_of(&group, self.triangles);
+            let members = cluster::vertices_of(&group, &self.triangles);
             let columns: Vec<usize> = members
                 .iter()
                 .filter_map(|vertex| vertices.binary_search(vertex).ok())
                 .collect();
             let subset = ssdfs.select_columns(&columns);
-            self.compress_clusters(group, members, &subset, finished);
+            self.compress_clusters(&group, &members, &subset, finished)?;
+        }
+        Ok(())
+    }
+
+    /// Copies what a cluster needs of the mesh. `vertices` ascend.
+    fn cluster(&self, triangles: &[u32], vertices: &[u32], compressed: Compressed) -> Cluster {
+        let local = |vertex: u32| vertices.partition_point(|&other| other < vertex) as u32;
+        let triangle = |&index: &u32| {
+            let source = &self.mesh.triangles[index as usize];
+            format::Triangle {
+                vertices: source.vertices.map(local),
+                material: source.material,
+                cluster: 0,
+            }
+        };
+        Cluster {
+            vertices: (vertices.iter())
+                .map(|&vertex| self.mesh.vertices[vertex as usize])
+                .collect(),
+            triangles: triangles.iter().map(triangle).collect(),
+            compressed,
         }
     }
 }
@@ -455,40 +698,91 @@ fn add_time(counter: &AtomicU64, start: Instant) {
     counter.fetch_add(start.elapsed().as_nanos() as u64, Ordering::Relaxed);
 }
 
-/// Lays out a cluster behind the others; vertices that several share are repeated.
-fn append(scene: &mut format::Scene, mesh: &Mesh, finished: Finished) {
-    let Finished {
-        triangles,
-        vertices,
-        compressed,
-    } = finished;
-    let number = scene.clusters.len() as u16;
-    let first_vertex = scene.vertices.len() as u32;
+/// Lays out the clusters of all chunks, in the chunks' order, behind what
+/// [`Bake::finish`] gave.
+///
+/// # Errors
+///
+/// The first that `chunks` yields, or more clusters than the format can number.
+pub fn assemble<E: From<Error>>(
+    head: format::Scene,
+    chunks: impl IntoIterator<Item = Result<Vec<Cluster>, E>>,
+) -> Result<format::Scene, E> {
+    let mut scene = head;
+    let mut error = ErrorSums::default();
+    for chunk in chunks {
+        for cluster in chunk? {
+            error.add(&cluster.compressed.error);
+            append(&mut scene, cluster)?;
+        }
+    }
+    scene.report.rms_error = error.rms();
+    scene.report.boundary_rms_error = error.boundary_rms();
+    Ok(scene)
+}
+
+/// Lays out a cluster behind the others.
+fn append(scene: &mut format::Scene, cluster: Cluster) -> Result<(), Error> {
+    let number = u16::try_from(scene.clusters.len())
+        .ok()
+        .filter(|number| *number < u16::MAX)
+        .ok_or_else(|| Error::Options {
+            place: "max_error",
+            expected: format!("at most {} clusters", u16::MAX),
+            found: "more; allow a larger error or fewer vertices".into(),
+        })?;
+    let index = |count: usize| {
+        u32::try_from(count).map_err(|_| Error::Options {
+            place: "max_vertices",
+            expected: format!("at most {} vertices and coefficients", u32::MAX),
+            found: "more; allow a larger error or fewer vertices".into(),
+        })
+    };
+    let first_vertex = index(scene.vertices.len())?;
+    // That indices within the cluster do not overflow either.
+    index(scene.vertices.len() + cluster.vertices.len())?;
+    let compressed = cluster.compressed;
+    let last = scene.clusters.last();
     scene.clusters.push(format::Cluster {
         first_vertex,
-        vertex_count: vertices.len() as u32,
-        first_coefficient: scene.coefficients.len() as u32,
-        first_tile: scene
-            .clusters
-            .last()
-            .map_or(0, |last| last.first_tile + last.tiles),
+        vertex_count: cluster.vertices.len() as u32,
+        first_coefficient: index(scene.coefficients.len())?,
+        first_tile: last.map_or(0, |last| last.first_tile + last.tiles),
         tiles: compressed.tiles,
         coefficient_scale: compressed.coefficient_scale,
     });
     scene.coefficients.extend(compressed.coefficients);
     scene.basis.extend(compressed.basis);
-    scene
-        .vertices
-        .extend(vertices.iter().map(|&v| mesh.vertices[v as usize]));
-    scene.triangles.extend(triangles.iter().map(|&triangle| {
-        let source = &mesh.triangles[triangle as usize];
-        format::Triangle {
-            vertices: source.vertices.map(|vertex| {
-                let local = vertices.partition_point(|&other| other < vertex);
-                first_vertex + local as u32
-            }),
-            material: source.material,
-            cluster: number,
+    scene.vertices.extend(cluster.vertices);
+    let triangles = cluster.triangles.iter().map(|triangle| format::Triangle {
+        vertices: triangle.vertices.map(|vertex| first_vertex + vertex),
+        cluster: number,
+        ..*triangle
+    });
+    scene.triangles.extend(triangles);
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn scattering_keeps_every_chunk_and_spreads_the_first_ones() {
+        for count in [0, 1, 2, 3, 10, 97, 100, 1024] {
+            let chunks: Vec<usize> = (0..count).map(|i| 3 * i + 1).collect();
+            let mut order = scattered(&chunks);
+            assert_eq!(order.len(), count);
+            if count >= 100 {
+                let first = &order[..count / 10];
+                let low = first.iter().filter(|&&chunk| chunk < 3 * count / 2).count();
+                assert!(
+                    (count / 20 - 1..=count / 20 + 1).contains(&low),
+                    "{low} of {count}"
+                );
+            }
+            order.sort_unstable();
+            assert_eq!(order, chunks);
         }
-    }));
+    }
 }

@@ -71,6 +71,39 @@ impl Bitmap {
         Self { words }
     }
 
+    /// Calls back for every link between neighbours within the map, `n` texels to a row, that
+    /// differ: the first texel, and whether the other lies below it and not to its right.
+    #[inline(always)]
+    pub(crate) fn for_links(&self, n: usize, mut call: impl FnMut(usize, bool)) {
+        let texels = n * n;
+        let differing = |index: usize, shift: usize| {
+            let beyond = (texels - shift.min(texels)).saturating_sub(64 * index);
+            let within = if beyond < 64 { (1 << beyond) - 1 } else { !0 };
+            (self.words[index] ^ self.bits(64 * index + shift)) & within
+        };
+        for index in 0..self.words.len() {
+            for_bits(differing(index, 1), |bit| {
+                let texel = 64 * index + bit;
+                if (texel + 1) % n != 0 {
+                    call(texel, false);
+                }
+            });
+            for_bits(differing(index, n), |bit| call(64 * index + bit, true));
+        }
+    }
+
+    /// The 64 bits from `start` on; zeros beyond the end.
+    #[inline(always)]
+    pub(crate) fn bits(&self, start: usize) -> u64 {
+        let word = |index: usize| self.words.get(index).copied().unwrap_or(0);
+        let (index, shift) = (start / 64, start % 64);
+        if shift == 0 {
+            word(index)
+        } else {
+            word(index) >> shift | word(index + 1) << (64 - shift)
+        }
+    }
+
     /// Sets whether the direction of texel `index` is visible.
     pub(crate) fn set(&mut self, index: usize, visible: bool) {
         let bit = 1 << (index % 64);
@@ -81,6 +114,15 @@ impl Bitmap {
     /// Whether the direction of texel `index` is visible.
     pub fn get(&self, index: usize) -> bool {
         self.words[index / 64] >> (index % 64) & 1 == 1
+    }
+}
+
+/// Calls back with the number of each set bit.
+#[inline(always)]
+fn for_bits(mut word: u64, mut call: impl FnMut(usize)) {
+    while word != 0 {
+        call(word.trailing_zeros() as usize);
+        word &= word - 1;
     }
 }
 

@@ -83,7 +83,7 @@ pub fn run(options: &Options, monitor: Monitor) -> anyhow::Result<Report> {
         seconds.push((stage, clock.elapsed().as_secs_f64()));
         clock = Instant::now();
     };
-    let (baked, statistics) = scene::bake(scene_input()?, &options.bake, monitor)?;
+    let (baked, _) = scene::bake(scene_input()?, &options.bake, monitor)?;
     let scene_path = options.folder.join("demo.relight");
     let bytes = format::write_scene(&baked)?;
     format::write_file(&scene_path, &bytes)?;
@@ -156,7 +156,7 @@ pub fn run(options: &Options, monitor: Monitor) -> anyhow::Result<Report> {
         device: renderer.name().to_owned(),
         vertices: scene.vertices.len(),
         bytes: bytes.len(),
-        boundary_rms_error: statistics.error.boundary_rms(),
+        boundary_rms_error: scene.report.boundary_rms_error,
         environment_relative_l2: environment.report.relative_l2,
         ambient: compare(&ambient, &truth)?,
         polar: compare(&polar, &truth)?,

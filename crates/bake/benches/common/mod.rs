@@ -3,6 +3,7 @@
 #![allow(dead_code, reason = "every bench uses another part")]
 
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 use glam::Vec3;
 use relight_bake::{import, visibility};
@@ -30,6 +31,21 @@ pub struct Subject {
 pub fn option(name: &str) -> Option<String> {
     let mut arguments = std::env::args().skip_while(|argument| argument != name);
     arguments.nth(1)
+}
+
+/// `--name N` of the command line.
+pub fn number(name: &str, default: usize) -> usize {
+    option(name).map_or(default, |value| value.parse().expect("a number"))
+}
+
+/// Seconds of the fastest round.
+pub fn best(rounds: usize, mut work: impl FnMut()) -> f64 {
+    let round = |_| {
+        let start = Instant::now();
+        work();
+        start.elapsed().as_secs_f64()
+    };
+    (0..rounds).map(round).fold(f64::INFINITY, f64::min)
 }
 
 /// Whether `--name` is on the command line.

@@ -15,11 +15,11 @@ use crate::visibility::Bitmap;
 
 /// Distance from a segment within which a texel centre is uncertain, in texels: several
 /// times the rounding of projected segments and of the texels' directions.
-const CLEARANCE: f32 = 2.5e-4;
+pub(super) const CLEARANCE: f32 = 2.5e-4;
 /// Edges that are projected side by side.
-const LANES: usize = 16;
+pub(super) const LANES: usize = 16;
 
-type Point = [f32; 2];
+pub(super) type Point = [f32; 2];
 
 /// Sums of steps, and the layers that they lead to.
 pub(super) struct Layers {
@@ -47,6 +47,11 @@ impl Layers {
             uncertain: Vec::new(),
             broken: false,
         }
+    }
+
+    /// Texels per side.
+    pub(super) fn resolution(&self) -> usize {
+        self.n
     }
 
     /// Sums the steps of all contours, seen from `eye`.
@@ -123,47 +128,8 @@ impl Layers {
         true
     }
 
-    /// Adds an edge that the vectorised pass has not done away with.
-    fn add(&mut self, from: Vec3, to: Vec3, step: i32) {
-        let half = self.n as f32 * 0.5;
-        let signs = |p: Vec3| [p.x < 0.0, p.y < 0.0, p.z < 0.0];
-        if signs(from) == signs(to) {
-            let (a, b) = (project_own(from, half), project_own(to, half));
-            self.add_segment(a, b, step);
-            return;
-        }
-        // Cut at the coordinate planes.
-        let mut cuts = [(1.0, 3); 4];
-        for axis in 0..3 {
-            let (a, b) = (from[axis], to[axis]);
-            if (a < 0.0) != (b < 0.0) {
-                cuts[axis] = (a / (a - b), axis);
-            }
-        }
-        cuts.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
-        let (mut start, mut done) = (from, 0.0);
-        for (cut, axis) in cuts {
-            if cut <= done {
-                continue;
-            }
-            let mut end = to;
-            if cut < 1.0 {
-                end = from.lerp(to, cut);
-                // Exactly on the plane, so that the pieces on both sides meet.
-                end[axis] = 0.0;
-            }
-            let middle = start + end;
-            let sign = Vec3::ONE.copysign(middle);
-            let (a, b) = (
-                project(start * sign, sign, half),
-                project(end * sign, sign, half),
-            );
-            self.add_segment(a, b, step);
-            (start, done) = (end, cut);
-        }
-    }
-
     /// Adds a piece of an edge within one octant.
+    #[inline(always)]
     fn add_segment(&mut self, a: Point, b: Point, step: i32) {
         if !(a[0] + a[1] + b[0] + b[1]).is_finite() {
             // The edge ends at the eye.
@@ -177,7 +143,7 @@ impl Layers {
         } else {
             (b, a, -step)
         };
-        let first = (p[0] - CLEARANCE).ceil().max(0.0) as usize;
+        let first = first_from(p[0] - CLEARANCE);
         let last = (q[0] + CLEARANCE + 1.0) as usize;
         let slope = (q[1] - p[1]) / (q[0] - p[0]).max(1e-12);
         let reach = CLEARANCE + CLEARANCE * slope.abs();
@@ -186,14 +152,14 @@ impl Layers {
         for column in first..last.min(n) {
             let line = column as f32;
             let at = p[1] + (line - p[0]) * slope;
-            let near = (at - reach).clamp(low, high).ceil().max(0.0) as usize;
+            let near = first_from((at - reach).clamp(low, high));
             // One past the last row within reach.
             let past = ((at + reach).clamp(low, high) + 1.0) as usize;
             for row in near..past.min(n) {
                 self.uncertain.push((row * n + column) as u32);
             }
             if p[0] <= line && line < q[0] {
-                let link = at.clamp(low, high).ceil().max(0.0) as usize;
+                let link = first_from(at.clamp(low, high));
                 self.steps[link.min(n) * n + column] += down;
             }
         }
@@ -205,13 +171,53 @@ impl Layers {
         };
         if p[1] <= 0.0 && 0.0 < q[1] {
             let at = p[0] - p[1] * (q[0] - p[0]) / (q[1] - p[1]);
-            let link = at.ceil().max(0.0) as usize;
+            let link = first_from(at);
             self.first_row[link.min(n)] += along;
         }
     }
 }
 
+/// Calls back with the straight segments that an edge, relative to the eye, maps to: one
+/// per octant.
+#[inline(always)]
+pub(super) fn for_pieces(from: Vec3, to: Vec3, half: f32, mut call: impl FnMut(Point, Point)) {
+    let signs = |p: Vec3| [p.x < 0.0, p.y < 0.0, p.z < 0.0];
+    if signs(from) == signs(to) {
+        call(project_own(from, half), project_own(to, half));
+        return;
+    }
+    // Cut at the coordinate planes.
+    let mut cuts = [(1.0, 3); 4];
+    for axis in 0..3 {
+        let (a, b) = (from[axis], to[axis]);
+        if (a < 0.0) != (b < 0.0) {
+            cuts[axis] = (a / (a - b), axis);
+        }
+    }
+    cuts.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
+    let (mut start, mut done) = (from, 0.0);
+    for (cut, axis) in cuts {
+        if cut <= done {
+            continue;
+        }
+        let mut end = to;
+        if cut < 1.0 {
+            end = from.lerp(to, cut);
+            // Exactly on the plane, so that the pieces on both sides meet.
+            end[axis] = 0.0;
+        }
+        let middle = start + end;
+        let sign = Vec3::ONE.copysign(middle);
+        call(
+            project(start * sign, sign, half),
+            project(end * sign, sign, half),
+        );
+        (start, done) = (end, cut);
+    }
+}
+
 /// Projects a point of the octant that it lies in.
+#[inline(always)]
 fn project_own(p: Vec3, half: f32) -> Point {
     let sign = |x: f32| if x < 0.0 { -1.0 } else { 1.0 };
     project(p.abs(), Vec3::new(sign(p.x), sign(p.y), sign(p.z)), half)
@@ -239,6 +245,14 @@ fn project(p: Vec3, sign: Vec3, half: f32) -> Point {
         half * (u * sign.x) + (half - 0.5),
         half * (v * sign.z) + (half - 0.5),
     ]
+}
+
+/// The first index that is not below `x`. Without SSE4.1, `ceil` is a call.
+#[inline(always)]
+pub(super) fn first_from(x: f32) -> usize {
+    let x = if x > 0.0 { x } else { 0.0 };
+    let index = x as u32;
+    (index + u32::from((index as f32) < x)) as usize
 }
 
 /// Keeps NaN, unlike `f32::max`.
@@ -269,57 +283,112 @@ impl WithSimd for Count<'_> {
         } = self;
         let half = layers.n as f32 * 0.5;
         for batch in contours.chunks(LANES) {
-            let mut ends = [[[0.0; LANES]; 3]; 2];
-            for (lane, contour) in batch.iter().enumerate() {
-                for (end, vertex) in ends.iter_mut().zip(contour.vertices) {
-                    let p = positions[vertex as usize];
-                    end[0][lane] = p.x;
-                    end[1][lane] = p.y;
-                    end[2][lane] = p.z;
-                }
-            }
-            let crosses = crossing(&mut ends, eye, half);
+            let edges = Edges::project(batch, positions, eye, half);
+            let crosses = edges.cross_counted_lines();
             for (lane, contour) in batch.iter().enumerate() {
                 if crosses[lane] {
-                    let [a, b] = [0, 1].map(|end| ends[end].map(|axis| axis[lane]));
-                    layers.add(a.into(), b.into(), contour.step);
+                    let [from, to] = edges.ends(lane);
+                    for_pieces(from, to, half, |a, b| {
+                        layers.add_segment(a, b, contour.step);
+                    });
                 }
             }
         }
     }
 }
 
-/// Makes the ends relative to the eye and tells which edges come near a line that counts.
-#[inline(always)]
-fn crossing(ends: &mut [[[f32; LANES]; 3]; 2], eye: Vec3, half: f32) -> [bool; LANES] {
-    let mut points = [[[0.0; LANES]; 2]; 2];
-    let mut signs = [[0u8; LANES]; 2];
-    for (end, (point, signs)) in ends.iter_mut().zip(points.iter_mut().zip(&mut signs)) {
-        for lane in 0..LANES {
-            let x = end[0][lane] - eye.x;
-            let y = end[1][lane] - eye.y;
-            let z = end[2][lane] - eye.z;
-            (end[0][lane], end[1][lane], end[2][lane]) = (x, y, z);
-            signs[lane] = u8::from(x < 0.0) | u8::from(y < 0.0) << 1 | u8::from(z < 0.0) << 2;
-            let sign = |x: f32| if x < 0.0 { -1.0 } else { 1.0 };
-            let absolute = Vec3::new(x.abs(), y.abs(), z.abs());
-            let [u, v] = project(absolute, Vec3::new(sign(x), sign(y), sign(z)), half);
-            point[0][lane] = u;
-            point[1][lane] = v;
-        }
-    }
-    let mut crosses = [true; LANES];
-    let [[u0, v0], [u1, v1]] = &points;
-    for lane in 0..LANES {
-        // Written so that NaN crosses.
-        let (low, high) = if u0[lane] < u1[lane] {
-            (u0[lane], u1[lane])
-        } else {
-            (u1[lane], u0[lane])
+/// Contours side by side.
+pub(super) struct Edges {
+    /// Relative to the eye.
+    ends: [[[f32; LANES]; 3]; 2],
+    points: [[[f32; LANES]; 2]; 2],
+    octants: [[u8; LANES]; 2],
+}
+
+impl Edges {
+    /// Projects up to [`LANES`] contours.
+    #[inline(always)]
+    pub(super) fn project(batch: &[Contour], positions: &[Vec3], eye: Vec3, half: f32) -> Self {
+        let mut edges = Self {
+            ends: [[[0.0; LANES]; 3]; 2],
+            points: [[[0.0; LANES]; 2]; 2],
+            octants: [[0; LANES]; 2],
         };
-        let between = (low - CLEARANCE).floor() == (high + CLEARANCE).floor();
-        let below = v0[lane] > CLEARANCE && v1[lane] > CLEARANCE;
-        crosses[lane] = !(between && below && signs[0][lane] == signs[1][lane]);
+        for (lane, contour) in batch.iter().enumerate() {
+            for (end, vertex) in edges.ends.iter_mut().zip(contour.vertices) {
+                let p = positions[vertex as usize];
+                end[0][lane] = p.x;
+                end[1][lane] = p.y;
+                end[2][lane] = p.z;
+            }
+        }
+        let ends = edges.ends.iter_mut();
+        for ((end, point), octants) in ends.zip(&mut edges.points).zip(&mut edges.octants) {
+            for lane in 0..LANES {
+                let x = end[0][lane] - eye.x;
+                let y = end[1][lane] - eye.y;
+                let z = end[2][lane] - eye.z;
+                (end[0][lane], end[1][lane], end[2][lane]) = (x, y, z);
+                octants[lane] = u8::from(x < 0.0) | u8::from(y < 0.0) << 1 | u8::from(z < 0.0) << 2;
+                let sign = |x: f32| if x < 0.0 { -1.0 } else { 1.0 };
+                let absolute = Vec3::new(x.abs(), y.abs(), z.abs());
+                let [u, v] = project(absolute, Vec3::new(sign(x), sign(y), sign(z)), half);
+                point[0][lane] = u;
+                point[1][lane] = v;
+            }
+        }
+        edges
     }
-    crosses
+
+    /// Both ends, relative to the eye.
+    #[inline(always)]
+    pub(super) fn ends(&self, lane: usize) -> [Vec3; 2] {
+        [0, 1].map(|end| Vec3::from(self.ends[end].map(|axis| axis[lane])))
+    }
+
+    /// Where an edge starts, if it lies within one octant and ends less than `length` texels
+    /// away in either coordinate.
+    #[inline(always)]
+    pub(super) fn short(&self, lane: usize, length: usize) -> Option<Point> {
+        let [from, to] = [0, 1].map(|end| self.points[end].map(|axis| axis[lane]));
+        let reach = (from[0] - to[0]).abs().max((from[1] - to[1]).abs());
+        let within = self.octants[0][lane] == self.octants[1][lane];
+        (within && reach < length as f32).then_some(from)
+    }
+
+    /// Which edges come near a line that steps are summed on.
+    #[inline(always)]
+    fn cross_counted_lines(&self) -> [bool; LANES] {
+        let mut crosses = [true; LANES];
+        let [[u0, v0], [u1, v1]] = &self.points;
+        let [from, to] = &self.octants;
+        for lane in 0..LANES {
+            // Written so that NaN crosses.
+            let between = between_lines(u0[lane], u1[lane]);
+            let below = v0[lane] > CLEARANCE && v1[lane] > CLEARANCE;
+            crosses[lane] = !(between && below && from[lane] == to[lane]);
+        }
+        crosses
+    }
+
+    /// Which edges come near any line of texel centres.
+    #[inline(always)]
+    pub(super) fn cross_any_lines(&self) -> [bool; LANES] {
+        let mut crosses = [true; LANES];
+        let [[u0, v0], [u1, v1]] = &self.points;
+        let [from, to] = &self.octants;
+        for lane in 0..LANES {
+            let columns = between_lines(u0[lane], u1[lane]);
+            let rows = between_lines(v0[lane], v1[lane]);
+            crosses[lane] = !(columns && rows && from[lane] == to[lane]);
+        }
+        crosses
+    }
+}
+
+/// Whether no texel centre's coordinate comes near to those between two.
+#[inline(always)]
+fn between_lines(a: f32, b: f32) -> bool {
+    let (low, high) = if a < b { (a, b) } else { (b, a) };
+    (low - CLEARANCE).floor() == (high + CLEARANCE).floor()
 }

@@ -1,0 +1,62 @@
+//! Principal components and coefficients of one chunk of a real mesh, on one thread.
+//!
+//! `cargo bench -p relight-bake --bench compress -- [MESH...] [--vertices N] [--rounds N]`
+
+mod common;
+
+use nalgebra::DMatrix;
+use relight_bake::compress::{self, Encoder};
+use relight_bake::ray::RayCaster;
+use relight_bake::ssdf::{Crossings, Transform};
+use relight_bake::visibility::{self, Directions};
+
+const RESOLUTION: u32 = 64;
+/// Images of the largest default cluster.
+const CHANNELS: usize = 16;
+
+fn main() {
+    let vertices = common::number("--vertices", 512);
+    let rounds = common::number("--rounds", 3);
+    for (index, path) in common::paths().iter().enumerate() {
+        if index == 0 {
+            println!("us per vertex, one thread, best of {rounds} rounds");
+            println!(
+                "{:<14}{:>10}{:>10}{:>10}{:>10}{:>16}",
+                "mesh", "vertices", "analyse", "systems", "encode", "error, rad"
+            );
+        }
+        // Every n-th vertex of the whole mesh: harder to compress than neighbours are.
+        let subject = common::subject(path, vertices);
+        let caster = RayCaster::new(&subject.soup);
+        let directions = Directions::new(RESOLUTION);
+        let transform = Transform::new(&directions, RESOLUTION);
+        let columns: Vec<f32> = (subject.origins.iter())
+            .flat_map(|&origin| {
+                let bitmap = visibility::sample(&caster, origin, &directions);
+                transform.apply(&bitmap, &Crossings::default(), 0.5)
+            })
+            .collect();
+        let count = subject.origins.len();
+        let ssdfs = DMatrix::from_vec(RESOLUTION.pow(2) as usize, count, columns);
+        let analyse = common::best(rounds, || {
+            std::hint::black_box(compress::analyse(&ssdfs, CHANNELS - 1));
+        });
+        let basis = compress::analyse(&ssdfs, CHANNELS - 1);
+        let systems = common::best(rounds, || {
+            std::hint::black_box(Encoder::new(&ssdfs, &basis));
+        });
+        let encoder = Encoder::new(&ssdfs, &basis);
+        let encode = common::best(rounds, || {
+            std::hint::black_box(encoder.encode(CHANNELS));
+        });
+        let per_vertex = |seconds: f64| seconds * 1e6 / count as f64;
+        println!(
+            "{:<14}{count:>10}{:>10.0}{:>10.0}{:>10.0}{:>16.4}",
+            subject.name,
+            per_vertex(analyse),
+            per_vertex(systems),
+            per_vertex(encode),
+            encoder.encode(CHANNELS).error.boundary_rms(),
+        );
+    }
+}

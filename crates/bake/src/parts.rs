@@ -1,0 +1,532 @@
+//! Finished chunks of a scene bake in a file: the checkpoint of a bake that runs, the result
+//! of a shard, what `merge` joins.
+//!
+//! An append-only log, little-endian:
+//!
+//! | bytes | header |
+//! |---|---|
+//! | 8 | magic, `RLPARTS\n` |
+//! | 4, 4 | u32: version 1, 0 |
+//! | 16 | u128: [fingerprint](crate::scene::Bake::fingerprint) |
+//! | 4, 4, 4 | u32: shard (from 1), shards, chunks of the whole scene |
+//! | 4 | CRC-32 of the header so far |
+//!
+//! Records follow, in the order in which they were finished: u32 chunk, u32 CRC-32 of
+//! chunk, length and payload, u64 length of the payload, the payload. A chunk's payload is its clusters
+//! (`encode`). The last record of a finished shard has the chunk number `u32::MAX`; its
+//! payload is a `.relight` scene without clusters: names, materials, textures.
+//!
+//! A process can be killed at any moment: the first record that is not whole ends what
+//! counts, and is cut off before new ones are appended.
+
+use std::collections::HashMap;
+use std::fmt::Display;
+use std::fs::{File, OpenOptions, TryLockError};
+use std::io::{BufReader, Read as _, Seek as _, SeekFrom, Write as _};
+use std::path::{Path, PathBuf};
+
+use bytemuck::{AnyBitPattern, NoUninit};
+use relight_format::{self as format, CHANNELS_PER_TILE, MAX_TILES_PER_CLUSTER};
+
+use crate::compress::{Compressed, ErrorSums};
+use crate::scene::Cluster;
+
+const MAGIC: [u8; 8] = *b"RLPARTS\n";
+const VERSION: u32 = 1;
+const HEADER_BYTES: usize = 48;
+const RECORD_BYTES: usize = 16;
+/// Chunk number of the record that ends a finished shard.
+const HEAD: u32 = u32::MAX;
+
+/// What a parts file is a part of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Identity {
+    /// Of the scene and the options.
+    pub fingerprint: u128,
+    /// Which shard, from 1.
+    pub shard: u32,
+    /// Number of shards.
+    pub shards: u32,
+    /// Number of chunks of the whole scene.
+    pub chunks: u32,
+}
+
+impl Identity {
+    /// The chunks that belong to this shard: every n-th, as neighbours cost alike.
+    pub fn chunks(&self) -> impl ExactSizeIterator<Item = usize> + use<> {
+        (self.shard as usize - 1..self.chunks as usize).step_by(self.shards as usize)
+    }
+}
+
+/// Why a parts file cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// The file could not be read or written.
+    #[error("{}: {source}", file.display())]
+    Io {
+        /// The file.
+        file: PathBuf,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// The file is not what it should be.
+    #[error("{}: {place}: expected {expected}, found {found}", file.display())]
+    Invalid {
+        /// The file.
+        file: PathBuf,
+        /// Which part of it.
+        place: String,
+        /// What would do.
+        expected: String,
+        /// What is there.
+        found: String,
+    },
+}
+
+/// An open parts file.
+#[derive(Debug)]
+pub struct Parts {
+    path: PathBuf,
+    file: File,
+    identity: Identity,
+    /// Offset and length of the payload of every finished chunk.
+    records: HashMap<usize, (u64, u64)>,
+    head: Option<(u64, u64)>,
+    /// Where the next record goes.
+    end: u64,
+}
+
+impl Parts {
+    /// Starts an empty file in place of whatever was there.
+    pub fn create(path: &Path, identity: Identity) -> Result<Self, Error> {
+        let file = lock(path)?;
+        let mut header = Vec::with_capacity(HEADER_BYTES);
+        header.extend(MAGIC);
+        header.extend(VERSION.to_le_bytes());
+        header.extend([0; 4]);
+        header.extend(identity.fingerprint.to_le_bytes());
+        header.extend(identity.shard.to_le_bytes());
+        header.extend(identity.shards.to_le_bytes());
+        header.extend(identity.chunks.to_le_bytes());
+        header.extend(crc32fast::hash(&header).to_le_bytes());
+        (file.set_len(0))
+            .and_then(|()| (&file).write_all(&header))
+            .map_err(io(path))?;
+        Ok(Self {
+            path: path.to_owned(),
+            file,
+            identity,
+            records: HashMap::new(),
+            head: None,
+            end: HEADER_BYTES as u64,
+        })
+    }
+
+    /// Opens the file for more records, or starts it if there is none or one that was cut
+    /// short before its first record.
+    ///
+    /// # Errors
+    ///
+    /// The file belongs to another scene, other options or another shard.
+    pub fn resume(path: &Path, identity: Identity) -> Result<Self, Error> {
+        let length = std::fs::metadata(path).map_or(0, |metadata| metadata.len());
+        if length < HEADER_BYTES as u64 {
+            return Self::create(path, identity);
+        }
+        let file = lock(path)?;
+        let mut parts = Self::scan(path, file)?;
+        if parts.identity != identity {
+            return Err(parts.invalid("header", describe(&identity), describe(&parts.identity)));
+        }
+        // A head that is there was followed by the end of a bake whose rename failed.
+        if let Some((start, _)) = parts.head.take() {
+            parts.end = start - RECORD_BYTES as u64;
+        }
+        (parts.file.set_len(parts.end)).map_err(io(path))?;
+        Ok(parts)
+    }
+
+    /// Opens a finished shard.
+    ///
+    /// # Errors
+    ///
+    /// A chunk or the head is missing, or damaged.
+    pub fn open(path: &Path) -> Result<Self, Error> {
+        let parts = Self::scan(path, File::open(path).map_err(io(path))?)?;
+        let length = (parts.file.metadata()).map_err(io(path))?.len();
+        let (whole, there) = (parts.identity.chunks().len(), parts.finished());
+        if there < whole || parts.head.is_none() || length != parts.end {
+            return Err(parts.invalid(
+                &format!("byte {}", parts.end),
+                format!("a finished shard of {whole} chunks"),
+                format!("{there} chunks and no intact end"),
+            ));
+        }
+        Ok(parts)
+    }
+
+    /// Reads the header and finds the records that are whole.
+    fn scan(path: &Path, file: File) -> Result<Self, Error> {
+        let length = file.metadata().map_err(io(path))?.len();
+        let mut reader = BufReader::with_capacity(1 << 20, file);
+        let mut header = [0; HEADER_BYTES];
+        let invalid = |expected: &str, found: String| Error::Invalid {
+            file: path.to_owned(),
+            place: "header".into(),
+            expected: expected.into(),
+            found,
+        };
+        if length < HEADER_BYTES as u64 {
+            return Err(invalid("at least 48 bytes", format!("{length}")));
+        }
+        reader.read_exact(&mut header).map_err(io(path))?;
+        let mut fields: &[u8] = &header;
+        let magic: [u8; 8] = take(&mut fields).expect("inside the header");
+        if magic != MAGIC {
+            return Err(invalid("a parts file", format!("{magic:02x?}")));
+        }
+        let [version, reserved]: [u32; 2] = take(&mut fields).expect("inside the header");
+        if (version, reserved) != (VERSION, 0) {
+            return Err(invalid(
+                "version 1",
+                format!("version {version}, {reserved}"),
+            ));
+        }
+        let fingerprint: u128 = take(&mut fields).expect("inside the header");
+        let [shard, shards, chunks, checksum]: [u32; 4] =
+            take(&mut fields).expect("inside the header");
+        let computed = crc32fast::hash(&header[..HEADER_BYTES - 4]);
+        if checksum != computed {
+            let found = format!("{checksum:08x}");
+            return Err(invalid(&format!("checksum {computed:08x}"), found));
+        }
+        if shard < 1 || shard > shards {
+            let found = format!("shard {shard} of {shards}");
+            return Err(invalid("a shard from 1 to the number of shards", found));
+        }
+        let identity = Identity {
+            fingerprint,
+            shard,
+            shards,
+            chunks,
+        };
+        let mut records = HashMap::new();
+        let mut head = None;
+        let mut end = HEADER_BYTES as u64;
+        let mut payload = Vec::new();
+        while head.is_none() && length - end >= RECORD_BYTES as u64 {
+            let mut record = [0; RECORD_BYTES];
+            reader.read_exact(&mut record).map_err(io(path))?;
+            let mut fields: &[u8] = &record;
+            let [chunk, checksum]: [u32; 2] = take(&mut fields).expect("inside the record");
+            let bytes: u64 = take(&mut fields).expect("inside the record");
+            let start = end + RECORD_BYTES as u64;
+            if bytes > length - start {
+                break;
+            }
+            payload.resize(bytes as usize, 0);
+            reader.read_exact(&mut payload).map_err(io(path))?;
+            let known = chunk < chunks && chunk % shards == shard - 1;
+            if checksum != record_checksum(chunk, &payload) || !(known || chunk == HEAD) {
+                break;
+            }
+            if chunk == HEAD {
+                head = Some((start, bytes));
+            } else if records.insert(chunk as usize, (start, bytes)).is_some() {
+                return Err(invalid("every chunk once", format!("chunk {chunk} twice")));
+            }
+            end = start + bytes;
+        }
+        Ok(Self {
+            path: path.to_owned(),
+            file: reader.into_inner(),
+            identity,
+            records,
+            head,
+            end,
+        })
+    }
+
+    /// What this is a part of.
+    pub fn identity(&self) -> Identity {
+        self.identity
+    }
+
+    /// The file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Number of finished chunks.
+    pub fn finished(&self) -> usize {
+        self.records.len()
+    }
+
+    /// Chunks of this shard that are not finished.
+    pub fn missing(&self) -> Vec<usize> {
+        (self.identity.chunks())
+            .filter(|chunk| !self.records.contains_key(chunk))
+            .collect()
+    }
+
+    /// Appends a finished chunk, as [`encode`] gives it.
+    pub fn append(&mut self, chunk: usize, payload: &[u8]) -> Result<(), Error> {
+        let record = self.append_record(chunk as u32, payload)?;
+        self.records.insert(chunk, record);
+        Ok(())
+    }
+
+    /// Ends a finished shard. `head` is the scene without its clusters.
+    pub fn finish(&mut self, head: &format::Scene) -> Result<(), Error> {
+        let bytes = format::write_scene(head)
+            .map_err(|error| self.invalid("scene", "one that can be written", error))?;
+        self.head = Some(self.append_record(HEAD, &bytes)?);
+        self.file.sync_all().map_err(io(&self.path))
+    }
+
+    fn append_record(&mut self, chunk: u32, payload: &[u8]) -> Result<(u64, u64), Error> {
+        let mut bytes = Vec::with_capacity(RECORD_BYTES + payload.len());
+        bytes.extend(chunk.to_le_bytes());
+        bytes.extend(record_checksum(chunk, payload).to_le_bytes());
+        bytes.extend((payload.len() as u64).to_le_bytes());
+        bytes.extend(payload);
+        (self.file.seek(SeekFrom::Start(self.end)))
+            .and_then(|_| self.file.write_all(&bytes))
+            .map_err(io(&self.path))?;
+        let start = self.end + RECORD_BYTES as u64;
+        self.end += bytes.len() as u64;
+        Ok((start, payload.len() as u64))
+    }
+
+    /// The clusters of a finished chunk.
+    pub fn chunk(&mut self, chunk: usize) -> Result<Vec<Cluster>, Error> {
+        let payload = self.payload(chunk as u32, self.records.get(&chunk).copied())?;
+        decode(&payload).ok_or_else(|| {
+            let found = format!("{} bytes", payload.len());
+            self.invalid(&format!("chunk {chunk}"), "clusters", found)
+        })
+    }
+
+    /// The scene without its clusters, of a finished shard.
+    pub fn head(&mut self) -> Result<format::Scene, Error> {
+        let payload = self.payload(HEAD, self.head)?;
+        let head = format::read_scene(&payload, &format::Limits::default())
+            .map_err(|error| self.invalid("end", "a scene", error))?;
+        if head.clusters.is_empty() {
+            Ok(head)
+        } else {
+            Err(self.invalid("end", "a scene without clusters", head.clusters.len()))
+        }
+    }
+
+    /// Reads a record again; the file may have changed since it was scanned.
+    fn payload(&mut self, chunk: u32, record: Option<(u64, u64)>) -> Result<Vec<u8>, Error> {
+        let place = format!("record of chunk {chunk}");
+        let Some((start, bytes)) = record else {
+            return Err(self.invalid(&place, "it", "none"));
+        };
+        let mut header = [0; RECORD_BYTES];
+        let mut payload = vec![0; bytes as usize];
+        (self.file.seek(SeekFrom::Start(start - RECORD_BYTES as u64)))
+            .and_then(|_| self.file.read_exact(&mut header))
+            .and_then(|()| self.file.read_exact(&mut payload))
+            .map_err(io(&self.path))?;
+        let checksum: u32 = take(&mut &header[4..]).expect("inside the record");
+        let computed = record_checksum(chunk, &payload);
+        if checksum == computed {
+            Ok(payload)
+        } else {
+            let (expected, found) = (format!("{checksum:08x}"), format!("{computed:08x}"));
+            Err(self.invalid(&place, expected, found))
+        }
+    }
+
+    fn invalid(&self, place: &str, expected: impl Display, found: impl Display) -> Error {
+        Error::Invalid {
+            file: self.path.clone(),
+            place: place.to_owned(),
+            expected: expected.to_string(),
+            found: found.to_string(),
+        }
+    }
+}
+
+/// All shards of one scene, in order.
+///
+/// # Errors
+///
+/// They are of different scenes or options, one is there twice, or some are missing.
+pub fn open_all(paths: &[PathBuf]) -> Result<Vec<Parts>, Error> {
+    let mut parts = Vec::new();
+    for path in paths {
+        parts.push(Parts::open(path)?);
+    }
+    parts.sort_by_key(|part| part.identity.shard);
+    for pair in parts.windows(2) {
+        let [first, second] = [&pair[0], &pair[1]];
+        let same_scene = Identity {
+            shard: first.identity.shard,
+            ..second.identity
+        };
+        if same_scene != first.identity {
+            let expected = format!(
+                "{} as {} has",
+                describe(&first.identity),
+                first.path.display()
+            );
+            return Err(second.invalid("header", expected, describe(&second.identity)));
+        }
+        if first.identity.shard == second.identity.shard {
+            let expected = format!("another shard than {}", first.path.display());
+            return Err(second.invalid("header", expected, describe(&second.identity)));
+        }
+    }
+    if let Some(first) = parts.first() {
+        let shards = first.identity.shards;
+        if parts.len() < shards as usize {
+            let there = |shard: &u32| parts.iter().any(|part| part.identity.shard == *shard);
+            let mut absent = (1..=shards).filter(|shard| !there(shard));
+            let mut list: Vec<String> = absent.by_ref().take(8).map(|s| s.to_string()).collect();
+            if absent.next().is_some() {
+                list.push("…".into());
+            }
+            return Err(first.invalid(
+                "header",
+                format!("all {shards} shards"),
+                format!("none of {}", list.join(", ")),
+            ));
+        }
+    }
+    Ok(parts)
+}
+
+fn describe(identity: &Identity) -> String {
+    let Identity {
+        fingerprint,
+        shard,
+        shards,
+        chunks,
+    } = identity;
+    format!("shard {shard} of {shards}, {chunks} chunks of scene and options {fingerprint:032x}")
+}
+
+/// Opens or makes a file that no other process works on.
+fn lock(path: &Path) -> Result<File, Error> {
+    let file = OpenOptions::new()
+        .read(true)
+        .write(true)
+        .create(true)
+        .truncate(false)
+        .open(path)
+        .map_err(io(path))?;
+    match file.try_lock() {
+        Err(TryLockError::WouldBlock) => Err(Error::Invalid {
+            file: path.to_owned(),
+            place: "lock".into(),
+            expected: "no other bake of the same output".into(),
+            found: "one that is running".into(),
+        }),
+        // Some network file systems have no locks; nothing but this check depends on them.
+        Ok(()) | Err(TryLockError::Error(_)) => Ok(file),
+    }
+}
+
+fn io(path: &Path) -> impl FnOnce(std::io::Error) -> Error {
+    |source| Error::Io {
+        file: path.to_owned(),
+        source,
+    }
+}
+
+fn record_checksum(chunk: u32, payload: &[u8]) -> u32 {
+    let mut hasher = crc32fast::Hasher::new();
+    hasher.update(&chunk.to_le_bytes());
+    hasher.update(&(payload.len() as u64).to_le_bytes());
+    hasher.update(payload);
+    hasher.finalize()
+}
+
+/// Clusters to bytes: u32 number of clusters, then each: u32 vertices, triangles and
+/// tiles, f32 coefficient scale, u64 basis bytes, f64 error sum and u64 count over all
+/// texels and near the boundary, then the arrays.
+pub fn encode(clusters: &[Cluster]) -> Vec<u8> {
+    const { assert!(cfg!(target_endian = "little"), "arrays are little-endian") };
+    let mut bytes = (clusters.len() as u32).to_le_bytes().to_vec();
+    for cluster in clusters {
+        let compressed = &cluster.compressed;
+        let error = &compressed.error;
+        bytes.extend((cluster.vertices.len() as u32).to_le_bytes());
+        bytes.extend((cluster.triangles.len() as u32).to_le_bytes());
+        bytes.extend(compressed.tiles.to_le_bytes());
+        bytes.extend(compressed.coefficient_scale.to_le_bytes());
+        bytes.extend((compressed.basis.len() as u64).to_le_bytes());
+        bytes.extend(error.all.to_le_bytes());
+        bytes.extend(error.all_count.to_le_bytes());
+        bytes.extend(error.boundary.to_le_bytes());
+        bytes.extend(error.boundary_count.to_le_bytes());
+        bytes.extend(array_bytes(&cluster.vertices));
+        bytes.extend(array_bytes(&cluster.triangles));
+        bytes.extend(array_bytes(&compressed.coefficients));
+        bytes.extend(array_bytes(&compressed.basis));
+    }
+    bytes
+}
+
+fn array_bytes<T: NoUninit>(values: &[T]) -> &[u8] {
+    bytemuck::cast_slice(values)
+}
+
+/// The inverse of [`encode`]; `None` if the bytes are anything else. What the clusters hold
+/// is checked when the asset is written.
+fn decode(mut bytes: &[u8]) -> Option<Vec<Cluster>> {
+    let bytes = &mut bytes;
+    let count: u32 = take(bytes)?;
+    let mut clusters = Vec::new();
+    for _ in 0..count {
+        let [vertices, triangles, tiles]: [u32; 3] = take(bytes)?;
+        let coefficient_scale: f32 = take(bytes)?;
+        let basis: u64 = take(bytes)?;
+        let error = ErrorSums {
+            all: take(bytes)?,
+            all_count: take(bytes)?,
+            boundary: take(bytes)?,
+            boundary_count: take(bytes)?,
+        };
+        if !(1..=MAX_TILES_PER_CLUSTER).contains(&tiles) {
+            return None;
+        }
+        let channels = u64::from(tiles) * CHANNELS_PER_TILE as u64;
+        let cluster = Cluster {
+            vertices: take_array(bytes, u64::from(vertices))?,
+            triangles: take_array(bytes, u64::from(triangles))?,
+            compressed: Compressed {
+                tiles,
+                coefficient_scale,
+                coefficients: take_array(bytes, u64::from(vertices) * channels)?,
+                basis: take_array(bytes, basis)?,
+                error,
+            },
+        };
+        let inside =
+            |triangle: &format::Triangle| triangle.vertices.iter().all(|vertex| *vertex < vertices);
+        if !cluster.triangles.iter().all(inside) {
+            return None;
+        }
+        clusters.push(cluster);
+    }
+    bytes.is_empty().then_some(clusters)
+}
+
+fn take<T: AnyBitPattern>(bytes: &mut &[u8]) -> Option<T> {
+    let (head, tail) = bytes.split_at_checked(size_of::<T>())?;
+    *bytes = tail;
+    Some(bytemuck::pod_read_unaligned(head))
+}
+
+/// Allocates only what `bytes` hold.
+fn take_array<T: AnyBitPattern + NoUninit>(bytes: &mut &[u8], count: u64) -> Option<Vec<T>> {
+    let length = usize::try_from(count).ok()?.checked_mul(size_of::<T>())?;
+    let (head, tail) = bytes.split_at_checked(length)?;
+    *bytes = tail;
+    Some(bytemuck::pod_collect_to_vec(head))
+}

@@ -1,0 +1,248 @@
+//! `bake scene` and `bake merge`: chunks through a parts file into an asset.
+//!
+//! Every finished chunk goes to `OUT.parts` at once and is read from there when the asset is
+//! put together, so memory does not hold the scene twice and a killed bake loses only what
+//! was at hand.
+
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+use std::time::Instant;
+
+use anyhow::{Context as _, bail};
+use relight_bake::fingerprint::Fingerprint;
+use relight_bake::monitor::Monitor;
+use relight_bake::parts::{self, Identity, Parts};
+use relight_bake::{scene, scene_input};
+use relight_format as format;
+use serde_json::json;
+
+use crate::cli::{SceneArguments, Shard, Summary, check_output, is_interruption, scene_options};
+
+/// Bakes a scene, or a shard of it.
+pub fn bake(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Summary> {
+    let options = scene_options(arguments);
+    check_output(&arguments.output)?;
+    let start = Instant::now();
+    monitor.step("read", 0.0)?;
+    let input = scene_input::load(&arguments.input)?;
+    let read = start.elapsed();
+    let input_name = || arguments.input.display().to_string();
+    let mut bake = scene::Bake::new(input, &options, monitor).with_context(input_name)?;
+    if arguments.verify_visibility {
+        bake.verify_visibility();
+    }
+    let shard = arguments.shard.unwrap_or(Shard {
+        number: 1,
+        count: 1,
+    });
+    let identity = Identity {
+        fingerprint: bake.fingerprint(),
+        shard: shard.number,
+        shards: shard.count,
+        chunks: bake.chunk_count() as u32,
+    };
+    let mut path = arguments.output.clone().into_os_string();
+    path.push(".parts");
+    let path = PathBuf::from(path);
+    let parts = if arguments.resume {
+        Parts::resume(&path, identity)?
+    } else {
+        if path.exists() {
+            eprintln!(
+                "warning: {} of an interrupted bake is replaced; --resume would continue it",
+                path.display()
+            );
+        }
+        Parts::create(&path, identity)?
+    };
+    let resumed = parts.finished();
+    let missing = parts.missing();
+    let parts = Mutex::new(parts);
+    let result: anyhow::Result<()> = bake.run(&missing, |chunk, clusters| {
+        let payload = parts::encode(&clusters);
+        let mut parts = parts.lock().unwrap_or_else(PoisonError::into_inner);
+        Ok(parts.append(chunk, &payload)?)
+    });
+    let mut parts = parts.into_inner().unwrap_or_else(PoisonError::into_inner);
+    result
+        .map_err(|error| keep_or_remove(&parts, error))
+        .with_context(input_name)?;
+    let (head, mut statistics) = bake.finish();
+    statistics.stages.insert(0, ("read", read));
+    for warning in &head.report.warnings {
+        eprintln!("warning: {warning}");
+    }
+    let chunks = parts.finished();
+    let clock = Instant::now();
+    monitor.step("write", 0.0)?;
+    let mut summary = if arguments.shard.is_some() {
+        parts.finish(&head)?;
+        std::fs::rename(&path, &arguments.output)
+            .with_context(|| arguments.output.display().to_string())?;
+        Summary {
+            text: format!(
+                "{}: shard {} of {}, {chunks} of {} chunks",
+                arguments.output.display(),
+                shard.number,
+                shard.count,
+                identity.chunks,
+            ),
+            json: json!({ "output": arguments.output, "shard": shard.number, "shards": shard.count }),
+        }
+    } else {
+        let assembled = (0..chunks).map(|chunk| Ok(parts.chunk(chunk)?));
+        let scene = scene::assemble::<anyhow::Error>(head, assembled)?;
+        let summary = write(&arguments.output, scene)?;
+        drop(parts);
+        std::fs::remove_file(&path).with_context(|| path.display().to_string())?;
+        summary
+    };
+    statistics.stages.push(("write", clock.elapsed()));
+    let wall = start.elapsed().as_secs_f64();
+    summary.text += &format!(
+        "\n{} rays, {wall:.1} s; processor time per stage:",
+        statistics.rays
+    );
+    for (stage, time) in &statistics.stages {
+        summary.text += &format!(" {stage} {:.1} s", time.as_secs_f64());
+    }
+    if arguments.verify_visibility {
+        summary.text += &format!(
+            "\nvisibility equals one ray per texel: {} vertices of {} texels compared, {} differ",
+            statistics.verified_vertices,
+            options.sample_resolution.pow(2),
+            statistics.differing_texels,
+        );
+        summary.json["verified_vertices"] = json!(statistics.verified_vertices);
+        summary.json["differing_texels"] = json!(statistics.differing_texels);
+    }
+    summary.text.push('\n');
+    let stages = (statistics.stages.iter())
+        .map(|(stage, time)| ((*stage).to_owned(), json!(time.as_secs_f64())));
+    summary.json["chunks"] = json!(chunks);
+    summary.json["resumed_chunks"] = json!(resumed);
+    summary.json["rays"] = json!(statistics.rays);
+    summary.json["sampled_vertices"] = json!(statistics.sampled_vertices);
+    summary.json["seconds"] = json!(wall);
+    summary.json["processor_seconds"] = stages.collect::<serde_json::Map<_, _>>().into();
+    summary.json["peak_resident_bytes"] = json!(peak_resident_bytes());
+    Ok(summary)
+}
+
+/// What can be continued is kept, anything else removed.
+fn keep_or_remove(parts: &Parts, error: anyhow::Error) -> anyhow::Error {
+    let stopped = error
+        .chain()
+        .any(|cause| is_interruption(cause) || cause.is::<std::io::Error>());
+    if stopped && parts.finished() > 0 {
+        return error.context(format!(
+            "{} keeps {} of {} chunks, --resume continues",
+            parts.path().display(),
+            parts.finished(),
+            parts.identity().chunks().len(),
+        ));
+    }
+    // The error at hand is the one to report.
+    let _ = std::fs::remove_file(parts.path());
+    error
+}
+
+/// Joins shards.
+pub fn merge(paths: &[PathBuf], output: &Path, monitor: Monitor) -> anyhow::Result<Summary> {
+    check_output(output)?;
+    monitor.step("read", 0.0)?;
+    let mut shards = parts::open_all(paths)?;
+    let [first, ..] = &mut shards[..] else {
+        bail!("no shards")
+    };
+    let (head, chunks) = (first.head()?, first.identity().chunks as usize);
+    let count = shards.len();
+    let assembled = (0..chunks).map(|chunk| {
+        monitor.step("merge", chunk as f32 / chunks as f32)?;
+        Ok(shards[chunk % count].chunk(chunk)?)
+    });
+    let scene = scene::assemble::<anyhow::Error>(head, assembled)?;
+    monitor.step("write", 0.0)?;
+    let mut summary = write(output, scene)?;
+    summary.text.push('\n');
+    summary.json["peak_resident_bytes"] = json!(peak_resident_bytes());
+    Ok(summary)
+}
+
+/// Writes an asset and checks what arrived. The scene is dropped before it is read back:
+/// two of them may not fit.
+fn write(path: &Path, scene: format::Scene) -> anyhow::Result<Summary> {
+    let bytes = format::write_scene(&scene)?;
+    let tiles: u32 = scene.clusters.iter().map(|cluster| cluster.tiles).sum();
+    let report = &scene.report;
+    let summary = Summary {
+        text: format!(
+            "{}: {} vertices, {} triangles, {} clusters, {} bytes ({:.0} per vertex)\n\
+             error near the visibility boundary {:.4} rad, over all {:.4} rad (root mean square)",
+            path.display(),
+            scene.vertices.len(),
+            scene.triangles.len(),
+            scene.clusters.len(),
+            bytes.len(),
+            bytes.len() as f64 / scene.vertices.len().max(1) as f64,
+            report.boundary_rms_error,
+            report.rms_error,
+        ),
+        json: json!({
+            "output": path,
+            "bytes": bytes.len(),
+            "vertices": scene.vertices.len(),
+            "triangles": scene.triangles.len(),
+            "clusters": scene.clusters.len(),
+            "tiles": tiles,
+            "boundary_rms_error": report.boundary_rms_error,
+            "rms_error": report.rms_error,
+            "warnings": report.warnings,
+        }),
+    };
+    let meant = fingerprint(&scene);
+    drop(scene);
+    crate::cli::write_checked(path, &bytes, |bytes| {
+        let read = format::read_scene(bytes, &format::Limits::default())?;
+        Ok(fingerprint(&read) == meant)
+    })?;
+    Ok(summary)
+}
+
+fn fingerprint(scene: &format::Scene) -> u128 {
+    let format::Scene {
+        name,
+        visibility,
+        camera,
+        materials,
+        textures,
+        report,
+        vertices,
+        triangles,
+        clusters,
+        coefficients,
+        basis,
+    } = scene;
+    let mut fingerprint = Fingerprint::default();
+    let small = format!("{:?}", (name, visibility, camera, materials, report));
+    fingerprint.add(small.as_bytes());
+    for texture in textures {
+        let (width, height, encoding) = (texture.width, texture.height, texture.encoding);
+        fingerprint.add(format!("{width} {height} {encoding:?}").as_bytes());
+        fingerprint.add(&texture.texels);
+    }
+    fingerprint.add(bytemuck::cast_slice(vertices));
+    fingerprint.add(bytemuck::cast_slice(triangles));
+    fingerprint.add(bytemuck::cast_slice(clusters));
+    fingerprint.add(bytemuck::cast_slice(coefficients));
+    fingerprint.add(bytemuck::cast_slice(basis));
+    fingerprint.value()
+}
+
+/// The most memory this process ever held, where the system tells.
+fn peak_resident_bytes() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
+    let kibibytes: u64 = line.split_whitespace().nth(1)?.parse().ok()?;
+    Some(kibibytes * 1024)
+}

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use libtest_mimic::Trial;
 
 use crate::meshes::sphere_over_ground;
-use crate::support::{Outcome, binary, describe};
+use crate::support::{Outcome, binary, describe, with_data};
 
 /// Exit codes of `bake`, as README.md lists them.
 const OK: i32 = 0;
@@ -33,6 +33,9 @@ pub fn trials() -> Vec<Trial> {
         Trial::test("cli::usage", usage),
         Trial::test("cli::scene", scene),
         Trial::test("cli::environment", environment),
+        Trial::test("cli::layered_material", layered_material),
+        Trial::test("cli::broken_table", broken_table),
+        with_data("cli::measured_material", measured_material),
         Trial::test("cli::missing_input", missing_input),
         Trial::test("cli::unwritable_output", unwritable_output),
         Trial::test("cli::broken_mesh_keeps_the_old_output", broken_mesh),
@@ -136,7 +139,14 @@ fn usage() -> Outcome {
         assert!(!output.stderr.is_empty(), "silent about {arguments:?}");
     }
     let help = expect(OK, binary("bake").arg("--help"));
-    for subcommand in ["scene", "merge", "environment", "inspect", "validate"] {
+    for subcommand in [
+        "scene",
+        "merge",
+        "environment",
+        "material",
+        "inspect",
+        "validate",
+    ] {
         assert!(
             String::from_utf8_lossy(&help.stdout).contains(subcommand),
             "{subcommand}"
@@ -200,6 +210,99 @@ fn environment() -> Outcome {
     assert_eq!(environment.report.source_size, [32, 16]);
     expect(OK, binary("bake").arg("validate").arg(&asset));
     expect(OK, binary("bake").arg("inspect").arg(&asset).arg("--json"));
+    Ok(())
+}
+
+/// `bake material`.
+fn bake_material(input: &Path, output: &Path) -> Command {
+    let mut bake = binary("bake");
+    bake.arg("material").arg(input).arg("-o").arg(output);
+    bake
+}
+
+fn layered_material() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let at = |name: &str| folder.path().join(name);
+    let mask = image::RgbaImage::from_pixel(2, 2, image::Rgba([128, 0, 0, 255]));
+    mask.save(at("mask.png"))?;
+    std::fs::write(
+        at("door.toml"),
+        "model = 'layers'\n\
+         [[layers]]\n\
+         material = { model = 'ggx', diffuse = 0.3, f0 = 0.04, alpha = 0.7 }\n\
+         [[layers]]\n\
+         material = { model = 'ashikhmin-shirley', f0 = 0.5, exponent_x = 20, exponent_y = 800 }\n\
+         weight_texture = 'mask.png'\n",
+    )?;
+    expect(
+        OK,
+        &mut bake_material(&at("door.toml"), &at("door.relight")),
+    );
+    expect(OK, binary("bake").arg("validate").arg(at("door.relight")));
+    expect(OK, binary("bake").arg("inspect").arg(at("door.relight")));
+    let limits = relight_format::Limits::default();
+    let asset = relight_format::read_material(&std::fs::read(at("door.relight"))?, &limits)?;
+    assert_eq!(asset.textures.len(), 1);
+    assert_eq!(asset.material.name, "door");
+
+    // The scene that names it holds the same layers and its texture.
+    std::fs::write(at("sphere.obj"), sphere_over_ground(4))?;
+    std::fs::write(
+        at("scene.toml"),
+        "mesh = 'sphere.obj'\n\
+         [materials.default]\n\
+         model = 'measured'\n\
+         file = 'door.relight'\n",
+    )?;
+    expect(OK, &mut bake_scene(&at("scene.toml"), &at("scene.relight")));
+    let scene = relight_format::read_scene(&std::fs::read(at("scene.relight"))?, &limits)?;
+    assert_eq!(scene.textures, asset.textures);
+    for material in &scene.materials {
+        assert_eq!(material.surface, asset.material.surface);
+    }
+    Ok(())
+}
+
+fn broken_table() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let (table, asset) = (
+        folder.path().join("broken.binary"),
+        folder.path().join("out.relight"),
+    );
+    std::fs::write(&table, [90, 0, 0, 0, 90, 0, 0, 0, 180, 0, 0, 0, 1, 2, 3])?;
+    error_line(
+        &expect(BAD_INPUT, &mut bake_material(&table, &asset)),
+        &table,
+    );
+    assert_eq!(names(folder.path()), ["broken.binary"]);
+    Ok(())
+}
+
+/// Largest relative L2 error of a fit worth its name: 1 is what black has.
+const MEASURED_L2_TOLERANCE: f32 = 0.5;
+/// Largest albedo error of one: views near the horizon, where lobes of a half vector are
+/// least like a table, are among those measured.
+const MEASURED_ALBEDO_TOLERANCE: f32 = 0.25;
+
+fn measured_material(data: &Path) -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let asset = folder.path().join("paint.relight");
+    let table = data.join("brdf/rgl/vch_golden_yellow_rgb.bsdf");
+    let mut bake = bake_material(&table, &asset);
+    expect(OK, bake.arg("--report").arg(folder.path()));
+    assert_eq!(names(folder.path()), ["paint.relight", "sphere.png"]);
+    let limits = relight_format::Limits::default();
+    let asset = relight_format::read_material(&std::fs::read(&asset)?, &limits)?;
+    let report = &asset.report;
+    assert_eq!(report.source, "vch_golden_yellow_rgb.bsdf");
+    assert!(
+        report.albedo_error < MEASURED_ALBEDO_TOLERANCE,
+        "{report:?}"
+    );
+    assert!(
+        report.relative_l2 > 0.0 && report.relative_l2 < MEASURED_L2_TOLERANCE,
+        "{report:?}"
+    );
     Ok(())
 }
 

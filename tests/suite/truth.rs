@@ -6,7 +6,7 @@ use std::path::Path;
 
 use glam::Vec3;
 use libtest_mimic::Trial;
-use relight_bake::measured::Rgl;
+use relight_bake::measured::Table;
 use relight_bake::{hdr, scene_input};
 use relight_lab::compare::compare;
 use relight_lab::image_file::read_exr;
@@ -43,14 +43,14 @@ const MEASURED_TOLERANCE: f32 = 1e-4;
 
 fn measured_tables(data: &Path) -> Outcome {
     let csv = std::fs::read_to_string(data.join("reference/rgl_eval.csv"))?;
-    let mut tables: BTreeMap<&str, Option<Rgl>> = BTreeMap::new();
+    let mut tables: BTreeMap<&str, Option<Table>> = BTreeMap::new();
     let mut compared = 0;
     for line in csv.lines().skip(1) {
         let (name, numbers) = line.split_once(',').ok_or("a name before the numbers")?;
         let path = data.join(format!("brdf/rgl/{name}.bsdf"));
         if !tables.contains_key(name) {
             // The reference covers more materials than may be at hand.
-            let table = path.is_file().then(|| Rgl::load(&path)).transpose()?;
+            let table = path.is_file().then(|| Table::load(&path)).transpose()?;
             tables.insert(name, table);
         }
         let Some(table) = &tables[name] else { continue };

@@ -12,8 +12,9 @@ use std::time::{Duration, Instant};
 use anyhow::{Context as _, bail};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use indicatif::{HumanDuration, ProgressBar, ProgressState, ProgressStyle};
+use relight_bake::measured::fit;
 use relight_bake::monitor::{Interrupted, Monitor, Progress};
-use relight_bake::{environment, hdr, scene};
+use relight_bake::{environment, hdr, import, scene, scene_input};
 use relight_format as format;
 use serde_json::{Value, json};
 
@@ -64,6 +65,9 @@ enum Command {
     },
     /// Fit spherical Gaussians to a lat-long HDR image (.hdr, .exr).
     Environment(EnvironmentArguments),
+    /// Fit lobes to a measured BRDF (RGL .bsdf, MERL .binary), or pack a material written as
+    /// in a scene file (.toml) with its textures.
+    Material(MaterialArguments),
     /// Show what an asset holds.
     Inspect {
         /// The asset.
@@ -173,6 +177,26 @@ struct EnvironmentArguments {
     report: Option<PathBuf>,
 }
 
+#[derive(Args)]
+struct MaterialArguments {
+    /// Table or material file.
+    input: PathBuf,
+    /// Asset to write.
+    #[arg(short, long, value_name = "OUT.relight")]
+    output: PathBuf,
+    /// Lobes to fit, 1 to 7 [default: until one takes less than a twentieth off the error].
+    #[arg(long, value_name = "N", conflicts_with = "max_error",
+          value_parser = clap::value_parser!(u8).range(1..=format::MAX_FITTED_LOBES as i64))]
+    lobes: Option<u8>,
+    /// Add lobes until the relative L2 error is at most this, 7 lobes at most.
+    #[arg(long, value_name = "ERROR")]
+    max_error: Option<f64>,
+    /// Also write sphere.png into this folder: a lit sphere of the table, of the lobes, and
+    /// their difference, doubled.
+    #[arg(long, value_name = "DIR")]
+    report: Option<PathBuf>,
+}
+
 /// Parses the command line, does the work and reports.
 pub fn run() -> ExitCode {
     static STOP: AtomicBool = AtomicBool::new(false);
@@ -204,6 +228,7 @@ pub fn run() -> ExitCode {
         Command::Scene(arguments) => scene_command::bake(arguments, monitor),
         Command::Merge { shards, output } => scene_command::merge(shards, output, monitor),
         Command::Environment(arguments) => bake_environment(arguments, monitor),
+        Command::Material(arguments) => bake_material(arguments),
         Command::Inspect { file } => inspect(file),
         Command::Validate { file } => validate(file),
     };
@@ -407,6 +432,84 @@ fn bake_environment(arguments: &EnvironmentArguments, monitor: Monitor) -> anyho
     })
 }
 
+fn bake_material(arguments: &MaterialArguments) -> anyhow::Result<Summary> {
+    check_output(&arguments.output)?;
+    let start = Instant::now();
+    let name =
+        |part: Option<&std::ffi::OsStr>| part.unwrap_or_default().to_string_lossy().into_owned();
+    let source = name(arguments.input.file_name());
+    let mut report = format::MaterialReport {
+        source: source.clone(),
+        ..format::MaterialReport::default()
+    };
+    let packed = arguments.input.extension().is_some_and(|e| e == "toml");
+    let (mut material, textures) = if packed {
+        scene_input::load_material(&arguments.input)?
+    } else {
+        let table = scene_input::load_table(&arguments.input)?;
+        let stop = match (arguments.lobes, arguments.max_error) {
+            (Some(lobes), _) => fit::Stop::Lobes(lobes.into()),
+            (None, Some(error)) => fit::Stop::Error(error),
+            (None, None) => fit::Stop::default(),
+        };
+        let fit = fit::fit(&table, stop);
+        report.relative_l2 = fit.relative_l2 as f32;
+        report.shaded_relative_l2 = fit.shaded_relative_l2 as f32;
+        report.albedo_error = fit.albedo_error as f32;
+        if let Some(folder) = &arguments.report {
+            std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+            let picture = relight_bake::measured::report::sphere(&table, &fit)?;
+            format::write_file(&folder.join("sphere.png"), &picture)?;
+        }
+        (import::plain_material("", fit.surface(source)), Vec::new())
+    };
+    material.name = name(arguments.input.file_stem());
+    let asset = format::MaterialAsset {
+        report,
+        material,
+        textures,
+    };
+    let bytes = format::write_material(&asset)?;
+    write_checked(&arguments.output, &bytes, |bytes| {
+        let read = format::read_material(bytes, &format::Limits::default());
+        read.map(|read| read == asset)
+    })?;
+    let seconds = start.elapsed().as_secs_f64();
+    let report = &asset.report;
+    let mut text = format!(
+        "{}: {} textures, {} bytes\n",
+        arguments.output.display(),
+        asset.textures.len(),
+        bytes.len(),
+    );
+    let mut object = json!({
+        "output": arguments.output,
+        "bytes": bytes.len(),
+        "material": asset.material,
+        "textures": asset.textures.len(),
+        "seconds": seconds,
+    });
+    if let format::Surface::Layered {
+        specular: format::Specular::Lobes { lobes, .. },
+        ..
+    } = &asset.material.surface
+        && !packed
+    {
+        text += &format!(
+            "{} lobes, relative L2 error {:.4}, as shaded {:.4}, albedo error {:.4}\n{seconds:.1} s\n",
+            lobes.len(),
+            report.relative_l2,
+            report.shaded_relative_l2,
+            report.albedo_error,
+        );
+        object["lobes"] = json!(lobes.len());
+        object["relative_l2"] = json!(report.relative_l2);
+        object["shaded_relative_l2"] = json!(report.shaded_relative_l2);
+        object["albedo_error"] = json!(report.albedo_error);
+    }
+    Ok(Summary { text, json: object })
+}
+
 /// Fails early, before hours of work, if the output's folder does not exist.
 pub(crate) fn check_output(output: &Path) -> anyhow::Result<()> {
     let folder = output
@@ -447,6 +550,7 @@ fn read(path: &Path) -> anyhow::Result<Vec<u8>> {
 enum Asset {
     Scene(Box<format::Scene>),
     Environment(format::Environment),
+    Material(Box<format::MaterialAsset>),
 }
 
 fn decode(path: &Path) -> anyhow::Result<(Vec<format::SectionInfo>, Asset)> {
@@ -458,6 +562,9 @@ fn decode(path: &Path) -> anyhow::Result<(Vec<format::SectionInfo>, Asset)> {
             format::Kind::Scene => Asset::Scene(Box::new(format::read_scene(&bytes, &limits)?)),
             format::Kind::Environment => {
                 Asset::Environment(format::read_environment(&bytes, &limits)?)
+            }
+            format::Kind::Material => {
+                Asset::Material(Box::new(format::read_material(&bytes, &limits)?))
             }
         };
         Ok((sections, asset))
@@ -534,7 +641,24 @@ fn inspect(path: &Path) -> anyhow::Result<Summary> {
                 .collect();
             json!({ "kind": "environment", "report": environment.report, "lobes": lobes })
         }
+        Asset::Material(asset) => json!({
+            "kind": "material",
+            "report": asset.report,
+            "material": asset.material,
+            "textures": asset.textures.iter().map(|t| json!([t.width, t.height])).collect::<Vec<_>>(),
+        }),
     };
+    if let Asset::Material(asset) = &asset {
+        text += &format!(
+            "material, format version {}\n{:#?}\n{} textures; relative L2 {:.4}, as shaded {:.4}, albedo error {:.4}\n",
+            format::VERSION,
+            asset.material,
+            asset.textures.len(),
+            asset.report.relative_l2,
+            asset.report.shaded_relative_l2,
+            asset.report.albedo_error,
+        );
+    }
     let mut rows = Vec::new();
     for section in &sections {
         text += &format!(

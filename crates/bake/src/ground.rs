@@ -1,9 +1,9 @@
 //! A horizontal receiver under a mesh, fine enough to carry the mesh's shadow.
 
 use glam::Vec3;
-use relight_format::{Surface, Vertex};
+use relight_format::{Material, Vertex};
 
-use crate::import::{ImportedTriangle, Mesh, plain_material};
+use crate::import::{ImportedTriangle, Mesh};
 use crate::scene_file::Ground;
 
 /// Default side length, in longest extents of the mesh.
@@ -22,7 +22,7 @@ const MAX_CELLS: f32 = 2048.0;
 pub fn append(
     mesh: &mut Mesh,
     options: &Ground,
-    surface: Surface,
+    material: Material,
 ) -> Result<(), (&'static str, String, String)> {
     let (low, high) = mesh.bounds().unwrap_or((Vec3::ZERO, Vec3::ZERO));
     let size = options
@@ -44,14 +44,17 @@ pub fn append(
             format!("{cells} spacings on {size} m"),
         ));
     }
-    let Ok(material) = u16::try_from(mesh.materials.len()) else {
+    let Ok(index) = u16::try_from(mesh.materials.len()) else {
         return Err((
             "ground",
             "fewer than 65536 materials".into(),
             "65536 in the mesh".into(),
         ));
     };
-    mesh.materials.push(plain_material("ground", surface));
+    mesh.materials.push(Material {
+        name: "ground".into(),
+        ..material
+    });
     let base = mesh.vertices.len() as u32;
     let cells = cells as u32;
     let row = cells + 1;
@@ -78,7 +81,10 @@ pub fn append(
                 [[a, c, b], [b, c, d]]
             };
             mesh.triangles
-                .extend(halves.map(|vertices| ImportedTriangle { vertices, material }));
+                .extend(halves.map(|vertices| ImportedTriangle {
+                    vertices,
+                    material: index,
+                }));
         }
     }
     Ok(())

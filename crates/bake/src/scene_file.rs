@@ -152,6 +152,21 @@ pub enum MaterialOverride {
         /// Roughness along the bitangent, in (0, 1].
         alpha_y: Option<f32>,
     },
+    /// Ashikhmin-Shirley's specular term over a Lambertian base. Give `exponent`, or
+    /// `exponent_x` and `exponent_y`.
+    AshikhminShirley {
+        /// Albedo of the base. Default black.
+        #[serde(default = "black")]
+        diffuse: Color,
+        /// Reflectance at normal incidence.
+        f0: Color,
+        /// Isotropic exponent, at least 2.
+        exponent: Option<f32>,
+        /// Exponent along the tangent, at least 2.
+        exponent_x: Option<f32>,
+        /// Exponent along the bitangent, at least 2.
+        exponent_y: Option<f32>,
+    },
     /// glTF 2.0 metallic-roughness.
     MetallicRoughness {
         /// Base colour.
@@ -169,11 +184,69 @@ pub enum MaterialOverride {
         #[serde(default)]
         anisotropy_rotation_degrees: f32,
     },
-    /// A measured BRDF: an RGL `.bsdf` file (Dupuy & Jakob 2018).
+    /// A measured BRDF: an RGL `.bsdf` file (Dupuy & Jakob 2018) or a MERL `.binary` file
+    /// (Matusik et al. 2003), fitted when it is read, or what `bake material` made of one.
     Measured {
         /// The file.
         file: PathBuf,
+        /// The table behind a baked `file`, for tools that want the truth.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        original: Option<PathBuf>,
     },
+    /// Layers from the bottom up, spatially varying by texture.
+    Layers {
+        /// One to four of them.
+        layers: Vec<LayerFile>,
+        /// Tangent-space normals, +Y up.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        normal_texture: Option<PathBuf>,
+        /// Scale of the normals' x and y. Default 1.
+        #[serde(default = "one")]
+        normal_scale: f32,
+        /// RG is the direction of the tangent in [-1, 1].
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        anisotropy_texture: Option<PathBuf>,
+    },
+}
+
+/// One layer. Textures are PNG or JPEG files.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LayerFile {
+    /// A material other than `layers` and `metallic-roughness`, and without textures.
+    pub material: Box<MaterialOverride>,
+    /// Coverage in [0, 1]. Default 1.
+    #[serde(default = "one")]
+    pub weight: f32,
+    /// How it covers what is below. Default `over`.
+    #[serde(default)]
+    pub blend: BlendName,
+    /// sRGB; multiplies the diffuse albedo.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub diffuse_texture: Option<PathBuf>,
+    /// sRGB; multiplies the specular colour.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub specular_texture: Option<PathBuf>,
+    /// R and G multiply the roughness along tangent and bitangent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub roughness_texture: Option<PathBuf>,
+    /// 1 - R and 1 - G multiply the roughness. Give this or `roughness_texture`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub glossiness_texture: Option<PathBuf>,
+    /// R multiplies `weight`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub weight_texture: Option<PathBuf>,
+}
+
+/// How a layer covers what is below: [`format::Blend`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum BlendName {
+    /// A stain.
+    #[default]
+    Over,
+    /// A transparent coat.
+    Coat,
 }
 
 /// A flat square grid facing +Y.
@@ -256,6 +329,17 @@ pub fn load(path: &Path) -> Result<SceneFile, Error> {
     Ok(scene)
 }
 
+/// Reads and checks a file of one material, written as under `[materials]`.
+pub fn load_material(path: &Path) -> Result<MaterialOverride, Error> {
+    let text = std::fs::read_to_string(path).map_err(|source| Error::read(path, source))?;
+    let material = toml::from_str(&text).map_err(|error| Error::Syntax {
+        file: path.into(),
+        message: error.to_string(),
+    })?;
+    Checker { path }.material("material", &material)?;
+    Ok(material)
+}
+
 impl Camera {
     /// The camera as assets store it; `None` unless exactly one field of view is given.
     pub fn to_format(&self) -> Option<format::Camera> {
@@ -279,7 +363,7 @@ impl Camera {
     }
 }
 
-/// The two roughnesses that `alpha` or `alpha_x` and `alpha_y` stand for.
+/// The two numbers that `alpha` or `alpha_x` and `alpha_y`, or exponents, stand for.
 pub fn alpha_pair(
     alpha: Option<f32>,
     alpha_x: Option<f32>,
@@ -397,6 +481,33 @@ impl Checker<'_> {
         )
     }
 
+    fn layer(&self, place: &str, layer: &LayerFile) -> Result<(), Error> {
+        use MaterialOverride as M;
+        let plain = !matches!(
+            *layer.material,
+            M::Layers { .. } | M::MetallicRoughness { .. }
+        );
+        self.require(
+            plain,
+            &format!("{place}.material"),
+            "a model other than layers and metallic-roughness",
+            "one of them",
+        )?;
+        self.material(&format!("{place}.material"), &layer.material)?;
+        self.require(
+            (0.0..=1.0).contains(&layer.weight),
+            &format!("{place}.weight"),
+            "a number in [0, 1]",
+            layer.weight,
+        )?;
+        self.require(
+            layer.roughness_texture.is_none() || layer.glossiness_texture.is_none(),
+            place,
+            "one of roughness_texture and glossiness_texture",
+            "both",
+        )
+    }
+
     fn material(&self, place: &str, material: &MaterialOverride) -> Result<(), Error> {
         use MaterialOverride as M;
         let at = |key: &str| format!("{place}.{key}");
@@ -469,6 +580,24 @@ impl Checker<'_> {
                 color("f0", f0)?;
                 alpha(a, alpha_x, alpha_y)
             }
+            M::AshikhminShirley {
+                diffuse,
+                f0,
+                exponent,
+                exponent_x,
+                exponent_y,
+            } => {
+                color("diffuse", diffuse)?;
+                color("f0", f0)?;
+                let pair = alpha_pair(exponent, exponent_x, exponent_y);
+                let found = (exponent, exponent_x, exponent_y);
+                let expected = "exponent, or exponent_x and exponent_y";
+                self.require(pair.is_some(), place, expected, found)?;
+                pair.into_iter().flatten().try_for_each(|value| {
+                    let valid = value >= 2.0 && value.is_finite();
+                    self.require(valid, &at("exponent"), "a number of at least 2", value)
+                })
+            }
             M::MetallicRoughness {
                 base_color,
                 metallic,
@@ -484,6 +613,24 @@ impl Checker<'_> {
                 self.finite(&at("anisotropy_rotation_degrees"), &rotation)
             }
             M::Measured { .. } => Ok(()),
+            M::Layers {
+                ref layers,
+                normal_scale,
+                ..
+            } => {
+                self.finite(&at("normal_scale"), &[normal_scale])?;
+                let count = layers.len();
+                let most = format::MAX_LAYERS;
+                self.require(
+                    (1..=most).contains(&count),
+                    &at("layers"),
+                    &format!("1 to {most} layers"),
+                    count,
+                )?;
+                layers.iter().enumerate().try_for_each(|(index, layer)| {
+                    self.layer(&format!("{place}.layers[{index}]"), layer)
+                })
+            }
         }
     }
 }
@@ -505,7 +652,7 @@ mod tests {
         let (_, rest) = document.split_once("```toml\n").expect("an example");
         let (example, _) = rest.split_once("```").expect("its end");
         let scene = parse(example).expect("a valid example");
-        let mut models = [false; 7];
+        let mut models = [false; 9];
         for material in scene.materials.values() {
             models[match material {
                 MaterialOverride::Diffuse { .. } => 0,
@@ -515,9 +662,11 @@ mod tests {
                 MaterialOverride::Ggx { .. } => 4,
                 MaterialOverride::MetallicRoughness { .. } => 5,
                 MaterialOverride::Measured { .. } => 6,
+                MaterialOverride::AshikhminShirley { .. } => 7,
+                MaterialOverride::Layers { .. } => 8,
             }] = true;
         }
-        assert_eq!(models, [true; 7]);
+        assert_eq!(models, [true; 9]);
         assert!(scene.environment.is_some() && scene.refinement.is_some());
         let camera = scene
             .camera
@@ -603,6 +752,30 @@ mod tests {
             (
                 "mesh = 'a'\n[materials.m]\nmodel = 'ggx'\nf0 = 1\nalpha = 0",
                 "roughness in (0, 1]",
+            ),
+            (
+                "mesh = 'a'\n[materials.m]\nmodel = 'layers'\nlayers = []",
+                "1 to 4 layers",
+            ),
+            (
+                "mesh = 'a'\n[materials.m]\nmodel = 'layers'\n[[materials.m.layers]]\nweight = 2\n\
+                 material = { model = 'diffuse', diffuse = 1 }",
+                "layers[0].weight",
+            ),
+            (
+                "mesh = 'a'\n[materials.m]\nmodel = 'layers'\n[[materials.m.layers]]\n\
+                 material = { model = 'metallic-roughness', base_color = 1 }",
+                "layers[0].material",
+            ),
+            (
+                "mesh = 'a'\n[materials.m]\nmodel = 'layers'\n[[materials.m.layers]]\n\
+                 material = { model = 'diffuse', diffuse = 1 }\nroughness_texture = 'a'\n\
+                 glossiness_texture = 'b'",
+                "glossiness_texture",
+            ),
+            (
+                "mesh = 'a'\n[materials.m]\nmodel = 'ashikhmin-shirley'\nf0 = 1\nexponent = 1",
+                "exponent",
             ),
             (
                 "mesh = 'a'\n[materials.m]\nmodel = 'blinn-phong'\nspecular = 1\nexponent = 0.5",

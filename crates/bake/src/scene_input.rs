@@ -1,5 +1,7 @@
 //! A scene file, or a bare mesh, to everything that baking and rendering need.
 
+use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::path::{Path, PathBuf};
 
 use glam::{Quat, Vec3};
@@ -7,8 +9,8 @@ use relight_format as format;
 
 use crate::ground;
 use crate::import::{self, Error, Mesh};
-use crate::measured::{self, Rgl, StandIn};
-use crate::scene_file::{self, MaterialOverride, SceneFile, alpha_pair};
+use crate::measured::{self, Table, fit};
+use crate::scene_file::{self, BlendName, LayerFile, MaterialOverride, SceneFile, alpha_pair};
 
 /// A scene, ready to bake.
 #[derive(Clone, Debug)]
@@ -26,7 +28,7 @@ pub struct SceneInput {
     /// Refinement asked for by the scene file, if any.
     pub refinement: Option<scene_file::Refinement>,
     /// Measured BRDFs: index into the mesh's materials and path of the table, relative to
-    /// the working directory. Those materials hold the stand-in.
+    /// the working directory. Those materials hold the lobes fitted to it.
     pub measured: Vec<(usize, PathBuf)>,
     /// What was left out or changed on the way, the mesh's warnings among them.
     pub warnings: Vec<String>,
@@ -78,11 +80,9 @@ pub fn load(path: &Path) -> Result<SceneInput, Error> {
         let default = MaterialOverride::Diffuse {
             diffuse: scene_file::Color::Grey(0.5),
         };
-        let surface = surface(material.unwrap_or(&default), folder)?;
-        if let Some(MaterialOverride::Measured { file }) = material {
-            measured.push((mesh.materials.len(), folder.join(file)));
-        }
-        ground::append(&mut mesh, options, surface)
+        let made = make(material.unwrap_or(&default), folder, &mut mesh.textures)?;
+        measured.extend(made.table.map(|table| (mesh.materials.len(), table)));
+        ground::append(&mut mesh, options, made.material)
             .map_err(|(place, expected, found)| Error::invalid(path, place, expected, found))?;
     }
     Ok(SceneInput {
@@ -135,24 +135,178 @@ fn override_materials(
             ));
         }
     }
+    // Made once, however many materials each replaces: fits take seconds.
+    let mut made = BTreeMap::new();
     for (index, material) in mesh.materials.iter_mut().enumerate() {
         let replacement = file
             .materials
-            .get(&material.name)
-            .or_else(|| file.materials.get("default"));
-        let Some(replacement) = replacement else {
+            .get_key_value(&material.name)
+            .or_else(|| file.materials.get_key_value("default"));
+        let Some((key, replacement)) = replacement else {
             continue;
         };
-        if let MaterialOverride::Measured { file } = replacement {
-            measured.push((index, folder.join(file)));
-        }
-        *material = import::plain_material(&material.name, surface(replacement, folder)?);
+        let made = match made.entry(key) {
+            Entry::Occupied(entry) => entry.into_mut(),
+            Entry::Vacant(entry) => entry.insert(make(replacement, folder, &mut mesh.textures)?),
+        };
+        measured.extend(made.table.clone().map(|table| (index, table)));
+        let name = std::mem::take(&mut material.name);
+        *material = format::Material {
+            name,
+            ..made.material.clone()
+        };
     }
     mesh.drop_unused_textures();
     Ok(())
 }
 
-/// The surface that a replacement describes. Its values were checked when it was read.
+/// A replacement, read and fitted.
+struct Made {
+    material: format::Material,
+    /// The measured table behind it, relative to the working directory.
+    table: Option<PathBuf>,
+}
+
+/// Makes the material that a replacement describes; its textures are appended.
+fn make(
+    replacement: &MaterialOverride,
+    folder: &Path,
+    textures: &mut Vec<format::Texture>,
+) -> Result<Made, Error> {
+    match replacement {
+        MaterialOverride::Measured { file, original } => {
+            let path = folder.join(file);
+            let original = original.as_ref().map(|original| folder.join(original));
+            if path.extension().is_none_or(|e| e != "relight") {
+                return Ok(Made {
+                    material: import::plain_material("", surface(replacement, folder)?),
+                    table: Some(path),
+                });
+            }
+            let bytes = std::fs::read(&path).map_err(|source| Error::read(&path, source))?;
+            let asset = format::read_material(&bytes, &format::Limits::default())
+                .map_err(|error| Error::invalid(&path, "file", "a baked material", error))?;
+            let mut material = asset.material;
+            for slot in material.slots_mut() {
+                slot.texture += textures.len() as u32;
+            }
+            textures.extend(asset.textures);
+            Ok(Made {
+                material,
+                table: original,
+            })
+        }
+        MaterialOverride::Layers {
+            layers,
+            normal_texture,
+            normal_scale,
+            anisotropy_texture,
+        } => Ok(Made {
+            material: layered_material(
+                layers,
+                [normal_texture, anisotropy_texture],
+                *normal_scale,
+                folder,
+                textures,
+            )?,
+            table: None,
+        }),
+        _ => Ok(Made {
+            material: import::plain_material("", surface(replacement, folder)?),
+            table: None,
+        }),
+    }
+}
+
+/// Reads a file of one material, written as in a scene file, with its textures.
+pub fn load_material(path: &Path) -> Result<(format::Material, Vec<format::Texture>), Error> {
+    let replacement = scene_file::load_material(path)?;
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let mut textures = Vec::new();
+    let made = make(&replacement, folder, &mut textures)?;
+    Ok((made.material, textures))
+}
+
+fn layered_material(
+    layers: &[LayerFile],
+    [normal_texture, anisotropy_texture]: [&Option<PathBuf>; 2],
+    normal_scale: f32,
+    folder: &Path,
+    textures: &mut Vec<format::Texture>,
+) -> Result<format::Material, Error> {
+    use format::TextureEncoding::{Linear, Srgb};
+    let mut slot = |file: &Option<PathBuf>, encoding, invert: bool| {
+        let Some(file) = file else { return Ok(None) };
+        let mut texture = import::texture(&folder.join(file), encoding, textures)?;
+        if invert {
+            for texel in texture.texels.as_chunks_mut::<4>().0 {
+                for channel in &mut texel[..3] {
+                    *channel = 255 - *channel;
+                }
+            }
+        }
+        textures.push(texture);
+        Ok(Some(format::TextureSlot {
+            texture: textures.len() as u32 - 1,
+            transform: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+        }))
+    };
+    let layers = layers
+        .iter()
+        .map(|layer| -> Result<format::Layer, Error> {
+            let format::Surface::Layered { diffuse, specular } = surface(&layer.material, folder)?
+            else {
+                unreachable!("checked when the file was read")
+            };
+            let reflections = specular.reflections();
+            if layer.blend == BlendName::Coat && reflections != 1 {
+                let expected = "one reflection of a coat";
+                return Err(Error::invalid(folder, "layers", expected, reflections));
+            }
+            let roughness = slot(&layer.roughness_texture, Linear, false)?;
+            Ok(format::Layer {
+                diffuse,
+                specular,
+                weight: layer.weight,
+                blend: match layer.blend {
+                    BlendName::Over => format::Blend::Over,
+                    BlendName::Coat => format::Blend::Coat,
+                },
+                diffuse_texture: slot(&layer.diffuse_texture, Srgb, false)?,
+                specular_texture: slot(&layer.specular_texture, Srgb, false)?,
+                roughness_texture: match roughness {
+                    None => slot(&layer.glossiness_texture, Linear, true)?,
+                    some => some,
+                },
+                weight_texture: slot(&layer.weight_texture, Linear, false)?,
+            })
+        })
+        .collect::<Result<Vec<_>, _>>()?;
+    let reflections: usize = layers
+        .iter()
+        .map(|layer| layer.specular.reflections())
+        .sum();
+    if reflections > format::MAX_REFLECTIONS {
+        return Err(Error::invalid(
+            folder,
+            "layers",
+            format_args!(
+                "at most {} reflections, those of fitted lobes among them",
+                format::MAX_REFLECTIONS
+            ),
+            reflections,
+        ));
+    }
+    Ok(format::Material {
+        normal_texture: slot(normal_texture, Linear, false)?,
+        anisotropy_texture: slot(anisotropy_texture, Linear, false)?,
+        normal_scale,
+        ..import::plain_material("", format::Surface::Layers { layers })
+    })
+}
+
+/// The surface that a replacement without textures describes. Its values were checked when
+/// it was read.
 fn surface(material: &MaterialOverride, folder: &Path) -> Result<format::Surface, Error> {
     use MaterialOverride as M;
     let layered = |diffuse: scene_file::Color, specular| format::Surface::Layered {
@@ -216,6 +370,22 @@ fn surface(material: &MaterialOverride, folder: &Path) -> Result<format::Surface
                 },
             )
         }
+        M::AshikhminShirley {
+            diffuse,
+            f0,
+            exponent,
+            exponent_x,
+            exponent_y,
+        } => {
+            let exponents = pair(exponent, exponent_x, exponent_y);
+            layered(
+                diffuse,
+                format::Specular::AshikhminShirley {
+                    f0: f0.rgb(),
+                    exponents,
+                },
+            )
+        }
         M::MetallicRoughness {
             base_color,
             metallic,
@@ -229,29 +399,42 @@ fn surface(material: &MaterialOverride, folder: &Path) -> Result<format::Surface
             anisotropy_strength,
             anisotropy_rotation: anisotropy_rotation_degrees.to_radians(),
         },
-        M::Measured { ref file } => measured_stand_in(file, folder)?,
+        M::Measured { ref file, .. } => measured_surface(file, folder)?,
+        M::Layers { .. } => unreachable!("layers do not nest"),
     })
 }
 
-/// What renderers that do not hold the table show instead.
-fn measured_stand_in(file: &Path, folder: &Path) -> Result<format::Surface, Error> {
+/// The lobes of a baked material, or those that are fitted to a table.
+fn measured_surface(file: &Path, folder: &Path) -> Result<format::Surface, Error> {
     let path = folder.join(file);
-    let table = Rgl::load(&path).map_err(|error| match error {
-        measured::Error::Io { source, .. } => Error::read(&path, source),
+    if path.extension().is_some_and(|e| e == "relight") {
+        let bytes = std::fs::read(&path).map_err(|source| Error::read(&path, source))?;
+        let surface = format::read_material(&bytes, &format::Limits::default())
+            .map(|asset| asset.material.surface);
+        return match surface {
+            Ok(surface @ format::Surface::Layered { .. }) => Ok(surface),
+            Ok(_) => Err(Error::invalid(
+                &path,
+                "file",
+                "lobes fitted to a table",
+                "layers, which do not nest",
+            )),
+            Err(error) => Err(Error::invalid(&path, "file", "a baked material", error)),
+        };
+    }
+    let table = load_table(&path)?;
+    Ok(fit::fit(&table, fit::Stop::default()).surface(file.to_string_lossy().into_owned()))
+}
+
+/// Loads a table; errors name the file.
+pub fn load_table(path: &Path) -> Result<Table, Error> {
+    Table::load(path).map_err(|error| match error {
+        measured::Error::Io { source, .. } => Error::read(path, source),
         measured::Error::Invalid {
             place,
             expected,
             found,
-        } => Error::invalid(&path, place, expected, found),
-    })?;
-    let StandIn { diffuse, f0, alpha } = table.stand_in();
-    Ok(format::Surface::Layered {
-        diffuse,
-        specular: format::Specular::Measured {
-            path: file.to_string_lossy().into_owned(),
-            f0,
-            alpha,
-        },
+        } => Error::invalid(path, place, expected, found),
     })
 }
 

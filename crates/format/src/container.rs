@@ -35,11 +35,13 @@ pub enum Kind {
     Scene = 1,
     /// Spherical Gaussian lighting.
     Environment = 2,
+    /// One material and its textures.
+    Material = 3,
 }
 
 impl Kind {
     fn from_u32(value: u32) -> Option<Self> {
-        [Self::Scene, Self::Environment]
+        [Self::Scene, Self::Environment, Self::Material]
             .into_iter()
             .find(|kind| *kind as u32 == value)
     }
@@ -167,7 +169,7 @@ pub fn inspect(bytes: &[u8], limits: &Limits) -> Result<(Kind, u32, Vec<SectionI
         Error::invalid(
             Issue::WrongKind,
             "header",
-            "kind 1 (scene) or 2 (environment)",
+            "kind 1 (scene), 2 (environment) or 3 (material)",
             kind_value,
         )
     })?;

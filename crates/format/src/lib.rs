@@ -1,8 +1,8 @@
 //! The `.relight` container: bytes to typed sections and back.
 //!
-//! One container serves scenes and environments. [`Scene`] and [`Environment`] are the
-//! decoded assets; [`read_scene`], [`write_scene`], [`read_environment`] and
-//! [`write_environment`] convert them from and to bytes.
+//! One container serves scenes, environments and materials. [`Scene`], [`Environment`] and
+//! [`MaterialAsset`] are the decoded assets; [`read_scene`], [`write_scene`] and their like
+//! convert them from and to bytes.
 //!
 //! Readers treat bytes as untrusted: every length is checked against the file and against
 //! [`Limits`] before anything is allocated, every index against the array it indexes, and
@@ -14,14 +14,17 @@ mod container;
 mod environment;
 mod error;
 mod material;
+mod material_asset;
 mod scene;
 
 pub use container::{Kind, Limits, MAGIC, SectionInfo, SectionKind, VERSION, inspect, write_file};
 pub use environment::{Environment, EnvironmentReport, Lobe, read_environment, write_environment};
 pub use error::{Error, Issue};
 pub use material::{
-    Camera, FieldOfView, Material, Specular, Surface, Texture, TextureEncoding, TextureSlot,
+    Blend, Camera, FieldOfView, FittedLobe, Layer, MAX_FITTED_LOBES, MAX_LAYERS, MAX_REFLECTIONS,
+    Material, Specular, Surface, Texture, TextureEncoding, TextureSlot,
 };
+pub use material_asset::{MaterialAsset, MaterialReport, read_material, write_material};
 pub use scene::{
     BakeReport, CHANNELS_PER_TILE, Cluster, MAX_TILES_PER_CLUSTER, Representation, Scene, Triangle,
     Vertex, VisibilityParameters, read_scene, write_scene,

@@ -2,6 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::container::SectionKind;
+use crate::{Error, Issue};
+
 /// How a texture's bytes encode numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum TextureEncoding {
@@ -80,6 +83,75 @@ pub enum Specular {
         /// Stand-in: GGX alpha in (0, 1].
         alpha: f32,
     },
+    /// Ashikhmin & Shirley 2000, the specular term alone, with Schlick's Fresnel.
+    AshikhminShirley {
+        /// Linear Rec.709 reflectance at normal incidence.
+        f0: [f32; 3],
+        /// Phong-like exponents along tangent and bitangent, at least 2: an exponent n is
+        /// a roughness of √(2/n).
+        exponents: [f32; 2],
+    },
+    /// A measured BRDF as the lobes that were fitted to it.
+    Lobes {
+        /// The table's file, as named by the scene file.
+        path: String,
+        /// 1 to [`MAX_FITTED_LOBES`] lobes, added.
+        lobes: Vec<FittedLobe>,
+    },
+}
+
+/// Most lobes of [`Specular::Lobes`].
+pub const MAX_FITTED_LOBES: usize = 7;
+/// Most layers of [`Surface::Layers`].
+pub const MAX_LAYERS: usize = 4;
+/// Most specular reflections of one surface: one per layer, or its lobes where those are
+/// more.
+pub const MAX_REFLECTIONS: usize = 8;
+
+/// One lobe of a fitted BRDF: Cook-Torrance with a Beckmann distribution, nearly a
+/// spherical Gaussian of the half vector, whose colour goes from `f0` to `f90` as
+/// Schlick's Fresnel goes from normal to grazing incidence.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FittedLobe {
+    /// Linear Rec.709 colour at normal incidence, at least 0.
+    pub f0: [f32; 3],
+    /// Linear Rec.709 colour at grazing incidence, at least 0.
+    pub f90: [f32; 3],
+    /// Beckmann roughness m in (0, 1].
+    pub roughness: f32,
+}
+
+/// How a layer covers what lies below it, with w its weight times its texture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Blend {
+    /// A stain: w of this layer and 1 − w of what is below.
+    Over,
+    /// A transparent coat: w of this layer, and what is below dimmed by what the coat
+    /// reflects towards the eye, 1 − w F(n·o) with Schlick's F between the layer's colours
+    /// (as `KHR_materials_clearcoat`), but not below 0. Its layer has one reflection.
+    Coat,
+}
+
+/// One layer of a surface.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Layer {
+    /// Linear Rec.709 diffuse albedo.
+    pub diffuse: [f32; 3],
+    /// The specular model.
+    pub specular: Specular,
+    /// Coverage in [0, 1]. What lies below the lowest layer is black.
+    pub weight: f32,
+    /// How it covers the layers before it.
+    pub blend: Blend,
+    /// Multiplies `diffuse`.
+    pub diffuse_texture: Option<TextureSlot>,
+    /// Multiplies the specular colour; at normal incidence, for models with Fresnel.
+    pub specular_texture: Option<TextureSlot>,
+    /// R multiplies the roughness along the tangent, G that along the bitangent. The
+    /// exponents of Blinn-Phong (R) and Ashikhmin-Shirley are divided by their squares.
+    pub roughness_texture: Option<TextureSlot>,
+    /// R multiplies `weight`.
+    pub weight_texture: Option<TextureSlot>,
 }
 
 /// The parameters of a surface, before textures.
@@ -107,6 +179,13 @@ pub enum Surface {
         /// The specular model.
         specular: Specular,
     },
+    /// Layers from the bottom up, each a Lambertian base plus a specular model, spatially
+    /// varying by texture. They share the material's normals and the direction of its
+    /// anisotropy.
+    Layers {
+        /// 1 to [`MAX_LAYERS`] of them, with at most [`MAX_REFLECTIONS`] reflections in all.
+        layers: Vec<Layer>,
+    },
 }
 
 /// One material. Surfaces are one-sided: black from behind. A double-sided surface is two
@@ -117,7 +196,7 @@ pub struct Material {
     pub name: String,
     /// Parameters before textures.
     pub surface: Surface,
-    /// Multiplies `base_color` (or `diffuse`).
+    /// Multiplies `base_color` (or `diffuse`); not of layers, which have their own.
     pub base_color_texture: Option<TextureSlot>,
     /// G multiplies `roughness`, B multiplies `metallic`; metallic-roughness surfaces only.
     pub metallic_roughness_texture: Option<TextureSlot>,
@@ -125,8 +204,175 @@ pub struct Material {
     pub normal_texture: Option<TextureSlot>,
     /// Scale of the normal map's x and y.
     pub normal_scale: f32,
-    /// `KHR_materials_anisotropy`: RG is the direction in [-1, 1], B the strength.
+    /// `KHR_materials_anisotropy`: RG is the direction in [-1, 1], B the strength. Of layers
+    /// RG alone: it turns the tangent.
     pub anisotropy_texture: Option<TextureSlot>,
+}
+
+impl Specular {
+    /// How many reflections it is made of.
+    pub fn reflections(&self) -> usize {
+        match self {
+            Self::Lobes { lobes, .. } => lobes.len(),
+            _ => 1,
+        }
+    }
+
+    fn is_valid(&self) -> bool {
+        let exponent = |value: f32, least: f32| value >= least && value.is_finite();
+        match self {
+            Self::None => true,
+            Self::Measured { f0, alpha, .. } => is_color(f0) && is_roughness(*alpha),
+            Self::BlinnPhong {
+                specular,
+                exponent: n,
+            } => is_color(specular) && exponent(*n, 1.0),
+            Self::Ward { specular, alpha } => {
+                is_color(specular) && alpha.iter().all(|x| is_roughness(*x))
+            }
+            Self::CookTorrance { f0, roughness } => is_color(f0) && is_roughness(*roughness),
+            Self::Ggx { f0, alpha } => is_color(f0) && alpha.iter().all(|x| is_roughness(*x)),
+            Self::AshikhminShirley { f0, exponents } => {
+                is_color(f0) && exponents.iter().all(|n| exponent(*n, 2.0))
+            }
+            Self::Lobes { lobes, .. } => {
+                let valid = |lobe: &FittedLobe| {
+                    is_color(&lobe.f0) && is_color(&lobe.f90) && is_roughness(lobe.roughness)
+                };
+                (1..=MAX_FITTED_LOBES).contains(&lobes.len()) && lobes.iter().all(valid)
+            }
+        }
+    }
+}
+
+impl Surface {
+    fn is_valid(&self) -> bool {
+        match self {
+            Self::MetallicRoughness {
+                base_color,
+                metallic,
+                roughness,
+                anisotropy_strength,
+                anisotropy_rotation,
+            } => {
+                is_color(base_color)
+                    && [metallic, roughness, anisotropy_strength]
+                        .into_iter()
+                        .all(|value| (0.0..=1.0).contains(value))
+                    && anisotropy_rotation.is_finite()
+            }
+            Self::Layered { diffuse, specular } => is_color(diffuse) && specular.is_valid(),
+            Self::Layers { layers } => {
+                let reflections: usize = layers
+                    .iter()
+                    .map(|layer| layer.specular.reflections())
+                    .sum();
+                (1..=MAX_LAYERS).contains(&layers.len())
+                    && reflections <= MAX_REFLECTIONS
+                    && layers.iter().all(|layer| {
+                        is_color(&layer.diffuse)
+                            && layer.specular.is_valid()
+                            && (0.0..=1.0).contains(&layer.weight)
+                            && (layer.blend == Blend::Over || layer.specular.reflections() == 1)
+                    })
+            }
+        }
+    }
+}
+
+impl Material {
+    /// The slots in use, the layers' among them.
+    pub fn slots(&self) -> impl Iterator<Item = &TextureSlot> {
+        self.slot_options().into_iter().flatten()
+    }
+
+    /// The same, to renumber textures by.
+    pub fn slots_mut(&mut self) -> impl Iterator<Item = &mut TextureSlot> {
+        let layers: &mut [Layer] = match &mut self.surface {
+            Surface::Layers { layers } => layers,
+            _ => &mut [],
+        };
+        [
+            &mut self.base_color_texture,
+            &mut self.metallic_roughness_texture,
+            &mut self.normal_texture,
+            &mut self.anisotropy_texture,
+        ]
+        .into_iter()
+        .chain(layers.iter_mut().flat_map(|layer| {
+            [
+                &mut layer.diffuse_texture,
+                &mut layer.specular_texture,
+                &mut layer.roughness_texture,
+                &mut layer.weight_texture,
+            ]
+        }))
+        .flatten()
+    }
+
+    fn slot_options(&self) -> Vec<&Option<TextureSlot>> {
+        let mut slots = vec![
+            &self.base_color_texture,
+            &self.metallic_roughness_texture,
+            &self.normal_texture,
+            &self.anisotropy_texture,
+        ];
+        if let Surface::Layers { layers } = &self.surface {
+            for layer in layers {
+                slots.extend([
+                    &layer.diffuse_texture,
+                    &layer.specular_texture,
+                    &layer.roughness_texture,
+                    &layer.weight_texture,
+                ]);
+            }
+        }
+        slots
+    }
+
+    /// Checks every number, and every slot against the number of textures.
+    pub(crate) fn validate(&self, textures: usize) -> Result<(), Error> {
+        let metadata = |issue, expected: &str, found: std::fmt::Arguments| {
+            Err(Error::section(
+                issue,
+                SectionKind::Metadata,
+                expected,
+                found,
+            ))
+        };
+        for slot in self.slots() {
+            if slot.texture as usize >= textures {
+                return metadata(
+                    Issue::IndexOutOfRange,
+                    "an existing texture",
+                    format_args!("{slot:?} of material {:?}", self.name),
+                );
+            }
+            if !slot.transform.iter().flatten().all(|x| x.is_finite()) {
+                return metadata(
+                    Issue::ValueOutOfRange,
+                    "a finite texture transform",
+                    format_args!("{slot:?} of material {:?}", self.name),
+                );
+            }
+        }
+        if !self.surface.is_valid() || !self.normal_scale.is_finite() {
+            return metadata(
+                Issue::ValueOutOfRange,
+                "finite material parameters in their documented ranges",
+                format_args!("{self:?}"),
+            );
+        }
+        Ok(())
+    }
+}
+
+fn is_color(color: &[f32; 3]) -> bool {
+    color.iter().all(|x| x.is_finite() && *x >= 0.0)
+}
+
+fn is_roughness(value: f32) -> bool {
+    value > 0.0 && value <= 1.0
 }
 
 /// Which image axis a field of view spans.

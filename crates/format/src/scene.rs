@@ -4,7 +4,7 @@ use bytemuck::{Pod, Zeroable};
 use serde::{Deserialize, Serialize};
 
 use crate::container::{Kind, Limits, Reader, SectionKind, Writer};
-use crate::{Camera, Error, Issue, Material, Specular, Surface, Texture, TextureEncoding};
+use crate::{Camera, Error, Issue, Material, Texture, TextureEncoding};
 
 /// Basis images per tile: one per channel of an RGBA texel.
 pub const CHANNELS_PER_TILE: usize = 4;
@@ -190,16 +190,18 @@ pub fn write_scene(scene: &Scene) -> Result<Vec<u8>, Error> {
     writer.section(SectionKind::Clusters, &scene.clusters)?;
     writer.section(SectionKind::Coefficients, &scene.coefficients)?;
     writer.section(SectionKind::Basis, &scene.basis)?;
-    let texels: Vec<u8> = scene
-        .textures
-        .iter()
-        .flat_map(|t| t.texels.iter().copied())
-        .collect();
-    writer.section(SectionKind::Texels, &texels)?;
+    writer.section(SectionKind::Texels, &concatenate_texels(&scene.textures))?;
     Ok(writer.finish())
 }
 
-fn split_texels(
+pub(crate) fn concatenate_texels(textures: &[Texture]) -> Vec<u8> {
+    textures
+        .iter()
+        .flat_map(|texture| texture.texels.iter().copied())
+        .collect()
+}
+
+pub(crate) fn split_texels(
     sizes: &[(u32, u32, TextureEncoding)],
     mut texels: &[u8],
 ) -> Result<Vec<Texture>, Error> {
@@ -307,55 +309,9 @@ fn validate_metadata(scene: &Scene) -> Result<(), Error> {
         );
     }
     for material in &scene.materials {
-        let slots = [
-            material.base_color_texture,
-            material.metallic_roughness_texture,
-            material.normal_texture,
-            material.anisotropy_texture,
-        ];
-        for slot in slots.into_iter().flatten() {
-            if slot.texture as usize >= scene.textures.len() {
-                return metadata(
-                    Issue::IndexOutOfRange,
-                    "an existing texture",
-                    format_args!("{slot:?} of material {:?}", material.name),
-                );
-            }
-            if !slot
-                .transform
-                .iter()
-                .flatten()
-                .all(|value| value.is_finite())
-            {
-                return metadata(
-                    Issue::ValueOutOfRange,
-                    "a finite texture transform",
-                    format_args!("{slot:?} of material {:?}", material.name),
-                );
-            }
-        }
-        if !surface_is_valid(&material.surface) || !material.normal_scale.is_finite() {
-            return metadata(
-                Issue::ValueOutOfRange,
-                "finite material parameters in their documented ranges",
-                format_args!("{material:?}"),
-            );
-        }
+        material.validate(scene.textures.len())?;
     }
-    for (index, texture) in scene.textures.iter().enumerate() {
-        if texel_bytes(texture.width, texture.height) != Some(texture.texels.len()) {
-            return metadata(
-                Issue::BadLength,
-                "4 bytes per texel, at least one texel",
-                format_args!(
-                    "{} bytes in texture {index} of {}x{} texels",
-                    texture.texels.len(),
-                    texture.width,
-                    texture.height
-                ),
-            );
-        }
-    }
+    validate_textures(&scene.textures)?;
     let report = &scene.report;
     if ![report.rms_error, report.boundary_rms_error]
         .iter()
@@ -382,41 +338,23 @@ fn validate_metadata(scene: &Scene) -> Result<(), Error> {
     Ok(())
 }
 
-fn surface_is_valid(surface: &Surface) -> bool {
-    let color = |value: &[f32; 3]| value.iter().all(|x| x.is_finite() && *x >= 0.0);
-    let unit = |value: f32| (0.0..=1.0).contains(&value);
-    let alpha = |value: f32| value > 0.0 && value <= 1.0;
-    match surface {
-        Surface::MetallicRoughness {
-            base_color,
-            metallic,
-            roughness,
-            anisotropy_strength,
-            anisotropy_rotation,
-        } => {
-            color(base_color)
-                && unit(*metallic)
-                && unit(*roughness)
-                && unit(*anisotropy_strength)
-                && anisotropy_rotation.is_finite()
-        }
-        Surface::Layered { diffuse, specular } => {
-            color(diffuse)
-                && match specular {
-                    Specular::None => true,
-                    Specular::Measured { f0, alpha: x, .. } => color(f0) && alpha(*x),
-                    Specular::BlinnPhong { specular, exponent } => {
-                        color(specular) && *exponent >= 1.0 && exponent.is_finite()
-                    }
-                    Specular::Ward {
-                        specular,
-                        alpha: [x, y],
-                    } => color(specular) && alpha(*x) && alpha(*y),
-                    Specular::CookTorrance { f0, roughness } => color(f0) && alpha(*roughness),
-                    Specular::Ggx { f0, alpha: [x, y] } => color(f0) && alpha(*x) && alpha(*y),
-                }
+pub(crate) fn validate_textures(textures: &[Texture]) -> Result<(), Error> {
+    for (index, texture) in textures.iter().enumerate() {
+        if texel_bytes(texture.width, texture.height) != Some(texture.texels.len()) {
+            return Err(Error::section(
+                Issue::BadLength,
+                SectionKind::Metadata,
+                "4 bytes per texel, at least one texel",
+                format_args!(
+                    "{} bytes in texture {index} of {}x{} texels",
+                    texture.texels.len(),
+                    texture.width,
+                    texture.height
+                ),
+            ));
         }
     }
+    Ok(())
 }
 
 fn validate_clusters(scene: &Scene) -> Result<(), Error> {

@@ -154,17 +154,7 @@ impl GpuScene {
 }
 
 fn check_textures(material: &Material, count: usize) -> Result<(), Error> {
-    let slots = [
-        material.base_color_texture,
-        material.metallic_roughness_texture,
-        material.normal_texture,
-        material.anisotropy_texture,
-    ];
-    match slots
-        .into_iter()
-        .flatten()
-        .find(|slot| slot.texture as usize >= count)
-    {
+    match material.slots().find(|slot| slot.texture as usize >= count) {
         None => Ok(()),
         Some(slot) => Err(Error::NoSuchTexture {
             name: material.name.clone(),

@@ -20,10 +20,10 @@ use glam::{Vec2, Vec3};
 
 use crate::reference;
 use crate::spherical_gaussian::SphericalGaussian;
-use crate::surface::{Appearance, MAX_EXPONENT, MIN_ALPHA, Model, SurfacePoint};
+use crate::surface::{MAX_EXPONENT, MIN_ALPHA, Model, Reflection, SurfacePoint};
 use crate::tables::Tables;
 
-/// Most spherical Gaussians that a specular model becomes: those of an anisotropic one.
+/// Most spherical Gaussians that a specular reflection becomes: those of an anisotropic one.
 /// An isotropic one takes at most three.
 pub const MAX_SPECULAR_LOBES: usize = 1 + 2 * ANISOTROPIC_PAIRS;
 
@@ -39,6 +39,9 @@ const ROUND_RATIO: f32 = 1.02;
 const MIN_COSINE: f32 = 0.05;
 /// Smallest 1/width² of a profile: a wider one is as good as constant.
 const MIN_INVERSE_SQUARE: f32 = 0.2;
+/// Smallest Fresnel reflection beside the colour at grazing incidence: a mirror direction
+/// straight back has no logarithm where the colour there is black.
+const MIN_FRESNEL: f32 = 1e-3;
 /// Smallest half-width of the interval of n·ω over which masking is measured: shorter
 /// ones lose the difference in rounding.
 const MIN_DEVIATION: f32 = 0.01;
@@ -61,6 +64,8 @@ const ALBEDO_ANGLES: usize = 24;
 const ALBEDO_OFFSET: usize = 4 * MIXTURES * MIXTURE_STRIDE;
 /// Entries of an albedo table that has one roughness.
 const ALBEDO_LENGTH: usize = ALBEDO_ALPHAS * ALBEDO_ANGLES;
+/// Entries of a block that has two.
+const ALBEDO_BLOCK: usize = ALBEDO_ALPHAS * ALBEDO_LENGTH;
 
 /// The Gaussians of one specular model seen from one direction.
 #[derive(Clone, Copy, Debug)]
@@ -87,23 +92,24 @@ impl SpecularLobes {
     }
 }
 
-/// The specular reflection at `point` towards its `view` as lobes in world space. None
-/// where the view is below the shading horizon.
-pub fn specular_lobes(point: &SurfacePoint) -> SpecularLobes {
+/// One specular reflection of `point` towards its `view` as lobes in world space. None
+/// where the view is below the shading horizon or the reflection is black.
+pub fn specular_lobes(point: &SurfacePoint, reflection: &Reflection) -> SpecularLobes {
     let wo = point.to_local(point.view);
-    let appearance = &point.appearance;
-    if appearance.model == Model::None || wo.z <= 0.0 {
+    let black = reflection.specular.max(reflection.grazing).max_element() <= 0.0;
+    if reflection.model == Model::None || black || wo.z <= 0.0 {
         return SpecularLobes::EMPTY;
     }
     let values = table_values();
-    let mut lobes = shape(values, appearance, wo);
+    let mut lobes = shape(values, reflection, wo);
     let used = &mut lobes.lobes[..lobes.count];
     let mut unscaled = 0.0;
     for lobe in used.iter() {
         unscaled += lobe.amplitude.x * Tables::get().cosine_integral(lobe.sharpness, lobe.axis.z);
     }
-    let albedo = albedo(values, appearance, wo);
-    let color = (appearance.specular * albedo.x + albedo.y) / unscaled.max(f32::MIN_POSITIVE);
+    let albedo = albedo(values, reflection, wo);
+    let color = (reflection.specular * albedo.x + reflection.grazing * albedo.y)
+        / unscaled.max(f32::MIN_POSITIVE);
     for lobe in used {
         lobe.axis = point.to_world(lobe.axis);
         lobe.amplitude *= color;
@@ -112,11 +118,11 @@ pub fn specular_lobes(point: &SurfacePoint) -> SpecularLobes {
 }
 
 /// The lobes in the local frame, grey and correct up to a common factor.
-fn shape(values: &[f32], appearance: &Appearance, wo: Vec3) -> SpecularLobes {
-    let model = appearance.model;
+fn shape(values: &[f32], reflection: &Reflection, wo: Vec3) -> SpecularLobes {
+    let model = reflection.model;
     let width = Vec2::new(
-        profile_width(model, appearance.alpha.x),
-        profile_width(model, appearance.alpha.y),
+        profile_width(model, reflection.alpha.x),
+        profile_width(model, reflection.alpha.y),
     );
     let horizontal = wo.truncate().length();
     let incidence = if horizontal > 0.0 {
@@ -134,7 +140,7 @@ fn shape(values: &[f32], appearance: &Appearance, wo: Vec3) -> SpecularLobes {
 
     let round = ratio < ROUND_RATIO;
     let isotropic =
-        appearance.alpha.max_element() < ISOTROPIC_RATIO * appearance.alpha.min_element();
+        reflection.alpha.max_element() < ISOTROPIC_RATIO * reflection.alpha.min_element();
     let pairs = if isotropic {
         ISOTROPIC_PAIRS
     } else {
@@ -157,7 +163,7 @@ fn shape(values: &[f32], appearance: &Appearance, wo: Vec3) -> SpecularLobes {
         let sharpness = 2.0 * scale / (short * widening * widening);
         // Where lobes are wider than at the centre they overlap more along the long axis.
         let weight = weight * (stretched.short / short).sqrt();
-        lobes.lobes[lobes.count] = tilt(appearance, wo, axis, sharpness, weight);
+        lobes.lobes[lobes.count] = tilt(reflection, wo, axis, sharpness, weight);
         lobes.count += 1;
     };
     if round && model != Model::Ggx {
@@ -227,7 +233,7 @@ impl Stretch {
 /// A grey Gaussian times masking and Fresnel reflection towards incident directions, fitted
 /// by exp(k n·ω) over the part of the Gaussian above the horizon.
 fn tilt(
-    appearance: &Appearance,
+    reflection: &Reflection,
     wo: Vec3,
     axis: Vec3,
     sharpness: f32,
@@ -248,8 +254,8 @@ fn tilt(
     } else {
         Vec2::splat(0.5f32.sqrt())
     };
-    let at_low = modulation(appearance, wo, azimuth, low);
-    let slope = (modulation(appearance, wo, azimuth, high) / at_low).ln() / (high - low);
+    let at_low = modulation(reflection, wo, azimuth, low);
+    let slope = (modulation(reflection, wo, azimuth, high) / at_low).ln() / (high - low);
     let k = slope.max(-MAX_TILT * sharpness);
     let sum = sharpness * axis + Vec3::new(0.0, 0.0, k);
     let tilted = sum.length();
@@ -265,16 +271,18 @@ fn tilt(
 
 /// The factors of the model that vary slowly with the incident direction, which is given
 /// by `azimuth` (unit vector) and `cosine` with the normal.
-fn modulation(appearance: &Appearance, wo: Vec3, azimuth: Vec2, cosine: f32) -> f32 {
+fn modulation(reflection: &Reflection, wo: Vec3, azimuth: Vec2, cosine: f32) -> f32 {
     let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
     let wi = (azimuth * sine).extend(cosine);
-    let masking = appearance.direction_factor(wi);
-    if !appearance.has_fresnel() {
+    let half_cosine = (0.5 + 0.5 * wi.dot(wo)).max(0.0).sqrt();
+    let masking = reflection.incident_factor(wi, wo, half_cosine);
+    if !reflection.has_fresnel() {
         return masking;
     }
-    let half_cosine = (0.5 + 0.5 * wi.dot(wo)).max(0.0).sqrt();
-    let f0 = appearance.specular.element_sum() / 3.0;
-    masking * (f0 + (1.0 - f0) * reference::schlick(half_cosine))
+    let f0 = reflection.specular.element_sum();
+    let f90 = reflection.grazing.element_sum();
+    let fresnel = f0 + (f90 - f0) * reference::schlick(half_cosine);
+    masking * fresnel.max(MIN_FRESNEL * f90)
 }
 
 /// Half-vector coordinate at which the profile's r is 1. For GGX this is exact, for the
@@ -286,39 +294,61 @@ fn profile_width(model: Model, alpha: f32) -> f32 {
         Model::Ward => 1.0 / (alpha * alpha) + 2.0 - alpha,
         Model::CookTorrance => 1.0 / (alpha * alpha) - 1.4 * alpha * alpha,
         Model::Ggx => 1.0 / (alpha * alpha) - 1.0,
+        Model::AshikhminShirley => {
+            let exponent = 2.0 / (alpha * alpha);
+            0.5 * exponent + 1.0 - 1.0 / exponent
+        }
     };
     1.0 / inverse_square.max(MIN_INVERSE_SQUARE).sqrt()
 }
 
 /// Albedo of the model seen from `wo` (local), as the factors of its specular colour and
 /// of white.
-fn albedo(values: &[f32], appearance: &Appearance, wo: Vec3) -> Vec2 {
-    let alpha = if appearance.model == Model::BlinnPhong {
-        Vec2::splat((2.0 / appearance.alpha.x).sqrt())
+fn albedo(values: &[f32], reflection: &Reflection, wo: Vec3) -> Vec2 {
+    let alpha = if reflection.model == Model::BlinnPhong {
+        Vec2::splat((2.0 / reflection.alpha.x).sqrt())
     } else {
-        appearance.alpha
+        reflection.alpha
     };
     let low = MIN_ALPHA.sqrt();
     let last = (ALBEDO_ALPHAS - 1) as f32;
     let coordinate = |alpha: f32| ((alpha.sqrt() - low) / (1.0 - low)).clamp(0.0, 1.0) * last;
     let (x, y) = (coordinate(alpha.x), coordinate(alpha.y));
     let angle = (1.0 - wo.z).clamp(0.0, 1.0).sqrt() * (ALBEDO_ANGLES - 1) as f32;
-    // Tabulated for a view in the plane of the first roughness.
-    let along_x = albedo_lookup(values, appearance.model, x, y, angle);
-    let along_y = albedo_lookup(values, appearance.model, y, x, angle);
-    let squares = wo.truncate() * wo.truncate() / (1.0 - wo.z * wo.z).max(1e-12);
-    // Between the planes it goes as the fourth power of the cosine to the narrow axis.
-    let mean = if x < y {
-        along_y.lerp(along_x, squares.x * squares.x)
-    } else {
-        along_x.lerp(along_y, squares.y * squares.y)
+    let (first, stride) = albedo_table(reflection.model);
+    let lookup = |block: usize, x: f32, y: f32| {
+        albedo_lookup(
+            values,
+            first + block * 2 * ALBEDO_BLOCK,
+            stride,
+            x,
+            y,
+            angle,
+        )
     };
-    Vec2::new(mean.x, mean.y.powi(4))
+    // Tabulated for a view in the plane of the first roughness, and half way between.
+    let along_x = lookup(0, x, y);
+    if stride == 0 || alpha.max_element() / alpha.min_element() < ISOTROPIC_RATIO {
+        return Vec2::new(along_x.x, along_x.y.powi(4));
+    }
+    let along_y = lookup(0, y, x);
+    let between = lookup(1, x, y);
+    // What varies with azimuth is masking, by the roughness that the view is masked by:
+    // the parabola in it through the three that are tabulated.
+    let squares = wo.truncate() * wo.truncate() / (1.0 - wo.z * wo.z).max(1e-12);
+    let alpha_squares = alpha * alpha;
+    let projected = alpha_squares.dot(squares).sqrt();
+    let middle = (0.5 * alpha_squares.element_sum()).sqrt();
+    let (from_x, from_m, from_y) = (projected - alpha.x, projected - middle, projected - alpha.y);
+    let spread = alpha.x - alpha.y;
+    let mean = along_x * (from_m * from_y / ((alpha.x - middle) * spread))
+        + between * (from_x * from_y / ((middle - alpha.x) * (middle - alpha.y)))
+        - along_y * (from_x * from_m / ((alpha.y - middle) * spread));
+    Vec2::new(mean.x.max(0.0), mean.y.max(0.0).powi(4))
 }
 
 /// Trilinear interpolation at fractional indices.
-fn albedo_lookup(values: &[f32], model: Model, x: f32, y: f32, angle: f32) -> Vec2 {
-    let (first, stride) = albedo_table(model);
+fn albedo_lookup(values: &[f32], first: usize, stride: usize, x: f32, y: f32, angle: f32) -> Vec2 {
     let i = (x as usize).min(ALBEDO_ALPHAS - 2);
     let j = (y as usize).min(ALBEDO_ALPHAS - 2);
     let k = (angle as usize).min(ALBEDO_ANGLES - 2);
@@ -334,16 +364,19 @@ fn albedo_lookup(values: &[f32], model: Model, x: f32, y: f32, angle: f32) -> Ve
 }
 
 /// First value of a model's albedo table, and the entries from one second roughness to
-/// the next: none for models that have but one.
+/// the next: none for models that have but one. Those that have two have two blocks, for
+/// views in the plane of the first roughness and for views half way to the second.
 fn albedo_table(model: Model) -> (usize, usize) {
+    let two = |index: usize| {
+        let before = 4 * ALBEDO_LENGTH + index * 4 * ALBEDO_BLOCK;
+        (ALBEDO_OFFSET + before, ALBEDO_LENGTH)
+    };
     match model {
         Model::None | Model::BlinnPhong => (ALBEDO_OFFSET, 0),
         Model::CookTorrance => (ALBEDO_OFFSET + 2 * ALBEDO_LENGTH, 0),
-        Model::Ward => (ALBEDO_OFFSET + 4 * ALBEDO_LENGTH, ALBEDO_LENGTH),
-        Model::Ggx => (
-            ALBEDO_OFFSET + (4 + 2 * ALBEDO_ALPHAS) * ALBEDO_LENGTH,
-            ALBEDO_LENGTH,
-        ),
+        Model::Ward => two(0),
+        Model::Ggx => two(1),
+        Model::AshikhminShirley => two(2),
     }
 }
 
@@ -362,25 +395,25 @@ pub fn table_values() -> &'static [f32] {
         let alphas: [f32; ALBEDO_ALPHAS] = std::array::from_fn(|i| {
             (low + (1.0 - low) * i as f32 / (ALBEDO_ALPHAS - 1) as f32).powi(2)
         });
-        for model in [
-            Model::BlinnPhong,
-            Model::CookTorrance,
-            Model::Ward,
-            Model::Ggx,
-        ] {
-            let anisotropic = albedo_table(model).1 > 0;
-            for second in if anisotropic {
-                &alphas[..]
-            } else {
-                &alphas[..1]
-            } {
-                for first in alphas {
-                    let alpha = match model {
-                        Model::BlinnPhong => Vec2::splat((2.0 / (first * first)).min(MAX_EXPONENT)),
-                        _ => Vec2::new(first, if anisotropic { *second } else { first }),
-                    };
-                    for angle in 0..ALBEDO_ANGLES {
-                        values.extend(tabulated_albedo(model, alpha, angle));
+        for model in [Model::BlinnPhong, Model::CookTorrance] {
+            for alpha in alphas {
+                let alpha = match model {
+                    Model::BlinnPhong => (2.0 / (alpha * alpha)).min(MAX_EXPONENT),
+                    _ => alpha,
+                };
+                for angle in 0..ALBEDO_ANGLES {
+                    values.extend(tabulated_albedo(model, Vec2::splat(alpha), Vec2::X, angle));
+                }
+            }
+        }
+        for model in [Model::Ward, Model::Ggx, Model::AshikhminShirley] {
+            for azimuth in [Vec2::X, Vec2::splat(0.5f32.sqrt())] {
+                for second in alphas {
+                    for first in alphas {
+                        let alpha = Vec2::new(first, second);
+                        for angle in 0..ALBEDO_ANGLES {
+                            values.extend(tabulated_albedo(model, alpha, azimuth, angle));
+                        }
                     }
                 }
             }
@@ -403,16 +436,22 @@ pub fn wgsl_constants() -> String {
         ("BRDF_ALBEDO_ALPHAS", ALBEDO_ALPHAS),
         ("BRDF_ALBEDO_ANGLES", ALBEDO_ANGLES),
         ("BRDF_ALBEDO_LENGTH", ALBEDO_LENGTH),
+        ("BRDF_ALBEDO_BLOCK", ALBEDO_BLOCK),
         ("BRDF_ALBEDO_BLINN_PHONG", first(Model::BlinnPhong)),
         ("BRDF_ALBEDO_COOK_TORRANCE", first(Model::CookTorrance)),
         ("BRDF_ALBEDO_WARD", first(Model::Ward)),
         ("BRDF_ALBEDO_GGX", first(Model::Ggx)),
+        (
+            "BRDF_ALBEDO_ASHIKHMIN_SHIRLEY",
+            first(Model::AshikhminShirley),
+        ),
     ];
     let reals = [
         ("BRDF_ISOTROPIC_RATIO", ISOTROPIC_RATIO),
         ("BRDF_ROUND_RATIO", ROUND_RATIO),
         ("BRDF_MIN_COSINE", MIN_COSINE),
         ("BRDF_MIN_INVERSE_SQUARE", MIN_INVERSE_SQUARE),
+        ("BRDF_MIN_FRESNEL", MIN_FRESNEL),
         ("BRDF_MIN_DEVIATION", MIN_DEVIATION),
         ("BRDF_MAX_TILT", MAX_TILT),
         ("BRDF_MIXTURES_PER_OCTAVE", MIXTURES_PER_OCTAVE),
@@ -424,23 +463,17 @@ pub fn wgsl_constants() -> String {
 
 /// One entry of an albedo table: the factor of the specular colour and the fourth root of
 /// that of white, which is nearly linear where the factor is nearly (1 − n·o)⁵.
-fn tabulated_albedo(model: Model, alpha: Vec2, angle: usize) -> [f32; 2] {
+fn tabulated_albedo(model: Model, alpha: Vec2, azimuth: Vec2, angle: usize) -> [f32; 2] {
     // At the horizon itself Ward's model diverges: the last column stands a little above.
     let cosine = (1.0 - (angle as f32 / (ALBEDO_ANGLES - 1) as f32).powi(2)).max(0.02);
-    let wo = Vec3::new((1.0 - cosine * cosine).sqrt(), 0.0, cosine);
-    let appearance = Appearance {
-        diffuse: Vec3::ZERO,
-        specular: Vec3::ONE,
-        model,
-        alpha,
-    };
-    let [all, white] = reference_albedo(&appearance, wo);
+    let wo = (azimuth * (1.0 - cosine * cosine).sqrt()).extend(cosine);
+    let [all, white] = reference_albedo(&Reflection::new(model, Vec3::ONE, alpha), wo);
     [(all - white) as f32, white.sqrt().sqrt() as f32]
 }
 
 /// ∫ f(wi, wo) n·wi dwi of the specular part for a colour of 1, and the same weighted by
 /// Schlick's (1 − h·o)⁵ (zero for models without Fresnel).
-fn reference_albedo(appearance: &Appearance, wo: Vec3) -> [f64; 2] {
+fn reference_albedo(reflection: &Reflection, wo: Vec3) -> [f64; 2] {
     const RADII: usize = 24;
     const ANGLES: usize = 16;
     let mut sum = [0.0; 2];
@@ -448,11 +481,11 @@ fn reference_albedo(appearance: &Appearance, wo: Vec3) -> [f64; 2] {
         for angle in 0..ANGLES {
             let u = (radius as f32 + 0.5) / RADII as f32;
             let v = (angle as f32 + 0.5) / ANGLES as f32;
-            let Some((wi, weight)) = reference::sample_specular(appearance, wo, u, v) else {
+            let Some((wi, weight)) = reference::sample_specular(reflection, wo, u, v) else {
                 continue;
             };
             let half = (wi + wo).normalize();
-            let white = if appearance.has_fresnel() {
+            let white = if reflection.has_fresnel() {
                 reference::schlick(half.dot(wo))
             } else {
                 0.0
@@ -692,7 +725,8 @@ mod fit {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::f32::consts::PI;
+    use crate::accuracy::{Accuracy, accuracy};
+    use crate::surface::Appearance;
 
     /// Roughnesses (GGX scale) and incidences (degrees) of the accuracy tables.
     const ALPHAS: [f32; 6] = [0.05, 0.1, 0.2, 0.4, 0.7, 1.0];
@@ -704,6 +738,7 @@ mod tests {
         } else {
             alpha
         };
+        let reflection = Reflection::new(model, Vec3::splat(f0), alpha);
         let (sin, cos) = degrees.to_radians().sin_cos();
         SurfacePoint {
             position: Vec3::ZERO,
@@ -712,58 +747,7 @@ mod tests {
             tangent: Vec3::X,
             bitangent: Vec3::Y,
             view: Vec3::new(sin * azimuth.cos(), sin * azimuth.sin(), cos),
-            appearance: Appearance {
-                diffuse: Vec3::ZERO,
-                specular: Vec3::splat(f0),
-                model,
-                alpha,
-            },
-        }
-    }
-
-    struct Accuracy {
-        /// ‖(lobes − model) n·ω‖₂ / ‖model n·ω‖₂.
-        l2: f64,
-        /// Albedo of the lobes over that of the model, less 1.
-        albedo: f64,
-    }
-
-    /// By quadrature on a polar grid about the mirror direction, dense near it.
-    fn accuracy(point: &SurfacePoint) -> Accuracy {
-        const RADII: usize = 160;
-        const ANGLES: usize = 120;
-        let mirror = Vec3::new(-point.view.x, -point.view.y, point.view.z);
-        let (first, second) = mirror.any_orthonormal_pair();
-        let lobes = specular_lobes(point);
-        let mut sums = [0.0f64; 4];
-        for i in 0..RADII {
-            let u = (i as f32 + 0.5) / RADII as f32;
-            let theta = PI * u * u * u;
-            let solid_angle =
-                theta.sin() * 3.0 * PI * u * u / RADII as f32 * 2.0 * PI / ANGLES as f32;
-            for j in 0..ANGLES {
-                let phi = 2.0 * PI * (j as f32 + 0.5) / ANGLES as f32;
-                let around = first * phi.cos() + second * phi.sin();
-                let wi = mirror * theta.cos() + around * theta.sin();
-                if wi.z <= 0.0 {
-                    continue;
-                }
-                let exact = reference::evaluate_specular(&point.appearance, wi, point.view).x;
-                let found: f32 = lobes
-                    .as_slice()
-                    .iter()
-                    .map(|lobe| lobe.evaluate(wi).x)
-                    .sum();
-                let (exact, found) = (exact * wi.z, found * wi.z);
-                let terms = [exact, found, exact * exact, (found - exact).powi(2)];
-                for (sum, term) in sums.iter_mut().zip(terms) {
-                    *sum += f64::from(term * solid_angle);
-                }
-            }
-        }
-        Accuracy {
-            l2: (sums[3] / sums[2]).sqrt(),
-            albedo: sums[1] / sums[0] - 1.0,
+            appearance: Appearance::new(Vec3::ZERO, &[reflection]),
         }
     }
 
@@ -775,7 +759,12 @@ mod tests {
         for (name, points) in points {
             print!("{name:>16}");
             for (point, degrees) in points.iter().zip(INCIDENCES) {
-                let Accuracy { l2, albedo } = accuracy(point);
+                let reflection = &point.appearance.reflections[0];
+                let Accuracy {
+                    relative_l2: l2,
+                    albedo_error: albedo,
+                    ..
+                } = accuracy(reflection, point.view);
                 print!("  {:5.1} ({:+5.1})", 100.0 * l2, 100.0 * albedo);
                 if degrees <= 70.0 {
                     worst[0] = worst[0].max(albedo.abs());
@@ -808,6 +797,7 @@ mod tests {
             (Model::Ward, &[1.0], 0.13),
             (Model::CookTorrance, &[1.0, 0.04], 0.13),
             (Model::Ggx, &[1.0, 0.04], 0.15),
+            (Model::AshikhminShirley, &[1.0, 0.04], 0.15),
         ];
         for (model, reflectances, l2_tolerance) in models {
             for &f0 in reflectances {
@@ -831,7 +821,7 @@ mod tests {
     fn anisotropic_lobes_follow_the_models() {
         let moderate = [(0.05, 0.2), (0.1, 0.3), (0.3, 0.6), (0.5, 1.0)];
         let extreme = [(0.08, 0.4), (0.1, 0.8), (0.02, 0.4)];
-        for model in [Model::Ward, Model::Ggx] {
+        for model in [Model::Ward, Model::Ggx, Model::AshikhminShirley] {
             for azimuth in [0.0, 0.8, 1.57] {
                 let rows = |&(x, y): &(f32, f32)| {
                     let row = INCIDENCES.map(|d| point(model, Vec2::new(x, y), 1.0, d, azimuth));
@@ -860,6 +850,7 @@ mod tests {
             Model::Ward,
             Model::CookTorrance,
             Model::Ggx,
+            Model::AshikhminShirley,
         ] {
             for (x, y) in [
                 (0.02, 0.02),
@@ -870,7 +861,7 @@ mod tests {
             ] {
                 for degrees in [0.0, 1e-4, 0.1, 45.0, 89.0, 89.99, 89.9999] {
                     let point = point(model, Vec2::new(x, y), 0.5, degrees, 2.0);
-                    let lobes = specular_lobes(&point);
+                    let lobes = specular_lobes(&point, &point.appearance.reflections[0]);
                     assert!(lobes.count > 0, "{model:?} {x} {y} {degrees}");
                     for lobe in lobes.as_slice() {
                         let valid = lobe.axis.is_normalized()
@@ -884,6 +875,9 @@ mod tests {
             }
         }
         let below = point(Model::Ggx, Vec2::splat(0.3), 0.5, 91.0, 0.0);
-        assert_eq!(specular_lobes(&below).count, 0);
+        assert_eq!(
+            specular_lobes(&below, &below.appearance.reflections[0]).count,
+            0
+        );
     }
 }

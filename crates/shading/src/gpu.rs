@@ -3,16 +3,18 @@
 //! The structures mirror `wgsl/bindings.wgsl`, member by member and in order.
 
 use bytemuck::{Pod, Zeroable};
-use relight_format::{CHANNELS_PER_TILE, Scene, Specular, Surface, TextureEncoding};
+use relight_format::{CHANNELS_PER_TILE, MAX_REFLECTIONS, Scene, Surface, TextureEncoding};
 
 use crate::camera::View;
 use crate::octahedral;
-use crate::surface::Model;
+use crate::surface::{LayerParameters, visit_layers};
 
 /// `Material::surface`: base colour, metallic and roughness as in glTF.
 pub const SURFACE_METALLIC_ROUGHNESS: u32 = 0;
 /// `Material::surface`: a Lambertian base plus one specular model.
 pub const SURFACE_LAYERED: u32 = 1;
+/// `Material::surface`: layers, which the anisotropy texture turns.
+pub const SURFACE_LAYERS: u32 = 2;
 /// `Frame::method`: one half-space per lobe.
 pub const METHOD_AMBIENT: u32 = 0;
 /// `Frame::method`: spokes about each lobe's axis.
@@ -121,24 +123,44 @@ pub struct TextureSlot {
     pub transform_v: [f32; 4],
 }
 
-/// A material (256 bytes).
+/// One reflection of a layer, with the Lambertian base that comes with it (256 bytes).
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct Layer {
+    /// Diffuse albedo.
+    pub diffuse: [f32; 3],
+    /// A [`crate::surface::Join`].
+    pub join: u32,
+    /// Colour at normal incidence, or specular albedo.
+    pub specular: [f32; 3],
+    /// A [`crate::surface::Model`].
+    pub model: u32,
+    /// Colour at grazing incidence.
+    pub grazing: [f32; 3],
+    /// Coverage.
+    pub weight: f32,
+    /// Roughness along tangent and bitangent; Blinn-Phong: exponent in both.
+    pub alpha: [f32; 2],
+    /// Zero.
+    pub reserved: [f32; 2],
+    /// Multiplies `diffuse`.
+    pub diffuse_texture: TextureSlot,
+    /// Multiplies `specular`.
+    pub specular_texture: TextureSlot,
+    /// R and G multiply the roughnesses.
+    pub roughness_texture: TextureSlot,
+    /// R multiplies `weight`.
+    pub weight_texture: TextureSlot,
+}
+
+/// A material (2,288 bytes).
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct Material {
-    /// Base colour, or diffuse albedo of a layered surface.
+    /// Metallic-roughness: base colour.
     pub color: [f32; 3],
-    /// [`SURFACE_METALLIC_ROUGHNESS`] or [`SURFACE_LAYERED`].
+    /// [`SURFACE_METALLIC_ROUGHNESS`], [`SURFACE_LAYERED`] or [`SURFACE_LAYERS`].
     pub surface: u32,
-    /// Layered: reflectance at normal incidence, or specular albedo.
-    pub specular: [f32; 3],
-    /// Layered: a [`Model`].
-    pub model: u32,
-    /// Layered: alpha along tangent and bitangent; Blinn-Phong: exponent in x.
-    pub alpha: [f32; 2],
-    /// Scale of the normal map's x and y.
-    pub normal_scale: f32,
-    /// Zero.
-    pub reserved: f32,
     /// Metallic-roughness: 0 dielectric, 1 metal.
     pub metallic: f32,
     /// Metallic-roughness: perceptual roughness.
@@ -147,6 +169,12 @@ pub struct Material {
     pub anisotropy_strength: f32,
     /// Metallic-roughness: direction of anisotropy, radians from the tangent.
     pub anisotropy_rotation: f32,
+    /// Scale of the normal map's x and y.
+    pub normal_scale: f32,
+    /// Entries of `layers` in use.
+    pub layer_count: u32,
+    /// Zero.
+    pub reserved: [f32; 2],
     /// Multiplies `color`.
     pub base_color_texture: TextureSlot,
     /// G multiplies `roughness`, B multiplies `metallic`.
@@ -155,6 +183,8 @@ pub struct Material {
     pub normal_texture: TextureSlot,
     /// RG is the direction in [−1, 1], B the strength.
     pub anisotropy_texture: TextureSlot,
+    /// The reflections of other surfaces than metallic-roughness.
+    pub layers: [Layer; MAX_REFLECTIONS],
 }
 
 /// How radiance becomes display colour (uniform, 8 bytes).
@@ -321,7 +351,7 @@ pub fn pack_scene(scene: &Scene) -> Result<PackedScene, LimitError> {
 
 /// Packs one material; a slot that names a texture beyond `textures` becomes no texture.
 pub fn pack_material(material: &relight_format::Material, textures: &[PackedTexture]) -> Material {
-    let slot = |slot: Option<relight_format::TextureSlot>| {
+    let slot = |slot: Option<&relight_format::TextureSlot>| {
         slot.and_then(|slot| {
             let texture = textures.get(slot.texture as usize)?;
             let [[a, b, c], [d, e, f]] = slot.transform;
@@ -336,53 +366,53 @@ pub fn pack_material(material: &relight_format::Material, textures: &[PackedText
         })
         .unwrap_or(TextureSlot::zeroed())
     };
-    let packed = Material {
+    let mut packed = Material {
         normal_scale: material.normal_scale,
-        base_color_texture: slot(material.base_color_texture),
-        metallic_roughness_texture: slot(material.metallic_roughness_texture),
-        normal_texture: slot(material.normal_texture),
-        anisotropy_texture: slot(material.anisotropy_texture),
+        base_color_texture: slot(material.base_color_texture.as_ref()),
+        metallic_roughness_texture: slot(material.metallic_roughness_texture.as_ref()),
+        normal_texture: slot(material.normal_texture.as_ref()),
+        anisotropy_texture: slot(material.anisotropy_texture.as_ref()),
         ..Material::zeroed()
     };
-    match &material.surface {
-        &Surface::MetallicRoughness {
+    match material.surface {
+        Surface::MetallicRoughness {
             base_color,
             metallic,
             roughness,
             anisotropy_strength,
             anisotropy_rotation,
-        } => Material {
-            color: base_color,
-            surface: SURFACE_METALLIC_ROUGHNESS,
-            metallic,
-            roughness,
-            anisotropy_strength,
-            anisotropy_rotation,
-            ..packed
-        },
-        Surface::Layered { diffuse, specular } => {
-            let (model, specular, alpha) = match *specular {
-                Specular::None => (Model::None, [0.0; 3], [1.0; 2]),
-                Specular::BlinnPhong { specular, exponent } => {
-                    (Model::BlinnPhong, specular, [exponent, 0.0])
-                }
-                Specular::Ward { specular, alpha } => (Model::Ward, specular, alpha),
-                Specular::CookTorrance { f0, roughness } => {
-                    (Model::CookTorrance, f0, [roughness; 2])
-                }
-                Specular::Ggx { f0, alpha } => (Model::Ggx, f0, alpha),
-                Specular::Measured { f0, alpha, .. } => (Model::Ggx, f0, [alpha; 2]),
-            };
-            Material {
-                color: *diffuse,
-                surface: SURFACE_LAYERED,
-                specular,
-                model: model as u32,
-                alpha,
+        } => {
+            return Material {
+                color: base_color,
+                surface: SURFACE_METALLIC_ROUGHNESS,
+                metallic,
+                roughness,
+                anisotropy_strength,
+                anisotropy_rotation,
                 ..packed
-            }
+            };
         }
+        Surface::Layered { .. } => packed.surface = SURFACE_LAYERED,
+        Surface::Layers { .. } => packed.surface = SURFACE_LAYERS,
     }
+    visit_layers(material, |layer: LayerParameters| {
+        packed.layers[packed.layer_count as usize] = Layer {
+            diffuse: layer.diffuse.into(),
+            join: layer.join as u32,
+            specular: layer.reflection.specular.into(),
+            model: layer.reflection.model as u32,
+            grazing: layer.reflection.grazing.into(),
+            weight: layer.weight,
+            alpha: layer.reflection.alpha.into(),
+            reserved: [0.0; 2],
+            diffuse_texture: slot(layer.diffuse_texture),
+            specular_texture: slot(layer.specular_texture),
+            roughness_texture: slot(layer.roughness_texture),
+            weight_texture: slot(layer.weight_texture),
+        };
+        packed.layer_count += 1;
+    });
+    packed
 }
 
 impl Frame {
@@ -610,22 +640,38 @@ mod tests {
         );
         check_layout!(
             module,
+            Layer {
+                diffuse,
+                join,
+                specular,
+                model,
+                grazing,
+                weight,
+                alpha,
+                reserved,
+                diffuse_texture,
+                specular_texture,
+                roughness_texture,
+                weight_texture,
+            }
+        );
+        check_layout!(
+            module,
             Material {
                 color,
                 surface,
-                specular,
-                model,
-                alpha,
-                normal_scale,
-                reserved,
                 metallic,
                 roughness,
                 anisotropy_strength,
                 anisotropy_rotation,
+                normal_scale,
+                layer_count,
+                reserved,
                 base_color_texture,
                 metallic_roughness_texture,
                 normal_texture,
                 anisotropy_texture,
+                layers,
             }
         );
     }
@@ -770,7 +816,7 @@ mod tests {
             name: "painted".into(),
             surface: Surface::Layered {
                 diffuse: [0.1, 0.2, 0.3],
-                specular: Specular::Ward {
+                specular: relight_format::Specular::Ward {
                     specular: [0.4, 0.5, 0.6],
                     alpha: [0.7, 0.8],
                 },
@@ -787,15 +833,17 @@ mod tests {
         let packed = pack_scene(&scene).expect("fits");
         let material = packed.materials[0];
         assert_eq!(
-            (material.surface, material.model),
-            (SURFACE_LAYERED, Model::Ward as u32)
+            (material.surface, material.layer_count),
+            (SURFACE_LAYERED, 1)
         );
+        let layer = material.layers[0];
+        assert_eq!(layer.model, crate::surface::Model::Ward as u32);
         assert_eq!(
-            (material.color, material.specular),
+            (layer.diffuse, layer.specular),
             ([0.1, 0.2, 0.3], [0.4, 0.5, 0.6])
         );
-        assert_eq!((material.alpha, material.normal_scale), ([0.7, 0.8], 0.9));
-        let slot = material.base_color_texture;
+        assert_eq!((layer.alpha, material.normal_scale), ([0.7, 0.8], 0.9));
+        let slot = layer.diffuse_texture;
         assert_eq!(
             (slot.offset, slot.width, slot.height, slot.srgb),
             (3, 2, 1, 1)

@@ -1,6 +1,7 @@
 //! Spherical Gaussians, BRDFs, SSDF decoding and visible-region integrators: WGSL with a
 //! CPU twin of each.
 
+pub mod accuracy;
 pub mod ambient;
 pub mod brdf;
 pub mod camera;

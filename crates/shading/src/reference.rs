@@ -13,26 +13,28 @@ use std::f32::consts::{FRAC_1_PI, PI};
 
 use glam::{Vec2, Vec3};
 
-use crate::surface::{Appearance, Model};
+use crate::surface::{Appearance, MAX_REFLECTIONS, Model, Reflection};
 
-/// BRDF in 1/sr: Lambert plus the specular model, without the cosine.
+/// BRDF in 1/sr: Lambert plus the specular reflections, without the cosine.
 pub fn evaluate(appearance: &Appearance, wi: Vec3, wo: Vec3) -> Vec3 {
     if wi.z <= 0.0 || wo.z <= 0.0 {
         return Vec3::ZERO;
     }
-    appearance.diffuse * FRAC_1_PI + evaluate_specular(appearance, wi, wo)
+    let specular: Vec3 = appearance
+        .reflections()
+        .map(|reflection| evaluate_specular(reflection, wi, wo))
+        .sum();
+    appearance.diffuse * FRAC_1_PI + specular
 }
 
-/// The specular part of [`evaluate`].
-pub fn evaluate_specular(appearance: &Appearance, wi: Vec3, wo: Vec3) -> Vec3 {
-    if wi.z <= 0.0 || wo.z <= 0.0 || appearance.model == Model::None {
+/// One of the specular parts of [`evaluate`].
+pub fn evaluate_specular(reflection: &Reflection, wi: Vec3, wo: Vec3) -> Vec3 {
+    if wi.z <= 0.0 || wo.z <= 0.0 || reflection.model == Model::None {
         return Vec3::ZERO;
     }
     let half = (wi + wo).normalize();
-    appearance.specular_color(half.dot(wo))
-        * (appearance.half_vector_factor(half)
-            * appearance.direction_factor(wi)
-            * appearance.direction_factor(wo))
+    reflection.color(half.dot(wo))
+        * (reflection.half_vector_factor(half) * reflection.geometry(wi, wo, half.dot(wo)))
 }
 
 /// Draws an incident direction from three uniform numbers in [0, 1). `None` where the
@@ -41,14 +43,27 @@ pub fn sample(appearance: &Appearance, wo: Vec3, u: [f32; 3]) -> Option<Vec3> {
     if wo.z <= 0.0 {
         return None;
     }
-    let probability = diffuse_probability(appearance, wo)?;
-    let wi = if u[0] < probability {
+    let [diffuse, specular @ ..] = probabilities(appearance, wo)?;
+    let mut rest = u[0] - diffuse;
+    let mut chosen = None;
+    if rest >= 0.0 {
+        for (reflection, probability) in appearance.reflections.iter().zip(specular) {
+            if probability > 0.0 {
+                chosen = Some(reflection);
+                rest -= probability;
+                if rest < 0.0 {
+                    break;
+                }
+            }
+        }
+    }
+    let wi = if let Some(reflection) = chosen {
+        let half = sample_half_vector(reflection, wo, u[1], u[2]);
+        2.0 * half.dot(wo) * half - wo
+    } else {
         let (sin, cos) = (2.0 * PI * u[2]).sin_cos();
         let radius = u[1].sqrt();
         Vec3::new(radius * cos, radius * sin, (1.0 - u[1]).sqrt())
-    } else {
-        let half = sample_half_vector(appearance, wo, u[1], u[2]);
-        2.0 * half.dot(wo) * half - wo
     };
     (wi.z > 0.0).then_some(wi)
 }
@@ -59,46 +74,35 @@ pub fn pdf(appearance: &Appearance, wi: Vec3, wo: Vec3) -> f32 {
     if wi.z <= 0.0 || wo.z <= 0.0 {
         return 0.0;
     }
-    let Some(probability) = diffuse_probability(appearance, wo) else {
+    let Some([diffuse, specular @ ..]) = probabilities(appearance, wo) else {
         return 0.0;
     };
     let half = (wi + wo).normalize();
-    let specular = half_vector_pdf(appearance, half, wo) / (4.0 * half.dot(wo));
-    probability * wi.z * FRAC_1_PI + (1.0 - probability) * specular
+    let mut density = diffuse * wi.z * FRAC_1_PI;
+    for (reflection, probability) in appearance.reflections.iter().zip(specular) {
+        if probability > 0.0 {
+            density += probability * half_vector_pdf(reflection, half, wo) / (4.0 * half.dot(wo));
+        }
+    }
+    density
 }
 
-/// Draws an incident direction of the specular part alone, with its weight
+/// Draws an incident direction of one reflection alone, with its weight
 /// `f(wi, wo) n·wi / pdf` for a specular colour of 1 at every angle.
 pub(crate) fn sample_specular(
-    appearance: &Appearance,
+    reflection: &Reflection,
     wo: Vec3,
     u: f32,
     v: f32,
 ) -> Option<(Vec3, f32)> {
-    let half = sample_half_vector(appearance, wo, u, v);
+    let half = sample_half_vector(reflection, wo, u, v);
     let wi = 2.0 * half.dot(wo) * half - wo;
-    let density = half_vector_pdf(appearance, half, wo) / (4.0 * half.dot(wo));
-    let value = appearance.half_vector_factor(half)
-        * appearance.direction_factor(wi)
-        * appearance.direction_factor(wo);
+    let density = half_vector_pdf(reflection, half, wo) / (4.0 * half.dot(wo));
+    let value = reflection.half_vector_factor(half) * reflection.geometry(wi, wo, half.dot(wo));
     (wi.z > 0.0).then_some((wi, value * wi.z / density))
 }
 
-impl Appearance {
-    /// Whether the model's colour goes to white at grazing incidence.
-    pub(crate) fn has_fresnel(&self) -> bool {
-        matches!(self.model, Model::CookTorrance | Model::Ggx)
-    }
-
-    /// Colour of the specular reflection about a half vector at `cosine = h·o`.
-    fn specular_color(&self, cosine: f32) -> Vec3 {
-        if self.has_fresnel() {
-            self.specular + (Vec3::ONE - self.specular) * schlick(cosine)
-        } else {
-            self.specular
-        }
-    }
-
+impl Reflection {
     /// The factor of the BRDF that depends on the half vector alone: the normal
     /// distribution, or its exponential, with the model's constants.
     fn half_vector_factor(&self, h: Vec3) -> f32 {
@@ -113,15 +117,33 @@ impl Appearance {
             Model::Ward => (-slope_squared).exp() / (4.0 * PI * x * y),
             Model::CookTorrance => (-slope_squared).exp() / (PI * x * y * h.z.powi(4)),
             Model::Ggx => ggx(h, self.alpha),
+            Model::AshikhminShirley => 0.25 * ashikhmin_shirley(h, self.alpha),
+        }
+    }
+
+    /// The factor of the BRDF that depends on both directions and varies slowly.
+    fn geometry(&self, wi: Vec3, wo: Vec3, half_cosine: f32) -> f32 {
+        if self.model == Model::AshikhminShirley {
+            return self.incident_factor(wi, wo, half_cosine);
+        }
+        self.direction_factor(wi) * self.direction_factor(wo)
+    }
+
+    /// The part of the geometry that varies with `wi`.
+    pub(crate) fn incident_factor(&self, wi: Vec3, wo: Vec3, half_cosine: f32) -> f32 {
+        if self.model == Model::AshikhminShirley {
+            1.0 / (half_cosine * wi.z.max(wo.z))
+        } else {
+            self.direction_factor(wi)
         }
     }
 
     /// The factor of the BRDF that depends on `wi` (or, by reciprocity, `wo`) alone: for
     /// a microfacet model `G1(w) / (2 n·w)`. Finite down to the horizon except for Ward.
-    pub(crate) fn direction_factor(&self, w: Vec3) -> f32 {
+    fn direction_factor(&self, w: Vec3) -> f32 {
         let projected = Vec2::new(w.x * self.alpha.x, w.y * self.alpha.y).length();
         match self.model {
-            Model::None | Model::BlinnPhong => 1.0,
+            Model::None | Model::BlinnPhong | Model::AshikhminShirley => 1.0,
             Model::Ward => 1.0 / w.z,
             Model::CookTorrance => {
                 // Walter et al. 2007, eq. 27, with a = w.z / projected: multiplied out so
@@ -147,22 +169,38 @@ fn ggx(h: Vec3, alpha: Vec2) -> f32 {
     1.0 / (PI * alpha.x * alpha.y * d * d)
 }
 
-/// How often [`sample`] chooses the diffuse lobe; `None` for a black surface.
-fn diffuse_probability(appearance: &Appearance, wo: Vec3) -> Option<f32> {
-    let diffuse = appearance.diffuse.element_sum();
-    let specular = match appearance.model {
-        Model::None => 0.0,
-        _ => appearance.specular_color(wo.z).element_sum(),
+/// Density of half vectors of Ashikhmin & Shirley 2000, eq. 6, with exponents n = 2/α².
+fn ashikhmin_shirley(h: Vec3, alpha: Vec2) -> f32 {
+    let exponents = 2.0 / (alpha * alpha);
+    let sine_squared = h.x * h.x + h.y * h.y;
+    let exponent = if sine_squared > 0.0 {
+        (exponents.x * h.x * h.x + exponents.y * h.y * h.y) / sine_squared
+    } else {
+        0.0
     };
-    let sum = diffuse + specular;
-    (sum > 0.0).then(|| diffuse / sum)
+    let scale = ((exponents.x + 1.0) * (exponents.y + 1.0)).sqrt() / (2.0 * PI);
+    scale * h.z.max(0.0).powf(exponent)
+}
+
+/// How often [`sample`] chooses the diffuse base, then each reflection; `None` for a black
+/// surface.
+fn probabilities(appearance: &Appearance, wo: Vec3) -> Option<[f32; 1 + MAX_REFLECTIONS]> {
+    let mut weights = [0.0; 1 + MAX_REFLECTIONS];
+    weights[0] = appearance.diffuse.element_sum();
+    for (weight, reflection) in weights[1..].iter_mut().zip(&appearance.reflections) {
+        if reflection.model != Model::None {
+            *weight = reflection.color(wo.z).element_sum();
+        }
+    }
+    let sum: f32 = weights.iter().sum();
+    (sum > 0.0).then(|| weights.map(|weight| weight / sum))
 }
 
 /// Draws a half vector; for GGX among those visible from `wo` (Heitz 2018).
-fn sample_half_vector(appearance: &Appearance, wo: Vec3, u: f32, v: f32) -> Vec3 {
-    let Vec2 { x, y } = appearance.alpha;
+fn sample_half_vector(reflection: &Reflection, wo: Vec3, u: f32, v: f32) -> Vec3 {
+    let Vec2 { x, y } = reflection.alpha;
     let (sin, cos) = (2.0 * PI * v).sin_cos();
-    match appearance.model {
+    match reflection.model {
         Model::None | Model::BlinnPhong => {
             let z = (1.0 - u).powf(1.0 / (x + 1.0));
             let radius = (1.0 - z * z).max(0.0).sqrt();
@@ -171,6 +209,18 @@ fn sample_half_vector(appearance: &Appearance, wo: Vec3, u: f32, v: f32) -> Vec3
         Model::Ward | Model::CookTorrance => {
             let radius = (-(1.0 - u).ln()).sqrt();
             Vec3::new(x * radius * cos, y * radius * sin, 1.0).normalize()
+        }
+        Model::AshikhminShirley => {
+            let exponents = 2.0 / (reflection.alpha * reflection.alpha);
+            let azimuth = f32::atan2(
+                (exponents.x + 1.0).sqrt() * sin,
+                (exponents.y + 1.0).sqrt() * cos,
+            );
+            let (sin, cos) = azimuth.sin_cos();
+            let exponent = exponents.x * cos * cos + exponents.y * sin * sin;
+            let z = (1.0 - u).powf(1.0 / (exponent + 1.0));
+            let radius = (1.0 - z * z).max(0.0).sqrt();
+            Vec3::new(radius * cos, radius * sin, z)
         }
         Model::Ggx => {
             let stretched = Vec3::new(x * wo.x, y * wo.y, wo.z).normalize();
@@ -192,17 +242,18 @@ fn sample_half_vector(appearance: &Appearance, wo: Vec3, u: f32, v: f32) -> Vec3
 }
 
 /// Density of [`sample_half_vector`], per steradian of half vectors.
-fn half_vector_pdf(appearance: &Appearance, h: Vec3, wo: Vec3) -> f32 {
-    let Vec2 { x, y } = appearance.alpha;
-    match appearance.model {
+fn half_vector_pdf(reflection: &Reflection, h: Vec3, wo: Vec3) -> f32 {
+    let Vec2 { x, y } = reflection.alpha;
+    match reflection.model {
         Model::None => 0.0,
         Model::BlinnPhong => (x + 1.0) / (2.0 * PI) * h.z.powf(x),
         Model::Ward | Model::CookTorrance => {
             let slope_squared = ((h.x / x).powi(2) + (h.y / y).powi(2)) / (h.z * h.z);
             (-slope_squared).exp() / (PI * x * y * h.z.powi(3))
         }
+        Model::AshikhminShirley => ashikhmin_shirley(h, reflection.alpha),
         Model::Ggx => {
-            2.0 * appearance.direction_factor(wo) * h.dot(wo).max(0.0) * ggx(h, appearance.alpha)
+            2.0 * reflection.direction_factor(wo) * h.dot(wo).max(0.0) * ggx(h, reflection.alpha)
         }
     }
 }
@@ -211,30 +262,42 @@ fn half_vector_pdf(appearance: &Appearance, h: Vec3, wo: Vec3) -> f32 {
 mod tests {
     use super::*;
 
-    const MODELS: [Model; 4] = [
+    const MODELS: [Model; 5] = [
         Model::BlinnPhong,
         Model::Ward,
         Model::CookTorrance,
         Model::Ggx,
+        Model::AshikhminShirley,
     ];
 
     /// Surfaces of every model, smooth and rough, isotropic and not where the model can.
     fn appearances() -> impl Iterator<Item = Appearance> {
-        let surface = |model, x, y| Appearance {
-            diffuse: Vec3::new(0.3, 0.2, 0.1),
-            specular: Vec3::new(0.5, 0.6, 0.7),
-            model,
-            alpha: Vec2::new(x, y),
-        };
+        let base = Vec3::new(0.3, 0.2, 0.1);
+        let reflection =
+            |model, x, y| Reflection::new(model, Vec3::new(0.5, 0.6, 0.7), Vec2::new(x, y));
+        let surface = move |model, x, y| Appearance::new(base, &[reflection(model, x, y)]);
         let diffuse = surface(Model::None, 1.0, 1.0);
-        std::iter::once(diffuse).chain(MODELS.into_iter().flat_map(move |model| {
-            let alphas = match model {
-                Model::BlinnPhong => [(4.0, 4.0), (40.0, 40.0)],
-                Model::CookTorrance => [(0.15, 0.15), (0.6, 0.6)],
-                _ => [(0.15, 0.5), (0.6, 0.6)],
-            };
-            alphas.map(|(x, y)| surface(model, x, y))
-        }))
+        let mixed = Appearance::new(
+            base,
+            &[
+                reflection(Model::Ggx, 0.1, 0.3),
+                Reflection {
+                    grazing: Vec3::splat(0.4),
+                    ..reflection(Model::CookTorrance, 0.4, 0.4)
+                },
+                reflection(Model::Ward, 0.2, 0.2),
+            ],
+        );
+        [diffuse, mixed]
+            .into_iter()
+            .chain(MODELS.into_iter().flat_map(move |model| {
+                let alphas = match model {
+                    Model::BlinnPhong => [(4.0, 4.0), (40.0, 40.0)],
+                    Model::CookTorrance => [(0.15, 0.15), (0.6, 0.6)],
+                    _ => [(0.15, 0.5), (0.6, 0.6)],
+                };
+                alphas.map(|(x, y)| surface(model, x, y))
+            }))
     }
 
     fn views() -> impl Iterator<Item = Vec3> {
@@ -359,12 +422,8 @@ mod tests {
 
     /// Albedo of a white surface by sampling.
     fn albedo(model: Model, alpha: f32, diffuse: f32, wo: Vec3) -> f64 {
-        let appearance = Appearance {
-            diffuse: Vec3::splat(diffuse),
-            specular: Vec3::ONE,
-            model,
-            alpha: Vec2::splat(alpha),
-        };
+        let reflection = Reflection::new(model, Vec3::ONE, Vec2::splat(alpha));
+        let appearance = Appearance::new(Vec3::splat(diffuse), &[reflection]);
         let sum: f64 = draws(DRAWS)
             .filter_map(|u| sample(&appearance, wo, u))
             .map(|wi| {
@@ -385,6 +444,7 @@ mod tests {
             (Model::Ward, [0.02, 0.2, 1.0], 1.0),
             (Model::CookTorrance, [0.02, 0.2, 1.0], 1.0),
             (Model::Ggx, [0.02, 0.2, 1.0], 1.0),
+            (Model::AshikhminShirley, [0.02, 0.2, 1.0], 1.0),
         ];
         for (model, alphas, bound) in bounds {
             for alpha in alphas {
@@ -407,15 +467,22 @@ mod tests {
     fn a_white_furnace_is_white() {
         for wo in views() {
             // Smooth enough that no light is lost to masking.
-            for (model, alpha) in [
-                (Model::Ward, 0.02),
-                (Model::CookTorrance, 0.02),
-                (Model::Ggx, 0.02),
+            const ALPHA: f32 = 0.02;
+            // Ashikhmin-Shirley's 1 / max(n·i, n·o) loses the mean of 1 − n·i / n·o where that
+            // is positive. A half vector tilted by δ in the plane of incidence, of variance
+            // α²/2, changes n·i / n·o by −2δ tan θ: it is α tan θ / √π, to first order in α.
+            let tangent = wo.truncate().length() / wo.z;
+            let lost = f64::from(ALPHA * tangent / PI.sqrt());
+            for (model, expected) in [
+                (Model::Ward, 1.0),
+                (Model::CookTorrance, 1.0),
+                (Model::Ggx, 1.0),
+                (Model::AshikhminShirley, 1.0 - lost),
             ] {
-                let found = albedo(model, alpha, 0.0, wo);
+                let found = albedo(model, ALPHA, 0.0, wo);
                 assert!(
-                    (found - 1.0).abs() < INTEGRAL_TOLERANCE,
-                    "{model:?} {wo}: {found}"
+                    (found - expected).abs() < INTEGRAL_TOLERANCE,
+                    "{model:?} {wo}: {found}, not {expected}"
                 );
             }
             let found = albedo(Model::None, 1.0, 1.0, wo);

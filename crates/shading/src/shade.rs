@@ -37,16 +37,20 @@ pub fn product_lobes(
         return;
     }
     let diffuse = point.appearance.diffuse * FRAC_1_PI;
-    let specular = brdf::specular_lobes(point);
-    for light in lights {
-        if diffuse != Vec3::ZERO {
+    if diffuse != Vec3::ZERO {
+        for light in lights {
             visit(SphericalGaussian {
                 amplitude: light.amplitude * diffuse,
                 ..*light
             });
         }
-        for lobe in specular.as_slice() {
-            visit(light.product(lobe));
+    }
+    for reflection in point.appearance.reflections() {
+        let specular = brdf::specular_lobes(point, reflection);
+        for light in lights {
+            for lobe in specular.as_slice() {
+                visit(light.product(lobe));
+            }
         }
     }
 }
@@ -87,8 +91,9 @@ pub fn gpu_tables() -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::accuracy::local_point;
     use crate::reference;
-    use crate::surface::{Appearance, Model};
+    use crate::surface::{Appearance, Model, Reflection};
     use glam::Vec2;
     use std::f32::consts::PI;
 
@@ -136,24 +141,17 @@ mod tests {
             (Model::Ggx, 0.08, 0.08),
             (Model::Ggx, 0.3, 0.3),
             (Model::Ggx, 0.1, 0.4),
+            (Model::AshikhminShirley, 0.1, 0.3),
         ];
         for (model, x, y) in surfaces {
             for (degrees, azimuth) in [(10f32, 0.4f32), (45.0, 2.0), (65.0, -1.0)] {
                 let (sin, cos) = degrees.to_radians().sin_cos();
-                points.push(SurfacePoint {
-                    position: Vec3::ZERO,
-                    geometric_normal: Vec3::Z,
-                    normal: Vec3::Z,
-                    tangent: Vec3::X,
-                    bitangent: Vec3::Y,
-                    view: Vec3::new(sin * azimuth.cos(), sin * azimuth.sin(), cos),
-                    appearance: Appearance {
-                        diffuse: Vec3::new(0.2, 0.3, 0.4),
-                        specular: Vec3::new(0.6, 0.5, 0.4),
-                        model,
-                        alpha: Vec2::new(x, y),
-                    },
-                });
+                let color = Vec3::new(0.6, 0.5, 0.4);
+                let reflection = Reflection::new(model, color, Vec2::new(x, y));
+                points.push(local_point(
+                    Appearance::new(Vec3::new(0.2, 0.3, 0.4), &[reflection]),
+                    Vec3::new(sin * azimuth.cos(), sin * azimuth.sin(), cos),
+                ));
             }
         }
         points
@@ -198,7 +196,7 @@ mod tests {
                 let found = shade(point, &lights, &Uniform(PI), &method);
                 println!(
                     "{:?} {:?}: {found} for {exact}",
-                    point.appearance.model, point.view
+                    point.appearance.reflections[0].model, point.view
                 );
                 (found, exact)
             })
@@ -230,8 +228,8 @@ mod tests {
                 let mut point = points()[0];
                 point.view = Vec3::new(sin * azimuth.cos(), sin * azimuth.sin(), cos);
                 point.appearance.diffuse = Vec3::ZERO;
-                point.appearance.model = model;
-                point.appearance.alpha = Vec2::new(x, y);
+                point.appearance.reflections[0].model = model;
+                point.appearance.reflections[0].alpha = Vec2::new(x, y);
                 let mut exact = Vec3::ZERO;
                 for i in 0..DRAWS {
                     let u = [0.0, 0.754_877_7, 0.569_840_3].map(|step| (i as f32 * step).fract());

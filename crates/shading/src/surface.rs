@@ -5,7 +5,13 @@
 //! repeated, texel centres at (i + ½)/N, v down, sRGB decoded per texel before filtering.
 
 use glam::{Vec2, Vec3, Vec4, Vec4Swizzles as _};
-use relight_format::{Scene, Specular, Surface, Texture, TextureEncoding, TextureSlot, Vertex};
+pub use relight_format::MAX_REFLECTIONS;
+use relight_format::{
+    Blend, FittedLobe, Layer, Material, Scene, Specular, Surface, Texture, TextureEncoding,
+    TextureSlot, Vertex,
+};
+
+use crate::reference::schlick;
 
 /// Smallest roughness that is shaded, on the scale of GGX alpha. Its lobe falls to a third
 /// within 0.04 rad, little more than a texel of a 128 × 128 visibility bitmap.
@@ -31,21 +37,252 @@ pub enum Model {
     CookTorrance = 3,
     /// GGX distribution, Smith masking, Schlick's Fresnel.
     Ggx = 4,
+    /// Ashikhmin-Shirley's specular term, Schlick's Fresnel.
+    AshikhminShirley = 5,
 }
 
-/// Reflectance at one point, textures applied and parameters clamped to what is shaded.
+/// One specular reflection, textures applied and parameters clamped to what is shaded.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reflection {
+    /// The model.
+    pub model: Model,
+    /// Models with Fresnel: colour at normal incidence. Blinn-Phong and Ward: specular
+    /// albedo. Linear Rec.709.
+    pub specular: Vec3,
+    /// Models with Fresnel: colour at grazing incidence, white unless fitted or part of a
+    /// mixture.
+    pub grazing: Vec3,
+    /// Roughness along tangent and bitangent, [`MIN_ALPHA`] to 1; that of Ashikhmin-Shirley
+    /// with exponents n is √(2/n). Blinn-Phong: the exponent, 1 to [`MAX_EXPONENT`], in both.
+    pub alpha: Vec2,
+}
+
+impl Reflection {
+    /// None.
+    pub const NONE: Self = Self {
+        model: Model::None,
+        specular: Vec3::ZERO,
+        grazing: Vec3::ZERO,
+        alpha: Vec2::ONE,
+    };
+
+    /// A reflection that goes to white at grazing incidence, if its model has Fresnel.
+    pub fn new(model: Model, specular: Vec3, alpha: Vec2) -> Self {
+        Self {
+            model,
+            specular,
+            grazing: Vec3::ONE,
+            alpha,
+        }
+    }
+
+    /// Colour of the reflection about a half vector at `cosine` = h·o.
+    pub fn color(&self, cosine: f32) -> Vec3 {
+        if self.has_fresnel() {
+            self.specular + (self.grazing - self.specular) * schlick(cosine)
+        } else {
+            self.specular
+        }
+    }
+
+    /// Whether the model's colour changes towards grazing incidence.
+    pub(crate) fn has_fresnel(&self) -> bool {
+        matches!(
+            self.model,
+            Model::CookTorrance | Model::Ggx | Model::AshikhminShirley
+        )
+    }
+
+    fn scale(&mut self, by: Vec3) {
+        self.specular *= by;
+        self.grazing *= by;
+    }
+
+    /// The reflection with its roughness within what is shaded.
+    fn clamped(self) -> Self {
+        let (low, high) = if self.model == Model::BlinnPhong {
+            (1.0, MAX_EXPONENT)
+        } else {
+            (MIN_ALPHA, 1.0)
+        };
+        Self {
+            alpha: self.alpha.clamp(Vec2::splat(low), Vec2::splat(high)),
+            ..self
+        }
+    }
+}
+
+/// Reflectance at one point: a Lambertian base plus the sum of some specular reflections.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Appearance {
     /// Lambertian albedo, linear Rec.709.
     pub diffuse: Vec3,
-    /// Cook-Torrance and GGX: reflectance at normal incidence. Blinn-Phong and Ward:
-    /// specular albedo. Linear Rec.709.
-    pub specular: Vec3,
-    /// Specular model.
-    pub model: Model,
-    /// Roughness along tangent and bitangent, [`MIN_ALPHA`] to 1. Blinn-Phong: the
-    /// exponent, 1 to [`MAX_EXPONENT`], in both.
-    pub alpha: Vec2,
+    /// The reflections; those behind the last one in use are [`Reflection::NONE`].
+    pub reflections: [Reflection; MAX_REFLECTIONS],
+}
+
+impl Appearance {
+    /// A base and at most [`MAX_REFLECTIONS`] reflections.
+    ///
+    /// # Panics
+    /// If there are more.
+    pub fn new(diffuse: Vec3, reflections: &[Reflection]) -> Self {
+        let mut all = [Reflection::NONE; MAX_REFLECTIONS];
+        all[..reflections.len()].copy_from_slice(reflections);
+        Self {
+            diffuse,
+            reflections: all,
+        }
+    }
+
+    /// The reflections in use.
+    pub fn reflections(&self) -> impl Iterator<Item = &Reflection> {
+        self.reflections
+            .iter()
+            .filter(|reflection| reflection.model != Model::None)
+    }
+}
+
+/// How a reflection joins those before it. The values are those of `Layer::join` on the
+/// GPU.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u32)]
+pub enum Join {
+    /// Added: a further lobe of the same layer.
+    Add = 0,
+    /// [`Blend::Over`].
+    Over = 1,
+    /// [`Blend::Coat`].
+    Coat = 2,
+}
+
+/// One reflection of a material before textures, with the base that comes with it.
+#[derive(Clone, Copy, Debug)]
+pub struct LayerParameters<'a> {
+    /// Lambertian albedo.
+    pub diffuse: Vec3,
+    /// The reflection, not clamped.
+    pub reflection: Reflection,
+    /// Coverage before its texture.
+    pub weight: f32,
+    /// How it joins those before it.
+    pub join: Join,
+    /// Multiplies `diffuse`.
+    pub diffuse_texture: Option<&'a TextureSlot>,
+    /// Multiplies the reflection's `specular`.
+    pub specular_texture: Option<&'a TextureSlot>,
+    /// R and G multiply the roughnesses.
+    pub roughness_texture: Option<&'a TextureSlot>,
+    /// R multiplies `weight`.
+    pub weight_texture: Option<&'a TextureSlot>,
+}
+
+/// Visits the reflections of a material from the bottom up, at most [`MAX_REFLECTIONS`];
+/// none of a metallic-roughness surface.
+pub fn visit_layers<'a>(material: &'a Material, mut visit: impl FnMut(LayerParameters<'a>)) {
+    let mut visit_layer = |layer: LayerParameters<'a>, specular: &'a Specular| match specular {
+        Specular::Lobes { lobes, .. } => {
+            for (index, lobe) in lobes.iter().enumerate() {
+                let reflection = fitted_reflection(lobe);
+                visit(if index == 0 {
+                    LayerParameters {
+                        reflection,
+                        ..layer
+                    }
+                } else {
+                    LayerParameters {
+                        diffuse: Vec3::ZERO,
+                        join: Join::Add,
+                        reflection,
+                        ..layer
+                    }
+                });
+            }
+        }
+        single => visit(LayerParameters {
+            reflection: single_reflection(single),
+            ..layer
+        }),
+    };
+    let plain = |diffuse: &[f32; 3]| LayerParameters {
+        diffuse: Vec3::from(*diffuse),
+        reflection: Reflection::NONE,
+        weight: 1.0,
+        join: Join::Over,
+        diffuse_texture: None,
+        specular_texture: None,
+        roughness_texture: None,
+        weight_texture: None,
+    };
+    match &material.surface {
+        Surface::MetallicRoughness { .. } => {}
+        Surface::Layered { diffuse, specular } => visit_layer(
+            LayerParameters {
+                diffuse_texture: material.base_color_texture.as_ref(),
+                ..plain(diffuse)
+            },
+            specular,
+        ),
+        Surface::Layers { layers } => {
+            for Layer {
+                diffuse,
+                specular,
+                weight,
+                blend,
+                diffuse_texture,
+                specular_texture,
+                roughness_texture,
+                weight_texture,
+            } in layers
+            {
+                let parameters = LayerParameters {
+                    weight: *weight,
+                    join: match blend {
+                        Blend::Over => Join::Over,
+                        Blend::Coat => Join::Coat,
+                    },
+                    diffuse_texture: diffuse_texture.as_ref(),
+                    specular_texture: specular_texture.as_ref(),
+                    roughness_texture: roughness_texture.as_ref(),
+                    weight_texture: weight_texture.as_ref(),
+                    ..plain(diffuse)
+                };
+                visit_layer(parameters, specular);
+            }
+        }
+    }
+}
+
+/// The reflection of one lobe of a fitted BRDF, not clamped.
+pub fn fitted_reflection(lobe: &FittedLobe) -> Reflection {
+    Reflection {
+        grazing: lobe.f90.into(),
+        ..Reflection::new(
+            Model::CookTorrance,
+            lobe.f0.into(),
+            Vec2::splat(lobe.roughness),
+        )
+    }
+}
+
+/// The reflection of a model that has but one, not clamped.
+fn single_reflection(specular: &Specular) -> Reflection {
+    let (model, color, alpha) = match specular {
+        Specular::None | Specular::Lobes { .. } => return Reflection::NONE,
+        Specular::BlinnPhong { specular, exponent } => {
+            (Model::BlinnPhong, specular, [*exponent; 2])
+        }
+        Specular::Ward { specular, alpha } => (Model::Ward, specular, *alpha),
+        Specular::CookTorrance { f0, roughness } => (Model::CookTorrance, f0, [*roughness; 2]),
+        Specular::Ggx { f0, alpha } => (Model::Ggx, f0, *alpha),
+        Specular::Measured { f0, alpha, .. } => (Model::Ggx, f0, [*alpha; 2]),
+        Specular::AshikhminShirley { f0, exponents } => (
+            Model::AshikhminShirley,
+            f0,
+            exponents.map(|exponent| (2.0 / exponent).sqrt()),
+        ),
+    };
+    Reflection::new(model, Vec3::from(*color), alpha.into())
 }
 
 /// A point of a surface and how it reflects towards the eye.
@@ -109,15 +346,12 @@ pub fn surface_point(
     let uv = interpolate(|vertex| Vec2::from(vertex.uv).extend(0.0).extend(0.0)).xy();
     let [pa, pb, pc] = [a, b, c].map(|vertex| Vec3::from(vertex.position));
     let geometric_normal = unit_or((pb - pa).cross(pc - pa), Vec3::Y);
-    let sample = |slot: &Option<TextureSlot>| {
-        slot.as_ref()
-            .map(|slot| sample_slot(&scene.textures[slot.texture as usize], slot, uv))
-    };
+    let sample = |slot: &TextureSlot| sample_slot(&scene.textures[slot.texture as usize], slot, uv);
 
     let mut normal = unit_or(vertex_normal, geometric_normal);
     let mut tangent = orthogonal_unit(vertex_tangent.xyz(), normal);
     let handedness = if vertex_tangent.w < 0.0 { -1.0 } else { 1.0 };
-    if let Some(texel) = sample(&material.normal_texture) {
+    if let Some(texel) = material.normal_texture.as_ref().map(sample) {
         let mapped = texel.xyz() * 2.0 - 1.0;
         let bitangent = normal.cross(tangent) * handedness;
         let scaled = tangent * (mapped.x * material.normal_scale)
@@ -127,70 +361,78 @@ pub fn surface_point(
         tangent = orthogonal_unit(tangent, normal);
     }
 
-    let color_factor = sample(&material.base_color_texture).map_or(Vec3::ONE, Vec4::xyz);
-    let appearance = match &material.surface {
-        Surface::MetallicRoughness {
-            base_color,
-            metallic,
-            roughness,
-            anisotropy_strength,
-            anisotropy_rotation,
-        } => {
-            let base_color = Vec3::from(*base_color) * color_factor;
-            let factors = sample(&material.metallic_roughness_texture).unwrap_or(Vec4::ONE);
-            let metallic = metallic * factors.z;
-            let roughness = roughness * factors.y;
-            let alpha = roughness * roughness;
-            let mut strength = *anisotropy_strength;
-            let mut direction = Vec2::X;
-            if let Some(texel) = sample(&material.anisotropy_texture) {
-                strength *= texel.z;
-                direction = texel.xy() * 2.0 - 1.0;
-                if direction.length_squared() < DEGENERATE_LENGTH_SQUARED {
-                    direction = Vec2::X;
-                }
-            }
-            if strength > 0.0 {
-                let (sin, cos) = anisotropy_rotation.sin_cos();
-                let rotated = Vec2::new(
-                    direction.x * cos - direction.y * sin,
-                    direction.x * sin + direction.y * cos,
-                );
-                let bitangent = normal.cross(tangent) * handedness;
-                tangent = unit_or(tangent * rotated.x + bitangent * rotated.y, tangent);
-            }
-            Appearance {
-                diffuse: base_color * (1.0 - metallic),
-                specular: Vec3::splat(DIELECTRIC_F0).lerp(base_color, metallic),
-                model: Model::Ggx,
-                alpha: Vec2::new(alpha + (1.0 - alpha) * strength * strength, alpha),
-            }
-        }
-        Surface::Layered { diffuse, specular } => {
-            let (specular, model, alpha) = match specular {
-                Specular::None => ([0.0; 3], Model::None, [1.0; 2]),
-                Specular::BlinnPhong { specular, exponent } => {
-                    (*specular, Model::BlinnPhong, [*exponent; 2])
-                }
-                Specular::Ward { specular, alpha } => (*specular, Model::Ward, *alpha),
-                Specular::CookTorrance { f0, roughness } => {
-                    (*f0, Model::CookTorrance, [*roughness; 2])
-                }
-                Specular::Ggx { f0, alpha } => (*f0, Model::Ggx, *alpha),
-                Specular::Measured { f0, alpha, .. } => (*f0, Model::Ggx, [*alpha; 2]),
-            };
-            Appearance {
-                diffuse: Vec3::from(*diffuse) * color_factor,
-                specular: specular.into(),
-                model,
-                alpha: alpha.into(),
-            }
-        }
+    let view = unit_or(eye - position, normal);
+    // Direction of anisotropy relative to the tangent, and its strength.
+    let anisotropy = material.anisotropy_texture.as_ref().map(|slot| {
+        let texel = sample(slot);
+        let direction = texel.xy() * 2.0 - 1.0;
+        let degenerate = direction.length_squared() < DEGENERATE_LENGTH_SQUARED;
+        (if degenerate { Vec2::X } else { direction }, texel.z)
+    });
+    let turn = |tangent: Vec3, direction: Vec2| {
+        let bitangent = normal.cross(tangent) * handedness;
+        unit_or(tangent * direction.x + bitangent * direction.y, tangent)
     };
-    let (low, high) = if appearance.model == Model::BlinnPhong {
-        (1.0, MAX_EXPONENT)
+    let appearance = if let Surface::MetallicRoughness {
+        base_color,
+        metallic,
+        roughness,
+        anisotropy_strength,
+        anisotropy_rotation,
+    } = &material.surface
+    {
+        let color = material.base_color_texture.as_ref().map(sample);
+        let base_color = Vec3::from(*base_color) * color.map_or(Vec3::ONE, Vec4::xyz);
+        let factors = material.metallic_roughness_texture.as_ref().map(sample);
+        let factors = factors.unwrap_or(Vec4::ONE);
+        let metallic = metallic * factors.z;
+        let roughness = roughness * factors.y;
+        let alpha = roughness * roughness;
+        let (direction, factor) = anisotropy.unwrap_or((Vec2::X, 1.0));
+        let strength = anisotropy_strength * factor;
+        if strength > 0.0 {
+            let rotated = Vec2::from_angle(*anisotropy_rotation).rotate(direction);
+            tangent = turn(tangent, rotated);
+        }
+        let reflection = Reflection::new(
+            Model::Ggx,
+            Vec3::splat(DIELECTRIC_F0).lerp(base_color, metallic),
+            Vec2::new(alpha + (1.0 - alpha) * strength * strength, alpha),
+        );
+        Appearance::new(base_color * (1.0 - metallic), &[reflection.clamped()])
     } else {
-        (MIN_ALPHA, 1.0)
+        if let (Some((direction, _)), Surface::Layers { .. }) = (anisotropy, &material.surface) {
+            tangent = turn(tangent, direction);
+        }
+        let mut appearance = Appearance::new(Vec3::ZERO, &[]);
+        let mut count = 0;
+        visit_layers(material, |layer| {
+            let factor = |slot: Option<&TextureSlot>| slot.map_or(Vec4::ONE, sample);
+            let weight = layer.weight * factor(layer.weight_texture).x;
+            let diffuse = layer.diffuse * factor(layer.diffuse_texture).xyz();
+            let mut reflection = layer.reflection;
+            reflection.specular *= factor(layer.specular_texture).xyz();
+            let roughness = factor(layer.roughness_texture).xy();
+            match reflection.model {
+                Model::BlinnPhong => reflection.alpha /= (roughness.x * roughness.x).max(1e-12),
+                Model::CookTorrance => reflection.alpha *= roughness.x,
+                _ => reflection.alpha *= roughness,
+            }
+            let below = match layer.join {
+                Join::Add => Vec3::ONE,
+                Join::Over => Vec3::splat(1.0 - weight),
+                // Colours above 1 pass nothing.
+                Join::Coat => (1.0 - weight * reflection.color(normal.dot(view))).max(Vec3::ZERO),
+            };
+            appearance.diffuse = appearance.diffuse * below + diffuse * weight;
+            for lower in &mut appearance.reflections[..count] {
+                lower.scale(below);
+            }
+            reflection.scale(Vec3::splat(weight));
+            appearance.reflections[count] = reflection.clamped();
+            count += 1;
+        });
+        appearance
     };
     SurfacePoint {
         position,
@@ -198,11 +440,8 @@ pub fn surface_point(
         normal,
         tangent,
         bitangent: normal.cross(tangent),
-        view: unit_or(eye - position, normal),
-        appearance: Appearance {
-            alpha: appearance.alpha.clamp(Vec2::splat(low), Vec2::splat(high)),
-            ..appearance
-        },
+        view,
+        appearance,
     }
 }
 
@@ -284,6 +523,7 @@ pub fn wgsl_constants() -> String {
         "const SURFACE_MIN_ALPHA: f32 = {MIN_ALPHA:?};\n\
          const SURFACE_MAX_EXPONENT: f32 = {MAX_EXPONENT:?};\n\
          const SURFACE_DIELECTRIC_F0: f32 = {DIELECTRIC_F0:?};\n\
+         const MAX_REFLECTIONS: u32 = {MAX_REFLECTIONS}u;\n\
          const SURFACE_DEGENERATE_LENGTH_SQUARED: f32 = {DEGENERATE_LENGTH_SQUARED:?};\n"
     )
 }
@@ -291,9 +531,7 @@ pub fn wgsl_constants() -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use relight_format::{
-        BakeReport, Cluster, Material, Representation, Triangle, VisibilityParameters,
-    };
+    use relight_format::{BakeReport, Cluster, Representation, Triangle, VisibilityParameters};
 
     /// A few roundings of numbers of order 1.
     const ROUNDING: f32 = 1e-5;
@@ -408,13 +646,14 @@ mod tests {
         assert!(point.position.distance(Vec3::new(0.25, 0.5, 0.0)) < ROUNDING);
         assert!(point.view.distance((EYE - point.position).normalize()) < ROUNDING);
         assert_frame(&point);
-        let appearance = point.appearance;
-        assert!(appearance.diffuse.distance(Vec3::new(0.6, 0.45, 0.3)) < ROUNDING);
-        assert!(appearance.specular.distance(Vec3::new(0.23, 0.18, 0.13)) < ROUNDING);
+        let reflection = point.appearance.reflections[0];
+        assert!(point.appearance.diffuse.distance(Vec3::new(0.6, 0.45, 0.3)) < ROUNDING);
+        assert!(reflection.specular.distance(Vec3::new(0.23, 0.18, 0.13)) < ROUNDING);
         assert_eq!(
-            (appearance.model, appearance.alpha),
-            (Model::Ggx, Vec2::splat(0.25))
+            (reflection.model, reflection.alpha, reflection.grazing),
+            (Model::Ggx, Vec2::splat(0.25), Vec3::ONE)
         );
+        assert_eq!(point.appearance.reflections().count(), 1);
     }
 
     #[test]
@@ -434,6 +673,7 @@ mod tests {
         let alpha = |surface| {
             at(&scene(material(surface), vec![]), 0.1, 0.1)
                 .appearance
+                .reflections[0]
                 .alpha
         };
         assert_eq!(alpha(mirror), Vec2::new(MIN_ALPHA, 0.5));
@@ -529,8 +769,7 @@ mod tests {
                 < ROUNDING
         );
         assert!(
-            point
-                .appearance
+            point.appearance.reflections[0]
                 .alpha
                 .distance(Vec2::new(0.25 + 0.75 * 0.64, 0.25))
                 < ROUNDING
@@ -545,8 +784,156 @@ mod tests {
         let expected = Vec3::new(-(0.5f32.sin()), 0.5f32.cos(), 0.0);
         // A byte cannot hold a direction component of exactly 0.
         assert!(point.tangent.distance(expected) < 5e-3, "{}", point.tangent);
-        let isotropic = direction([128, 255, 0, 255]).appearance.alpha;
+        let isotropic = direction([128, 255, 0, 255]).appearance.reflections[0].alpha;
         assert_eq!(isotropic, Vec2::splat(0.25));
+    }
+
+    fn layer(diffuse: f32, specular: Specular, weight: f32, blend: Blend) -> Layer {
+        Layer {
+            diffuse: [diffuse; 3],
+            specular,
+            weight,
+            blend,
+            diffuse_texture: None,
+            specular_texture: None,
+            roughness_texture: None,
+            weight_texture: None,
+        }
+    }
+
+    fn ggx(f0: f32, alpha: f32) -> Specular {
+        Specular::Ggx {
+            f0: [f0; 3],
+            alpha: [alpha; 2],
+        }
+    }
+
+    #[test]
+    fn a_stain_mixes_where_its_texture_says() {
+        let mut stain = layer(0.1, ggx(0.2, 0.1), 0.8, Blend::Over);
+        stain.weight_texture = Some(slot(IDENTITY));
+        let lobes = Specular::Lobes {
+            path: String::new(),
+            lobes: [0.3, 0.6]
+                .map(|roughness| FittedLobe {
+                    f0: [0.5; 3],
+                    f90: [0.25; 3],
+                    roughness,
+                })
+                .to_vec(),
+        };
+        let base = layer(0.5, lobes, 1.0, Blend::Over);
+        let surface = Surface::Layers {
+            layers: vec![base, stain],
+        };
+        let texels = [[0, 9, 9, 9], [255, 9, 9, 9]];
+        let texture = texture(2, TextureEncoding::Linear, &texels);
+        let scene = scene(material(surface), vec![texture]);
+        for (u, weight) in [(0.25, 0.0), (0.5, 0.4), (0.75, 0.8)] {
+            let appearance = at(&scene, u, 0.0).appearance;
+            assert!((appearance.diffuse.x - (0.5 - 0.4 * weight)).abs() < ROUNDING);
+            let expected = [
+                (
+                    Model::CookTorrance,
+                    0.5 * (1.0 - weight),
+                    0.25 * (1.0 - weight),
+                    0.3,
+                ),
+                (
+                    Model::CookTorrance,
+                    0.5 * (1.0 - weight),
+                    0.25 * (1.0 - weight),
+                    0.6,
+                ),
+                (Model::Ggx, 0.2 * weight, weight, 0.1),
+            ];
+            let mut count = 0;
+            for (found, (model, specular, grazing, alpha)) in appearance.reflections().zip(expected)
+            {
+                assert_eq!((found.model, found.alpha.x), (model, alpha));
+                assert!((found.specular.y - specular).abs() < ROUNDING, "u = {u}");
+                assert!((found.grazing.y - grazing).abs() < ROUNDING, "u = {u}");
+                count += 1;
+            }
+            assert_eq!(count, 3);
+        }
+    }
+
+    #[test]
+    fn a_coat_dims_what_is_below_by_what_it_reflects() {
+        let base = layer(0.5, ggx(0.9, 0.4), 1.0, Blend::Over);
+        let coat = layer(0.0, ggx(0.04, 0.05), 0.5, Blend::Coat);
+        let surface = Surface::Layers {
+            layers: vec![base, coat],
+        };
+        let point = at(&scene(material(surface), vec![]), 0.2, 0.3);
+        let cosine = point.normal.dot(point.view);
+        let below = 1.0 - 0.5 * (0.04 + 0.96 * (1.0 - cosine).powi(5));
+        let [lower, upper, ..] = point.appearance.reflections;
+        for (found, expected) in [
+            (point.appearance.diffuse.x, 0.5 * below),
+            (lower.specular.x, 0.9 * below),
+            (lower.grazing.x, below),
+            (upper.specular.x, 0.02),
+            (upper.grazing.x, 0.5),
+        ] {
+            assert!(
+                (found - expected).abs() < ROUNDING,
+                "{found}, not {expected}"
+            );
+        }
+    }
+
+    #[test]
+    fn textures_vary_colour_and_roughness_of_a_layer() {
+        let slots = [0, 1].map(|texture| TextureSlot {
+            texture,
+            transform: IDENTITY,
+        });
+        let textures = [[51, 102, 255, 255], [128, 64, 0, 255]]
+            .map(|texel| texture(1, TextureEncoding::Linear, &[texel]))
+            .to_vec();
+        let reflection = |specular| {
+            let surface = Surface::Layers {
+                layers: vec![Layer {
+                    diffuse_texture: Some(slots[0]),
+                    specular_texture: Some(slots[0]),
+                    roughness_texture: Some(slots[1]),
+                    ..layer(0.5, specular, 1.0, Blend::Over)
+                }],
+            };
+            let appearance = at(&scene(material(surface), textures.clone()), 0.2, 0.2).appearance;
+            assert!(appearance.diffuse.distance(Vec3::new(0.1, 0.2, 0.5)) < ROUNDING);
+            let specular = appearance.reflections[0].specular;
+            assert!(specular.distance(Vec3::new(0.08, 0.16, 0.4)) < ROUNDING);
+            appearance.reflections[0].alpha
+        };
+        let (r, g) = (128.0 / 255.0, 64.0 / 255.0);
+        let f0 = [0.4; 3];
+        for (specular, expected) in [
+            (ggx(0.4, 0.5), Vec2::new(0.5 * r, 0.5 * g)),
+            (
+                Specular::CookTorrance { f0, roughness: 0.5 },
+                Vec2::splat(0.5 * r),
+            ),
+            (
+                Specular::BlinnPhong {
+                    specular: f0,
+                    exponent: 10.0,
+                },
+                Vec2::splat(10.0 / (r * r)),
+            ),
+            (
+                Specular::AshikhminShirley {
+                    f0,
+                    exponents: [8.0, 2.0],
+                },
+                Vec2::new(0.5 * r, g),
+            ),
+        ] {
+            let found = reflection(specular);
+            assert!(found.distance(expected) < 1e-3, "{found}, not {expected}");
+        }
     }
 
     #[test]

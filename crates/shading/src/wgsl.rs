@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use crate::surface::Model;
+use crate::surface::{Join, Model};
 use crate::{brdf, gpu, polar, shade, spherical_gaussian, surface, tables, tonemap};
 
 /// What a shader module is for.
@@ -68,11 +68,16 @@ fn constants() -> String {
             gpu::SURFACE_METALLIC_ROUGHNESS,
         ),
         ("SURFACE_LAYERED", gpu::SURFACE_LAYERED),
+        ("SURFACE_LAYERS", gpu::SURFACE_LAYERS),
         ("MODEL_NONE", Model::None as u32),
         ("MODEL_BLINN_PHONG", Model::BlinnPhong as u32),
         ("MODEL_WARD", Model::Ward as u32),
         ("MODEL_COOK_TORRANCE", Model::CookTorrance as u32),
         ("MODEL_GGX", Model::Ggx as u32),
+        ("MODEL_ASHIKHMIN_SHIRLEY", Model::AshikhminShirley as u32),
+        ("JOIN_ADD", Join::Add as u32),
+        ("JOIN_OVER", Join::Over as u32),
+        ("JOIN_COAT", Join::Coat as u32),
         ("METHOD_AMBIENT", gpu::METHOD_AMBIENT),
         ("METHOD_POLAR", gpu::METHOD_POLAR),
         ("MAX_TILES", relight_format::MAX_TILES_PER_CLUSTER),

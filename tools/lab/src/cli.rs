@@ -13,7 +13,7 @@ use relight_bake::monitor::{Monitor, Progress};
 use relight_bake::{hdr, scene_input};
 use relight_format::{Camera, Environment, FieldOfView, Limits, Scene};
 use relight_lab::truth::{self, Filter, Geometry, full, lobes};
-use relight_lab::{camera, compare, demo, image_file, render};
+use relight_lab::{camera, compare, demo, experiments, image_file, render};
 use relight_shading::camera::View;
 use relight_shading::polar::PolarOptions;
 use relight_shading::shade::Method;
@@ -66,6 +66,19 @@ enum Command {
     Compare(Compare),
     /// Generate a scene and an environment, bake both, render ambient, polar and truth.
     Demo(Demo),
+    /// Measure one part of the method over a range of parameters.
+    #[command(subcommand)]
+    Experiments(Experiment),
+}
+
+#[derive(Subcommand)]
+enum Experiment {
+    /// Reflection models against the spherical Gaussians they become: brdf.csv.
+    Brdf {
+        /// Folder for the table.
+        #[arg(long)]
+        out: PathBuf,
+    },
 }
 
 #[derive(Args)]
@@ -226,6 +239,7 @@ pub fn run() -> ExitCode {
         Command::Truth(arguments) => run_truth(arguments),
         Command::Compare(arguments) => run_compare(arguments),
         Command::Demo(arguments) => run_demo(arguments, cli.json),
+        Command::Experiments(experiment) => run_experiment(experiment, cli.json),
     };
     match result {
         Ok(report) if cli.json => println!("{report}"),
@@ -433,6 +447,30 @@ fn run_demo(arguments: &Demo, json: bool) -> anyhow::Result<Value> {
         println!("{stage:<18} {seconds:>8.1} s");
     }
     Ok(json!({ "ambient, polar, truth": report.triptych }))
+}
+
+fn run_experiment(experiment: &Experiment, json: bool) -> anyhow::Result<Value> {
+    match experiment {
+        Experiment::Brdf { out } => {
+            let (table, summaries) = experiments::brdf::run(out)?;
+            if json {
+                return Ok(json!({ "table": table, "summaries": summaries }));
+            }
+            println!("model                        lobes  relative L2, to 40°  albedo to 70°, all");
+            for s in summaries {
+                println!(
+                    "{:<28} {:>5}  {:>9.1} % {:>6.1} %  {:>11.2} % {:>5.1} %",
+                    s.name,
+                    s.lobes,
+                    100.0 * s.relative_l2,
+                    100.0 * s.relative_l2_to_40_degrees,
+                    100.0 * s.albedo_error_to_70_degrees,
+                    100.0 * s.albedo_error,
+                );
+            }
+            Ok(json!({ "table": table }))
+        }
+    }
 }
 
 fn read_scene(path: &Path) -> anyhow::Result<Scene> {

@@ -213,7 +213,8 @@ fn scene_input() -> anyhow::Result<SceneInput> {
         spacing: Some(0.06),
         material: None,
     };
-    ground::append(&mut mesh, &options, surface)
+    let material = relight_bake::import::plain_material("ground", surface);
+    ground::append(&mut mesh, &options, material)
         .map_err(|(place, expected, found)| anyhow::anyhow!("{place}: {expected}, {found}"))?;
     Ok(SceneInput {
         name: "demo".into(),

@@ -5,6 +5,7 @@ pub mod camera;
 pub mod compare;
 pub mod demo;
 pub mod display;
+pub mod experiments;
 pub mod image_file;
 pub mod render;
 pub mod truth;

@@ -7,10 +7,10 @@ const RIDGE: f64 = 1e-9;
 
 /// One channel's solution.
 #[derive(Clone, Debug)]
-pub(super) struct Amplitudes {
-    pub(super) values: Vec<f64>,
+pub(crate) struct Amplitudes {
+    pub(crate) values: Vec<f64>,
     /// Lagrange multiplier of the energy.
-    pub(super) multiplier: f64,
+    pub(crate) multiplier: f64,
 }
 
 /// Minimises ½ xᵀ `gram` x − `target`ᵀ x over x ≥ 0 with `energy`ᵀ x = `total`, by the
@@ -19,7 +19,7 @@ pub(super) struct Amplitudes {
 ///
 /// `free` says which amplitudes are greater than 0 at the start (a warm start, as in Bro &
 /// de Jong 1997) and at the end.
-pub(super) fn solve(
+pub(crate) fn solve(
     gram: &DMatrix<f64>,
     target: &DVector<f64>,
     energy: &DVector<f64>,

@@ -5,7 +5,7 @@
 //! per channel. Lobes start from peaks of the residual over scales and are moved together;
 //! then lobes that matter least are started anew where most is missing.
 
-mod amplitude;
+pub(crate) mod amplitude;
 mod level;
 mod lobe;
 mod measure;

@@ -51,7 +51,7 @@ pub struct Mesh {
 }
 
 /// A material without textures.
-pub(crate) fn plain_material(name: &str, surface: format::Surface) -> format::Material {
+pub fn plain_material(name: &str, surface: format::Surface) -> format::Material {
     format::Material {
         name: name.to_owned(),
         surface,
@@ -61,6 +61,20 @@ pub(crate) fn plain_material(name: &str, surface: format::Surface) -> format::Ma
         normal_scale: 1.0,
         anisotropy_texture: None,
     }
+}
+
+/// Reads a texture, to be added to `others`.
+pub(crate) fn texture(
+    path: &Path,
+    encoding: format::TextureEncoding,
+    others: &[format::Texture],
+) -> Result<format::Texture, Error> {
+    let bytes = std::fs::read(path).map_err(|source| Error::read(path, source))?;
+    let mut texels = others
+        .iter()
+        .map(|other| u64::from(other.width) * u64::from(other.height))
+        .sum();
+    image::decode(path, "file", &bytes, encoding, &mut texels)
 }
 
 impl Mesh {
@@ -76,13 +90,7 @@ impl Mesh {
         let mut moved: Vec<Option<u32>> = vec![None; self.textures.len()];
         let mut textures = Vec::new();
         for material in &mut self.materials {
-            let slots = [
-                &mut material.base_color_texture,
-                &mut material.metallic_roughness_texture,
-                &mut material.normal_texture,
-                &mut material.anisotropy_texture,
-            ];
-            for slot in slots.into_iter().flatten() {
+            for slot in material.slots_mut() {
                 let old = slot.texture as usize;
                 slot.texture = *moved[old].get_or_insert_with(|| {
                     textures.push(self.textures[old].clone());

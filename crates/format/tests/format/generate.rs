@@ -1,7 +1,8 @@
 //! Random valid assets.
 
 use relight_format::{
-    BakeReport, Camera, Cluster, Environment, EnvironmentReport, FieldOfView, Lobe, Material,
+    BakeReport, Blend, Camera, Cluster, Environment, EnvironmentReport, FieldOfView, FittedLobe,
+    Layer, Lobe, MAX_FITTED_LOBES, MAX_LAYERS, Material, MaterialAsset, MaterialReport,
     Representation, Scene, Specular, Surface, Texture, TextureEncoding, TextureSlot, Triangle,
     Vertex, VisibilityParameters,
 };
@@ -207,6 +208,32 @@ pub fn full_scene() -> Scene {
         .expect("such scenes are common")
 }
 
+pub fn material_asset(random: &mut Random) -> MaterialAsset {
+    let textures: Vec<_> = (0..random.below(4))
+        .map(|_| {
+            let (width, height) = (1 + random.below(5), 1 + random.below(5));
+            Texture {
+                width: width as u32,
+                height: height as u32,
+                encoding: TextureEncoding::Linear,
+                texels: (0..width * height * 4)
+                    .map(|_| random.bits() as u8)
+                    .collect(),
+            }
+        })
+        .collect();
+    MaterialAsset {
+        report: MaterialReport {
+            source: random.name(),
+            relative_l2: random.unit(),
+            shaded_relative_l2: random.unit(),
+            albedo_error: random.unit(),
+        },
+        material: material(random, textures.len()),
+        textures,
+    }
+}
+
 fn material(random: &mut Random, textures: usize) -> Material {
     let slot = |random: &mut Random| {
         (textures > 0 && random.chance()).then(|| TextureSlot {
@@ -221,11 +248,33 @@ fn material(random: &mut Random, textures: usize) -> Material {
         anisotropy_texture: slot(random),
         normal_scale: random.signed(),
         name: random.name(),
-        surface: surface(random),
+        surface: surface(random, &slot),
     }
 }
 
-fn surface(random: &mut Random) -> Surface {
+fn surface(random: &mut Random, slot: &impl Fn(&mut Random) -> Option<TextureSlot>) -> Surface {
+    if random.chance() {
+        let layers = (0..=random.below(MAX_LAYERS))
+            .map(|_| {
+                let (blend, most_lobes) = if random.chance() {
+                    (Blend::Over, 2)
+                } else {
+                    (Blend::Coat, 1)
+                };
+                Layer {
+                    diffuse: random.color(),
+                    specular: specular(random, most_lobes),
+                    weight: random.unit(),
+                    blend,
+                    diffuse_texture: slot(random),
+                    specular_texture: slot(random),
+                    roughness_texture: slot(random),
+                    weight_texture: slot(random),
+                }
+            })
+            .collect();
+        return Surface::Layers { layers };
+    }
     if random.chance() {
         return Surface::MetallicRoughness {
             base_color: random.color(),
@@ -235,7 +284,14 @@ fn surface(random: &mut Random) -> Surface {
             anisotropy_rotation: random.signed(),
         };
     }
-    let specular = match random.below(6) {
+    Surface::Layered {
+        diffuse: random.color(),
+        specular: specular(random, MAX_FITTED_LOBES),
+    }
+}
+
+fn specular(random: &mut Random, most_lobes: usize) -> Specular {
+    match random.below(8) {
         0 => Specular::None,
         1 => Specular::BlinnPhong {
             specular: random.color(),
@@ -253,14 +309,24 @@ fn surface(random: &mut Random) -> Surface {
             f0: random.color(),
             alpha: [random.unit(), random.unit()],
         },
+        5 => Specular::AshikhminShirley {
+            f0: random.color(),
+            exponents: [2.0 + 1e3 * random.unit(), 2.0 + random.unit()],
+        },
+        6 => Specular::Lobes {
+            path: random.name(),
+            lobes: (0..=random.below(most_lobes))
+                .map(|_| FittedLobe {
+                    f0: random.color(),
+                    f90: random.color(),
+                    roughness: random.unit(),
+                })
+                .collect(),
+        },
         _ => Specular::Measured {
             path: random.name(),
             f0: random.color(),
             alpha: random.unit(),
         },
-    };
-    Surface::Layered {
-        diffuse: random.color(),
-        specular,
     }
 }

@@ -6,10 +6,11 @@
 use std::path::PathBuf;
 
 use relight_format::{
-    BakeReport, Camera, Cluster, Environment, EnvironmentReport, FieldOfView, Limits, Lobe,
-    Material, Representation, Scene, Specular, Surface, Texture, TextureEncoding, TextureSlot,
-    Triangle, VERSION, Vertex, VisibilityParameters, read_environment, read_scene,
-    write_environment, write_scene,
+    BakeReport, Blend, Camera, Cluster, Environment, EnvironmentReport, FieldOfView, FittedLobe,
+    Layer, Limits, Lobe, Material, MaterialAsset, MaterialReport, Representation, Scene, Specular,
+    Surface, Texture, TextureEncoding, TextureSlot, Triangle, VERSION, Vertex,
+    VisibilityParameters, read_environment, read_material, read_scene, write_environment,
+    write_material, write_scene,
 };
 
 use crate::container::File;
@@ -58,6 +59,94 @@ fn environments_of_version_1() {
         content(&frozen) == content(&written),
         "the writer's layout changed"
     );
+}
+
+#[test]
+fn materials_of_version_1() {
+    let written = write_material(&material()).unwrap();
+    let frozen = golden("material.relight", &written);
+    assert_eq!(
+        read_material(&frozen, &Limits::default()).unwrap(),
+        material()
+    );
+    assert!(
+        content(&frozen) == content(&written),
+        "the writer's layout changed"
+    );
+}
+
+/// What scenes of this version did not have at first: layers, both blends, every texture.
+fn material() -> MaterialAsset {
+    let slot = |texture| {
+        Some(TextureSlot {
+            texture,
+            transform: [[2.0, 0.0, 0.5], [0.0, -1.0, 1.0]],
+        })
+    };
+    let lobe = |roughness| FittedLobe {
+        f0: [0.5, 0.25, 0.125],
+        f90: [1.0, 0.75, 0.5],
+        roughness,
+    };
+    let base = Layer {
+        diffuse: [0.75, 0.5, 0.25],
+        specular: Specular::Lobes {
+            path: "métal.binary".to_owned(),
+            lobes: vec![lobe(0.5), lobe(0.125)],
+        },
+        weight: 1.0,
+        blend: Blend::Over,
+        diffuse_texture: slot(0),
+        specular_texture: slot(1),
+        roughness_texture: None,
+        weight_texture: None,
+    };
+    let coat = Layer {
+        diffuse: [0.0; 3],
+        specular: Specular::AshikhminShirley {
+            f0: [0.0625; 3],
+            exponents: [8.0, 512.0],
+        },
+        weight: 0.5,
+        blend: Blend::Coat,
+        diffuse_texture: None,
+        specular_texture: None,
+        roughness_texture: slot(0),
+        weight_texture: slot(1),
+    };
+    MaterialAsset {
+        report: MaterialReport {
+            source: "métal.binary".to_owned(),
+            relative_l2: 0.25,
+            shaded_relative_l2: 0.5,
+            albedo_error: 0.125,
+        },
+        material: Material {
+            name: "métal".to_owned(),
+            surface: Surface::Layers {
+                layers: vec![base, coat],
+            },
+            base_color_texture: None,
+            metallic_roughness_texture: None,
+            normal_texture: slot(1),
+            normal_scale: 0.5,
+            anisotropy_texture: None,
+        },
+        textures: vec![
+            Texture {
+                width: 2,
+                height: 1,
+                encoding: TextureEncoding::Srgb,
+                texels: (0..8).collect(),
+            },
+            Texture {
+                width: 1,
+                height: 1,
+                encoding: TextureEncoding::Linear,
+                texels: (100..104).collect(),
+            },
+        ],
+    }
 }
 
 fn environment() -> Environment {

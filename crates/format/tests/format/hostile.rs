@@ -337,10 +337,9 @@ fn texture_sizes_cannot_wrap() {
     scene.textures[0].height = 1;
     scene.textures[0].texels = vec![1, 2, 3, 4];
     for material in &mut scene.materials {
-        material.base_color_texture = None;
-        material.metallic_roughness_texture = None;
-        material.normal_texture = None;
-        material.anisotropy_texture = None;
+        for slot in material.slots_mut() {
+            slot.texture = 0;
+        }
     }
     scene.report.source_vertices = 0x0123_4567_89ab_cdef;
     let file = File::parse(&write_scene(&scene).unwrap());

@@ -2,8 +2,9 @@
 //! go through the writer; `hostile` shows that the reader calls it too.
 
 use relight_format::{
-    Camera, Environment, FieldOfView, Issue, Limits, Lobe, Scene, SectionKind, Specular, Surface,
-    TextureSlot, read_environment, read_scene, write_environment, write_scene,
+    Blend, Camera, Environment, FieldOfView, FittedLobe, Issue, Layer, Limits, Lobe,
+    MAX_FITTED_LOBES, MAX_LAYERS, Scene, SectionKind, Specular, Surface, TextureSlot,
+    read_environment, read_scene, write_environment, write_scene,
 };
 
 use crate::container::File;
@@ -87,6 +88,26 @@ fn materials() {
     };
     let (specular, f0) = ([0.5; 3], [0.5; 3]);
     let negative = [0.5, -0.1, 0.5];
+    let lobes = |lobes: Vec<FittedLobe>| Specular::Lobes {
+        path: String::new(),
+        lobes,
+    };
+    let lobe = FittedLobe {
+        f0,
+        f90: [1.0; 3],
+        roughness: 0.5,
+    };
+    let layer = |weight| Layer {
+        diffuse: [0.5; 3],
+        specular: lobes(vec![lobe; 3]),
+        weight,
+        blend: Blend::Over,
+        diffuse_texture: None,
+        specular_texture: None,
+        roughness_texture: None,
+        weight_texture: None,
+    };
+    let layers = |layers| Surface::Layers { layers };
     for surface in [
         metallic_roughness([f32::NAN; 3], 0.0, 0.5),
         metallic_roughness([0.5; 3], 1.1, 0.5),
@@ -121,6 +142,36 @@ fn materials() {
             f0,
             alpha: 0.0,
         }),
+        surface(Specular::AshikhminShirley {
+            f0,
+            exponents: [1.5, 10.0],
+        }),
+        surface(lobes(vec![])),
+        surface(lobes(vec![lobe; MAX_FITTED_LOBES + 1])),
+        surface(lobes(vec![FittedLobe {
+            f90: negative,
+            ..lobe
+        }])),
+        surface(lobes(vec![FittedLobe {
+            roughness: 0.0,
+            ..lobe
+        }])),
+        layers(vec![]),
+        layers(vec![layer(1.5)]),
+        layers(vec![layer(f32::NAN)]),
+        layers(vec![Layer {
+            blend: Blend::Coat,
+            ..layer(1.0)
+        }]),
+        // Nine reflections, then five layers.
+        layers(vec![layer(1.0); 3]),
+        layers(vec![
+            Layer {
+                specular: Specular::None,
+                ..layer(1.0)
+            };
+            MAX_LAYERS + 1
+        ]),
     ] {
         assert_rejected(Issue::ValueOutOfRange, SectionKind::Metadata, |scene| {
             scene.materials[0].surface = surface;

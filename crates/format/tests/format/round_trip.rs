@@ -1,11 +1,12 @@
 //! What is written comes back, and from the same value the same bytes.
 
 use relight_format::{
-    Kind, Limits, inspect, read_environment, read_scene, write_environment, write_file, write_scene,
+    Kind, Limits, Surface, TextureSlot, inspect, read_environment, read_material, read_scene,
+    write_environment, write_file, write_material, write_scene,
 };
 
 use crate::container::{File, Section};
-use crate::generate::{Random, environment, scene};
+use crate::generate::{Random, environment, material_asset, scene};
 
 const SEEDS: u64 = 200;
 
@@ -24,6 +25,30 @@ fn random_scenes_come_back() {
         triangles += scene.triangles.len();
     }
     assert!(triangles > 0, "the generator made only empty scenes");
+}
+
+#[test]
+fn random_materials_come_back() {
+    let mut random = Random::new(5);
+    let mut layered = 0;
+    for _ in 0..SEEDS {
+        let asset = material_asset(&mut random);
+        let bytes = write_material(&asset).expect("a valid material");
+        assert_eq!(bytes, write_material(&asset).unwrap());
+        assert_eq!(read_material(&bytes, &Limits::default()).unwrap(), asset);
+        layered += usize::from(matches!(asset.material.surface, Surface::Layers { .. }));
+        for length in (0..bytes.len()).step_by(37) {
+            assert!(read_material(&bytes[..length], &Limits::default()).is_err());
+        }
+        assert!(read_scene(&bytes, &Limits::default()).is_err());
+        let mut without = asset;
+        without.material.normal_texture = Some(TextureSlot {
+            texture: without.textures.len() as u32,
+            transform: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+        });
+        assert!(write_material(&without).is_err());
+    }
+    assert!(layered > 0, "the generator made no layers");
 }
 
 #[test]

@@ -4,7 +4,8 @@ use bytemuck::{Pod, Zeroable};
 use glam::{Vec3, Vec4};
 use libtest_mimic::Failed;
 use relight_format::{
-    Material, Scene, Specular, Surface, Texture, TextureEncoding, TextureSlot, Triangle,
+    Blend, FittedLobe, Layer, Material, Scene, Specular, Surface, Texture, TextureEncoding,
+    TextureSlot, Triangle,
 };
 use relight_runtime::offscreen::Gpu;
 use relight_runtime::wgpu;
@@ -12,7 +13,7 @@ use relight_shading::brdf::{MAX_SPECULAR_LOBES, specular_lobes};
 use relight_shading::camera::View;
 use relight_shading::gpu::{self, pack_scene};
 use relight_shading::shade::gpu_tables;
-use relight_shading::surface::surface_point;
+use relight_shading::surface::{MAX_REFLECTIONS, Reflection, surface_point};
 use relight_shading::wgsl::{Entry, source};
 use wgpu::util::DeviceExt as _;
 
@@ -36,7 +37,9 @@ struct Query {
     triangle: u32,
 }
 
-const WORDS: usize = 5 + 2 * MAX_SPECULAR_LOBES;
+/// Vectors per reflection, and per point.
+const REFLECTION_WORDS: usize = 4 + 2 * MAX_SPECULAR_LOBES;
+const WORDS: usize = 4 + MAX_REFLECTIONS * REFLECTION_WORDS;
 
 pub fn surface_and_lobes_match_twins(gpu: &mut Gpu) -> Result<(), Failed> {
     let scene = scene();
@@ -61,43 +64,50 @@ pub fn surface_and_lobes_match_twins(gpu: &mut Gpu) -> Result<(), Failed> {
             query.barycentrics.into(),
             eye,
         );
-        let lobes = specular_lobes(&point);
-        let appearance = point.appearance;
+        let reflections: Vec<_> = point.appearance.reflections.to_vec();
         let expected = [
-            point.normal.extend(appearance.model as u32 as f32),
-            point.tangent.extend(answer[1].w),
-            point.view.extend(answer[2].w),
-            appearance.diffuse.extend(answer[3].w),
-            appearance.specular.extend(0.0),
+            point.normal.extend(answer[0].w),
+            point.tangent.extend(0.0),
+            point.view.extend(0.0),
+            point.appearance.diffuse.extend(0.0),
         ];
         for (expected, found) in expected.into_iter().zip(answer) {
             worst_surface = worst_surface.max(expected.distance(*found));
         }
-        for (expected, found) in appearance
-            .alpha
-            .to_array()
-            .into_iter()
-            .zip([answer[2].w, answer[3].w])
-        {
-            worst_surface = worst_surface.max((expected / found - 1.0).abs());
-        }
-        lobes_seen += lobes.count;
-        let sum: f32 = lobes
-            .as_slice()
+        let mut error = 0f32;
+        let count = answer[0].w as usize;
+        // A layer without reflection has an entry all the same.
+        assert!(reflections[count..].iter().all(|r| *r == Reflection::NONE));
+        for (reflection, found) in reflections[..count]
             .iter()
-            .map(|lobe| lobe.amplitude.max_element())
-            .sum();
-        let mut error = if answer[1].w == lobes.count as f32 {
-            0f32
-        } else {
-            1.0
-        };
-        for (lobe, found) in lobes.as_slice().iter().zip(answer[5..].chunks_exact(2)) {
-            // How far the axis is off, in units of the lobe's own width.
-            let axis = lobe.axis.distance(found[0].truncate()) * lobe.sharpness.sqrt();
-            let sharpness = (found[0].w / lobe.sharpness - 1.0).abs();
-            let amplitude = lobe.amplitude.distance(found[1].truncate()) / sum;
-            error = error.max(axis).max(sharpness).max(amplitude);
+            .zip(answer[4..].chunks_exact(REFLECTION_WORDS))
+        {
+            let expected = [
+                reflection.specular.extend(reflection.model as u32 as f32),
+                reflection.grazing.extend(found[1].w),
+            ];
+            for (expected, found) in expected.into_iter().zip(found) {
+                worst_surface = worst_surface.max(expected.distance(*found));
+            }
+            let alpha = (found[2].truncate().truncate() / reflection.alpha - 1.0).abs();
+            worst_surface = worst_surface.max(alpha.max_element());
+            let lobes = specular_lobes(&point, reflection);
+            lobes_seen += lobes.count;
+            let sum: f32 = lobes
+                .as_slice()
+                .iter()
+                .map(|lobe| lobe.amplitude.max_element())
+                .sum();
+            if found[1].w != lobes.count as f32 {
+                error = 1.0;
+            }
+            for (lobe, found) in lobes.as_slice().iter().zip(found[4..].chunks_exact(2)) {
+                // How far the axis is off, in units of the lobe's own width.
+                let axis = lobe.axis.distance(found[0].truncate()) * lobe.sharpness.sqrt();
+                let sharpness = (found[0].w / lobe.sharpness - 1.0).abs();
+                let amplitude = lobe.amplitude.distance(found[1].truncate()) / sum;
+                error = error.max(axis).max(sharpness).max(amplitude);
+            }
         }
         if error > LOBE_TOLERANCE {
             different += 1;
@@ -176,47 +186,8 @@ fn scene() -> Scene {
 }
 
 fn material(random: &mut Random) -> Material {
-    let mut color = || [random.unit(), random.unit(), random.unit()];
-    let (base_color, specular) = (color(), color());
-    let mut alpha = || 10f32.powf(-2.0 * random.unit());
-    let (x, y) = (alpha(), alpha());
-    let kind = random.next() % 8;
-    let layered = |specular| Surface::Layered {
-        diffuse: base_color,
-        specular,
-    };
-    let surface = match kind {
-        0 => layered(Specular::None),
-        1 => layered(Specular::BlinnPhong {
-            specular,
-            exponent: 1.0 / (x * x),
-        }),
-        2 => layered(Specular::Ward {
-            specular,
-            alpha: [x, y],
-        }),
-        3 => layered(Specular::CookTorrance {
-            f0: specular,
-            roughness: x,
-        }),
-        4 => layered(Specular::Ggx {
-            f0: specular,
-            alpha: [x, y],
-        }),
-        5 => layered(Specular::Measured {
-            path: String::new(),
-            f0: specular,
-            alpha: x,
-        }),
-        _ => Surface::MetallicRoughness {
-            base_color,
-            metallic: random.unit(),
-            roughness: random.unit(),
-            anisotropy_strength: if kind == 6 { random.unit() } else { 0.0 },
-            anisotropy_rotation: 6.0 * random.unit(),
-        },
-    };
-    let mut slot = || {
+    let color = |random: &mut Random| [random.unit(), random.unit(), random.unit()];
+    let slot = |random: &mut Random| {
         (random.unit() < 0.5).then(|| TextureSlot {
             texture: (random.next() % 4) as u32,
             transform: [
@@ -225,15 +196,86 @@ fn material(random: &mut Random) -> Material {
             ],
         })
     };
+    let kind = random.next() % 4;
+    let surface = match kind {
+        0 => Surface::Layered {
+            diffuse: color(random),
+            specular: specular(random, 7),
+        },
+        1 => Surface::Layers {
+            layers: (0..=random.next() % 4)
+                .map(|_| Layer {
+                    diffuse: color(random),
+                    specular: specular(random, 2),
+                    weight: random.unit(),
+                    blend: if random.unit() < 0.5 {
+                        Blend::Over
+                    } else {
+                        Blend::Coat
+                    },
+                    diffuse_texture: slot(random),
+                    specular_texture: slot(random),
+                    roughness_texture: slot(random),
+                    weight_texture: slot(random),
+                })
+                .collect(),
+        },
+        _ => Surface::MetallicRoughness {
+            base_color: color(random),
+            metallic: random.unit(),
+            roughness: random.unit(),
+            anisotropy_strength: if kind == 2 { random.unit() } else { 0.0 },
+            anisotropy_rotation: 6.0 * random.unit(),
+        },
+    };
     Material {
         name: String::new(),
         surface,
-        base_color_texture: slot(),
-        metallic_roughness_texture: slot(),
-        normal_texture: slot(),
+        base_color_texture: slot(random),
+        metallic_roughness_texture: slot(random),
+        normal_texture: slot(random),
         // Random texels are steep normals.
         normal_scale: 0.3,
-        anisotropy_texture: slot(),
+        anisotropy_texture: slot(random),
+    }
+}
+
+fn specular(random: &mut Random, most_lobes: u64) -> Specular {
+    let mut color = || [random.unit(), random.unit(), random.unit()];
+    let (specular, f0, f90) = (color(), color(), color());
+    let mut alpha = || 10f32.powf(-2.0 * random.unit());
+    let (x, y) = (alpha(), alpha());
+    match random.next() % 8 {
+        0 => Specular::None,
+        1 => Specular::BlinnPhong {
+            specular,
+            exponent: 1.0 / (x * x),
+        },
+        2 => Specular::Ward {
+            specular,
+            alpha: [x, y],
+        },
+        3 => Specular::CookTorrance { f0, roughness: x },
+        4 => Specular::Ggx { f0, alpha: [x, y] },
+        5 => Specular::Measured {
+            path: String::new(),
+            f0,
+            alpha: x,
+        },
+        6 => Specular::AshikhminShirley {
+            f0,
+            exponents: [2.0 / (x * x), 2.0 / (y * y)],
+        },
+        _ => Specular::Lobes {
+            path: String::new(),
+            lobes: (0..=random.next() % most_lobes)
+                .map(|i| FittedLobe {
+                    f0,
+                    f90,
+                    roughness: x / (1 + i) as f32,
+                })
+                .collect(),
+        },
     }
 }
 

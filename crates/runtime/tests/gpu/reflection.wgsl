@@ -16,16 +16,22 @@ fn reflection(@builtin(global_invocation_id) id: vec3<u32>) {
     let query = queries[id.x];
     let triangle = triangles[query.triangle];
     let point = surface_point(triangle.xyz, triangle.w & 0xffffu, query.barycentrics);
-    brdf_specular_lobes(point);
-    let first = id.x * (5u + 2u * MAX_SPECULAR_LOBES);
-    answers[first] = vec4(point.normal, f32(point.appearance.model));
-    answers[first + 1u] = vec4(point.tangent, f32(specular_count));
-    answers[first + 2u] = vec4(point.view, point.appearance.alpha.x);
-    answers[first + 3u] = vec4(point.appearance.diffuse, point.appearance.alpha.y);
-    answers[first + 4u] = vec4(point.appearance.specular, 0.0);
-    for (var i = 0u; i < specular_count; i++) {
-        let lobe = specular_lobes[i];
-        answers[first + 5u + 2u * i] = vec4(lobe.axis, lobe.sharpness);
-        answers[first + 6u + 2u * i] = vec4(lobe.amplitude, 0.0);
+    let first = id.x * (4u + MAX_REFLECTIONS * (4u + 2u * MAX_SPECULAR_LOBES));
+    answers[first] = vec4(point.normal, f32(reflection_count));
+    answers[first + 1u] = vec4(point.tangent, 0.0);
+    answers[first + 2u] = vec4(point.view, 0.0);
+    answers[first + 3u] = vec4(point.appearance.diffuse, 0.0);
+    for (var k = 0u; k < reflection_count; k++) {
+        let reflection = reflections[k];
+        brdf_specular_lobes(point, reflection);
+        let start = first + 4u + k * (4u + 2u * MAX_SPECULAR_LOBES);
+        answers[start] = vec4(reflection.specular, f32(reflection.model));
+        answers[start + 1u] = vec4(reflection.grazing, f32(specular_count));
+        answers[start + 2u] = vec4(reflection.alpha, 0.0, 0.0);
+        for (var i = 0u; i < specular_count; i++) {
+            let lobe = specular_lobes[i];
+            answers[start + 4u + 2u * i] = vec4(lobe.axis, lobe.sharpness);
+            answers[start + 5u + 2u * i] = vec4(lobe.amplitude, 0.0);
+        }
     }
 }

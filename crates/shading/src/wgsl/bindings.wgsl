@@ -75,29 +75,48 @@ struct TextureSlot {
     transform_v: vec4<f32>,
 }
 
-struct Material {
-    // Base colour, or diffuse albedo of a layered surface.
-    color: vec3<f32>,
-    // SURFACE_METALLIC_ROUGHNESS or SURFACE_LAYERED.
-    surface: u32,
-    // Layered: reflectance at normal incidence, or specular albedo.
+// One reflection of a layer, with the Lambertian base that comes with it.
+struct Layer {
+    diffuse: vec3<f32>,
+    // JOIN_ADD, JOIN_OVER or JOIN_COAT.
+    join: u32,
+    // Colour at normal incidence, or specular albedo.
     specular: vec3<f32>,
-    // Layered: MODEL_NONE, MODEL_BLINN_PHONG, MODEL_WARD, MODEL_COOK_TORRANCE or MODEL_GGX.
+    // MODEL_*.
     model: u32,
-    // Layered: alpha along tangent and bitangent; Blinn-Phong: exponent in x.
+    // Colour at grazing incidence.
+    grazing: vec3<f32>,
+    // Coverage.
+    weight: f32,
+    // Roughness along tangent and bitangent; Blinn-Phong: exponent in both.
     alpha: vec2<f32>,
-    // Scale of the normal map's x and y.
-    normal_scale: f32,
-    reserved: f32,
+    reserved: vec2<f32>,
+    diffuse_texture: TextureSlot,
+    specular_texture: TextureSlot,
+    roughness_texture: TextureSlot,
+    weight_texture: TextureSlot,
+}
+
+struct Material {
+    // Metallic-roughness: base colour.
+    color: vec3<f32>,
+    // SURFACE_METALLIC_ROUGHNESS, SURFACE_LAYERED or SURFACE_LAYERS.
+    surface: u32,
     // Metallic-roughness, as in format::Surface.
     metallic: f32,
     roughness: f32,
     anisotropy_strength: f32,
     anisotropy_rotation: f32,
+    // Scale of the normal map's x and y.
+    normal_scale: f32,
+    // Layers in use.
+    layer_count: u32,
+    reserved: vec2<f32>,
     base_color_texture: TextureSlot,
     metallic_roughness_texture: TextureSlot,
     normal_texture: TextureSlot,
     anisotropy_texture: TextureSlot,
+    layers: array<Layer, MAX_REFLECTIONS>,
 }
 
 @group(0) @binding(0) var<uniform> frame: Frame;

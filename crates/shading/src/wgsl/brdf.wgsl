@@ -1,36 +1,35 @@
-// Twin of brdf.rs, and of Appearance::direction_factor in reference.rs. The specular lobes
-// of the invocation's surface point live in private variables: call brdf_specular_lobes
-// first.
+// Twin of brdf.rs, and of Reflection::incident_factor in reference.rs. The specular lobes
+// of one reflection live in private variables: call brdf_specular_lobes first.
 
 var<private> specular_count: u32;
 var<private> specular_lobes: array<SphericalGaussian, MAX_SPECULAR_LOBES>;
 
-fn brdf_specular_lobes(point: SurfacePoint) {
+fn brdf_specular_lobes(point: SurfacePoint, reflection: Reflection) {
     specular_count = 0u;
     let wo = surface_to_local(point, point.view);
-    let appearance = point.appearance;
-    if appearance.model == MODEL_NONE || wo.z <= 0.0 {
+    let black = all(max(reflection.specular, reflection.grazing) <= vec3(0.0));
+    if reflection.model == MODEL_NONE || black || wo.z <= 0.0 {
         return;
     }
-    brdf_shape(appearance, wo);
+    brdf_shape(reflection, wo);
     var unscaled = 0.0;
     for (var i = 0u; i < specular_count; i++) {
         let lobe = specular_lobes[i];
         unscaled += lobe.amplitude.x * tables_cosine_integral(lobe.sharpness, lobe.axis.z);
     }
-    let albedo = brdf_albedo(appearance, wo);
-    let color = (appearance.specular * albedo.x + albedo.y) / max(unscaled, 1.17549435e-38);
+    let albedo = brdf_albedo(reflection, wo);
+    let color = (reflection.specular * albedo.x + reflection.grazing * albedo.y) / max(unscaled, 1.17549435e-38);
     for (var i = 0u; i < specular_count; i++) {
         specular_lobes[i].axis = surface_to_world(point, specular_lobes[i].axis);
         specular_lobes[i].amplitude *= color;
     }
 }
 
-fn brdf_shape(appearance: Appearance, wo: vec3<f32>) {
-    let model = appearance.model;
+fn brdf_shape(reflection: Reflection, wo: vec3<f32>) {
+    let model = reflection.model;
     let width = vec2(
-        brdf_profile_width(model, appearance.alpha.x),
-        brdf_profile_width(model, appearance.alpha.y),
+        brdf_profile_width(model, reflection.alpha.x),
+        brdf_profile_width(model, reflection.alpha.y),
     );
     let horizontal = length(wo.xy);
     var incidence = vec2(1.0, 0.0);
@@ -46,7 +45,7 @@ fn brdf_shape(appearance: Appearance, wo: vec3<f32>) {
     let widening = full_ratio / ratio;
 
     let round = ratio < BRDF_ROUND_RATIO;
-    let alpha = appearance.alpha;
+    let alpha = reflection.alpha;
     let isotropic = max(alpha.x, alpha.y) < BRDF_ISOTROPIC_RATIO * min(alpha.x, alpha.y);
     let pairs = select(BRDF_ANISOTROPIC_PAIRS, BRDF_ISOTROPIC_PAIRS, isotropic);
     let table = 2u * u32(model == MODEL_GGX) + u32(!isotropic);
@@ -56,22 +55,22 @@ fn brdf_shape(appearance: Appearance, wo: vec3<f32>) {
     let fraction = position - f32(node);
 
     if round && model != MODEL_GGX {
-        brdf_push(appearance, wo, width, incidence, stretched.short, widening, vec2(0.0), 1.0, 1.0);
+        brdf_push(reflection, wo, width, incidence, stretched.short, widening, vec2(0.0), 1.0, 1.0);
         return;
     }
     let central_scale = exp(brdf_mixture(first, fraction));
     let central_weight = exp(brdf_mixture(first + 1u, fraction));
-    brdf_push(appearance, wo, width, incidence, stretched.short, widening, vec2(0.0), central_scale, central_weight);
+    brdf_push(reflection, wo, width, incidence, stretched.short, widening, vec2(0.0), central_scale, central_weight);
     let step = stretched.long_axis * width * (sqrt(max(ratio * ratio - 1.0, 0.0)) / ratio);
     for (var pair = 0u; pair < pairs; pair++) {
         let scale = exp(brdf_mixture(first + 2u + 3u * pair, fraction));
         let weight = exp(brdf_mixture(first + 3u + 3u * pair, fraction));
         if round {
-            brdf_push(appearance, wo, width, incidence, stretched.short, widening, vec2(0.0), scale, 2.0 * weight);
+            brdf_push(reflection, wo, width, incidence, stretched.short, widening, vec2(0.0), scale, 2.0 * weight);
         } else {
             let offset = step * brdf_mixture(first + 4u + 3u * pair, fraction);
-            brdf_push(appearance, wo, width, incidence, stretched.short, widening, offset, scale, weight);
-            brdf_push(appearance, wo, width, incidence, stretched.short, widening, -offset, scale, weight);
+            brdf_push(reflection, wo, width, incidence, stretched.short, widening, offset, scale, weight);
+            brdf_push(reflection, wo, width, incidence, stretched.short, widening, -offset, scale, weight);
         }
     }
 }
@@ -81,7 +80,7 @@ fn brdf_mixture(index: u32, fraction: f32) -> f32 {
 }
 
 fn brdf_push(
-    appearance: Appearance,
+    reflection: Reflection,
     wo: vec3<f32>,
     width: vec2<f32>,
     incidence: vec2<f32>,
@@ -97,7 +96,7 @@ fn brdf_push(
     let sharpness = 2.0 * scale / (short * widening * widening);
     // Where lobes are wider than at the centre they overlap more along the long axis.
     let adjusted = weight * sqrt(central_short / short);
-    specular_lobes[specular_count] = brdf_tilt(appearance, wo, axis, sharpness, adjusted);
+    specular_lobes[specular_count] = brdf_tilt(reflection, wo, axis, sharpness, adjusted);
     specular_count++;
 }
 
@@ -132,7 +131,7 @@ fn brdf_stretch(width: vec2<f32>, incidence: vec2<f32>, cosine: f32) -> Stretch 
 }
 
 fn brdf_tilt(
-    appearance: Appearance,
+    reflection: Reflection,
     wo: vec3<f32>,
     axis: vec3<f32>,
     sharpness: f32,
@@ -152,8 +151,8 @@ fn brdf_tilt(
     if sine > 0.0 {
         azimuth = axis.xy / sine;
     }
-    let at_low = brdf_modulation(appearance, wo, azimuth, low);
-    let slope = log(brdf_modulation(appearance, wo, azimuth, high) / at_low) / (high - low);
+    let at_low = brdf_modulation(reflection, wo, azimuth, low);
+    let slope = log(brdf_modulation(reflection, wo, azimuth, high) / at_low) / (high - low);
     let k = max(slope, -BRDF_MAX_TILT * sharpness);
     let sum = sharpness * axis + vec3(0.0, 0.0, k);
     let tilted = length(sum);
@@ -163,22 +162,31 @@ fn brdf_tilt(
     return SphericalGaussian(sum / tilted, tilted, amplitude);
 }
 
-fn brdf_modulation(appearance: Appearance, wo: vec3<f32>, azimuth: vec2<f32>, cosine: f32) -> f32 {
+fn brdf_modulation(reflection: Reflection, wo: vec3<f32>, azimuth: vec2<f32>, cosine: f32) -> f32 {
     let sine = sqrt(max(1.0 - cosine * cosine, 0.0));
     let wi = vec3(azimuth * sine, cosine);
-    let masking = brdf_direction_factor(appearance, wi);
-    if appearance.model != MODEL_COOK_TORRANCE && appearance.model != MODEL_GGX {
+    let half_cosine = sqrt(max(0.5 + 0.5 * dot(wi, wo), 0.0));
+    let masking = brdf_incident_factor(reflection, wi, wo, half_cosine);
+    if !surface_has_fresnel(reflection.model) {
         return masking;
     }
-    let half_cosine = sqrt(max(0.5 + 0.5 * dot(wi, wo), 0.0));
-    let f0 = (appearance.specular.x + appearance.specular.y + appearance.specular.z) / 3.0;
-    return masking * (f0 + (1.0 - f0) * pow(clamp(1.0 - half_cosine, 0.0, 1.0), 5.0));
+    let f0 = reflection.specular.x + reflection.specular.y + reflection.specular.z;
+    let f90 = reflection.grazing.x + reflection.grazing.y + reflection.grazing.z;
+    let fresnel = f0 + (f90 - f0) * pow(clamp(1.0 - half_cosine, 0.0, 1.0), 5.0);
+    return masking * max(fresnel, BRDF_MIN_FRESNEL * f90);
 }
 
-fn brdf_direction_factor(appearance: Appearance, w: vec3<f32>) -> f32 {
-    let projected = length(w.xy * appearance.alpha);
+fn brdf_incident_factor(reflection: Reflection, wi: vec3<f32>, wo: vec3<f32>, half_cosine: f32) -> f32 {
+    if reflection.model == MODEL_ASHIKHMIN_SHIRLEY {
+        return 1.0 / (half_cosine * max(wi.z, wo.z));
+    }
+    return brdf_direction_factor(reflection, wi);
+}
+
+fn brdf_direction_factor(reflection: Reflection, w: vec3<f32>) -> f32 {
+    let projected = length(w.xy * reflection.alpha);
     let cosine = w.z;
-    switch appearance.model {
+    switch reflection.model {
         case MODEL_WARD: {
             return 1.0 / cosine;
         }
@@ -213,51 +221,73 @@ fn brdf_profile_width(model: u32, alpha: f32) -> f32 {
         case MODEL_GGX: {
             inverse_square = 1.0 / (alpha * alpha) - 1.0;
         }
+        case MODEL_ASHIKHMIN_SHIRLEY: {
+            let exponent = 2.0 / (alpha * alpha);
+            inverse_square = 0.5 * exponent + 1.0 - 1.0 / exponent;
+        }
         default: {}
     }
     return 1.0 / sqrt(max(inverse_square, BRDF_MIN_INVERSE_SQUARE));
 }
 
 // Factors of the specular colour and of white.
-fn brdf_albedo(appearance: Appearance, wo: vec3<f32>) -> vec2<f32> {
-    var alpha = appearance.alpha;
-    if appearance.model == MODEL_BLINN_PHONG {
+fn brdf_albedo(reflection: Reflection, wo: vec3<f32>) -> vec2<f32> {
+    var alpha = reflection.alpha;
+    if reflection.model == MODEL_BLINN_PHONG {
         alpha = sqrt(2.0 / alpha);
     }
     let low = sqrt(SURFACE_MIN_ALPHA);
     let last = f32(BRDF_ALBEDO_ALPHAS - 1u);
     let position = clamp((sqrt(alpha) - low) / (1.0 - low), vec2(0.0), vec2(1.0)) * last;
     let angle = sqrt(clamp(1.0 - wo.z, 0.0, 1.0)) * f32(BRDF_ALBEDO_ANGLES - 1u);
-    // Tabulated for a view in the plane of the first roughness.
-    let along_x = brdf_albedo_lookup(appearance.model, position.x, position.y, angle);
-    let along_y = brdf_albedo_lookup(appearance.model, position.y, position.x, angle);
-    let squares = wo.xy * wo.xy / max(1.0 - wo.z * wo.z, 1e-12);
-    // Between the planes it goes as the fourth power of the cosine to the narrow axis.
-    var mean = mix(along_x, along_y, squares.y * squares.y);
-    if position.x < position.y {
-        mean = mix(along_y, along_x, squares.x * squares.x);
-    }
-    let white = mean.y * mean.y;
-    return vec2(mean.x, white * white);
-}
-
-fn brdf_albedo_lookup(model: u32, x: f32, y: f32, angle: f32) -> vec2<f32> {
     var first = BRDF_ALBEDO_BLINN_PHONG;
-    var stride = 0u;
-    switch model {
+    var stride = BRDF_ALBEDO_LENGTH;
+    switch reflection.model {
         case MODEL_COOK_TORRANCE: {
             first = BRDF_ALBEDO_COOK_TORRANCE;
+            stride = 0u;
         }
         case MODEL_WARD: {
             first = BRDF_ALBEDO_WARD;
-            stride = BRDF_ALBEDO_LENGTH;
         }
         case MODEL_GGX: {
             first = BRDF_ALBEDO_GGX;
-            stride = BRDF_ALBEDO_LENGTH;
         }
-        default: {}
+        case MODEL_ASHIKHMIN_SHIRLEY: {
+            first = BRDF_ALBEDO_ASHIKHMIN_SHIRLEY;
+        }
+        default: {
+            stride = 0u;
+        }
     }
+    // Tabulated for a view in the plane of the first roughness, and half way between.
+    let along_x = brdf_albedo_lookup(first, stride, position.x, position.y, angle);
+    let ratio = max(alpha.x, alpha.y) / min(alpha.x, alpha.y);
+    if stride == 0u || ratio < BRDF_ISOTROPIC_RATIO {
+        let white = along_x.y * along_x.y;
+        return vec2(along_x.x, white * white);
+    }
+    let along_y = brdf_albedo_lookup(first, stride, position.y, position.x, angle);
+    let half_way = first + 2u * BRDF_ALBEDO_BLOCK;
+    let between = brdf_albedo_lookup(half_way, stride, position.x, position.y, angle);
+    // What varies with azimuth is masking, by the roughness that the view is masked by:
+    // the parabola in it through the three that are tabulated.
+    let squares = wo.xy * wo.xy / max(1.0 - wo.z * wo.z, 1e-12);
+    let alpha_squares = alpha * alpha;
+    let projected = sqrt(dot(alpha_squares, squares));
+    let middle = sqrt(0.5 * (alpha_squares.x + alpha_squares.y));
+    let from_x = projected - alpha.x;
+    let from_m = projected - middle;
+    let from_y = projected - alpha.y;
+    let spread = alpha.x - alpha.y;
+    let mean = along_x * (from_m * from_y / ((alpha.x - middle) * spread))
+        + between * (from_x * from_y / ((middle - alpha.x) * (middle - alpha.y)))
+        - along_y * (from_x * from_m / ((alpha.y - middle) * spread));
+    let white = max(mean.y, 0.0) * max(mean.y, 0.0);
+    return vec2(max(mean.x, 0.0), white * white);
+}
+
+fn brdf_albedo_lookup(first: u32, stride: u32, x: f32, y: f32, angle: f32) -> vec2<f32> {
     let i = min(u32(x), BRDF_ALBEDO_ALPHAS - 2u);
     let j = min(u32(y), BRDF_ALBEDO_ALPHAS - 2u);
     let k = min(u32(angle), BRDF_ALBEDO_ANGLES - 2u);

@@ -30,19 +30,29 @@ fn shade(point: SurfacePoint) -> vec3<f32> {
         return sum;
     }
     let diffuse = point.appearance.diffuse / PI;
-    brdf_specular_lobes(point);
-    for (var i = 0u; i < frame.light_count; i++) {
-        let light = SphericalGaussian(lights[i].axis, lights[i].sharpness, lights[i].amplitude);
-        if any(diffuse != vec3(0.0)) {
+    if any(diffuse != vec3(0.0)) {
+        for (var i = 0u; i < frame.light_count; i++) {
+            let light = shade_light(i);
             let lobe = SphericalGaussian(light.axis, light.sharpness, light.amplitude * diffuse);
             sum += shade_lobe(lobe, point.normal, sum);
         }
-        for (var j = 0u; j < specular_count; j++) {
-            let lobe = spherical_gaussian_product(light, specular_lobes[j]);
-            sum += shade_lobe(lobe, point.normal, sum);
+    }
+    for (var k = 0u; k < reflection_count; k++) {
+        brdf_specular_lobes(point, reflections[k]);
+        for (var i = 0u; i < frame.light_count; i++) {
+            let light = shade_light(i);
+            for (var j = 0u; j < specular_count; j++) {
+                let lobe = spherical_gaussian_product(light, specular_lobes[j]);
+                sum += shade_lobe(lobe, point.normal, sum);
+            }
         }
     }
     return sum;
+}
+
+fn shade_light(index: u32) -> SphericalGaussian {
+    let light = lights[index];
+    return SphericalGaussian(light.axis, light.sharpness, light.amplitude);
 }
 
 // What a lobe adds to the radiance gathered so far.

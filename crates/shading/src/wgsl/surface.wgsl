@@ -1,12 +1,23 @@
 // Twin of surface.rs.
 
-// Reflectance at one point, textures applied and parameters clamped to what is shaded.
-struct Appearance {
-    diffuse: vec3<f32>,
-    model: u32,
+// One specular reflection, textures applied and parameters clamped to what is shaded.
+struct Reflection {
+    // Colour at normal incidence, or at every angle.
     specular: vec3<f32>,
+    model: u32,
+    // Colour at grazing incidence.
+    grazing: vec3<f32>,
     alpha: vec2<f32>,
 }
+
+// The Lambertian base at one point. Its reflections are in private variables.
+struct Appearance {
+    diffuse: vec3<f32>,
+}
+
+// The reflections of the invocation's surface point, as surface_point leaves them.
+var<private> reflection_count: u32;
+var<private> reflections: array<Reflection, MAX_REFLECTIONS>;
 
 struct SurfacePoint {
     position: vec3<f32>,
@@ -59,13 +70,26 @@ fn surface_point(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32
         tangent = surface_orthogonal_unit(tangent, normal);
     }
 
-    var color = materials[material_index].color;
-    let color_texture = materials[material_index].base_color_texture;
-    if color_texture.width != 0u {
-        color *= surface_sample(color_texture, uv).xyz;
+    let view = surface_unit_or(frame.eye - position, normal);
+    // Direction of anisotropy relative to the tangent, and its strength.
+    var direction = vec2(1.0, 0.0);
+    var strength = 1.0;
+    let anisotropy_texture = materials[material_index].anisotropy_texture;
+    if anisotropy_texture.width != 0u {
+        let texel = surface_sample(anisotropy_texture, uv);
+        strength = texel.z;
+        direction = texel.xy * 2.0 - 1.0;
+        if dot(direction, direction) < SURFACE_DEGENERATE_LENGTH_SQUARED {
+            direction = vec2(1.0, 0.0);
+        }
     }
     var appearance: Appearance;
     if materials[material_index].surface == SURFACE_METALLIC_ROUGHNESS {
+        var color = materials[material_index].color;
+        let color_texture = materials[material_index].base_color_texture;
+        if color_texture.width != 0u {
+            color *= surface_sample(color_texture, uv).xyz;
+        }
         var metallic = materials[material_index].metallic;
         var roughness = materials[material_index].roughness;
         let factor_texture = materials[material_index].metallic_roughness_texture;
@@ -75,17 +99,7 @@ fn surface_point(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32
             roughness *= factors.y;
         }
         let alpha = roughness * roughness;
-        var strength = materials[material_index].anisotropy_strength;
-        var direction = vec2(1.0, 0.0);
-        let anisotropy_texture = materials[material_index].anisotropy_texture;
-        if anisotropy_texture.width != 0u {
-            let texel = surface_sample(anisotropy_texture, uv);
-            strength *= texel.z;
-            direction = texel.xy * 2.0 - 1.0;
-            if dot(direction, direction) < SURFACE_DEGENERATE_LENGTH_SQUARED {
-                direction = vec2(1.0, 0.0);
-            }
-        }
+        strength *= materials[material_index].anisotropy_strength;
         if strength > 0.0 {
             let rotation = materials[material_index].anisotropy_rotation;
             let rotated = vec2(
@@ -96,19 +110,16 @@ fn surface_point(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32
             tangent = surface_unit_or(tangent * rotated.x + bitangent * rotated.y, tangent);
         }
         appearance.diffuse = color * (1.0 - metallic);
-        appearance.specular = mix(vec3(SURFACE_DIELECTRIC_F0), color, metallic);
-        appearance.model = MODEL_GGX;
-        appearance.alpha = vec2(alpha + (1.0 - alpha) * strength * strength, alpha);
+        let specular = mix(vec3(SURFACE_DIELECTRIC_F0), color, metallic);
+        let alphas = vec2(alpha + (1.0 - alpha) * strength * strength, alpha);
+        reflections[0] = surface_clamped(Reflection(specular, MODEL_GGX, vec3(1.0), alphas));
+        reflection_count = 1u;
     } else {
-        appearance.diffuse = color;
-        appearance.specular = materials[material_index].specular;
-        appearance.model = materials[material_index].model;
-        appearance.alpha = materials[material_index].alpha;
-    }
-    if appearance.model == MODEL_BLINN_PHONG {
-        appearance.alpha = clamp(appearance.alpha.xx, vec2(1.0), vec2(SURFACE_MAX_EXPONENT));
-    } else {
-        appearance.alpha = clamp(appearance.alpha, vec2(SURFACE_MIN_ALPHA), vec2(1.0));
+        if materials[material_index].surface == SURFACE_LAYERS && anisotropy_texture.width != 0u {
+            let bitangent = cross(normal, tangent) * handedness;
+            tangent = surface_unit_or(tangent * direction.x + bitangent * direction.y, tangent);
+        }
+        appearance.diffuse = surface_layers(material_index, uv, dot(normal, view));
     }
 
     var point: SurfacePoint;
@@ -117,9 +128,96 @@ fn surface_point(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32
     point.normal = normal;
     point.tangent = tangent;
     point.bitangent = cross(normal, tangent);
-    point.view = surface_unit_or(frame.eye - position, normal);
+    point.view = view;
     point.appearance = appearance;
     return point;
+}
+
+// Fills the reflections; returns the diffuse albedo.
+fn surface_layers(material_index: u32, uv: vec2<f32>, view_cosine: f32) -> vec3<f32> {
+    var albedo = vec3(0.0);
+    reflection_count = materials[material_index].layer_count;
+    for (var i = 0u; i < reflection_count; i++) {
+        var weight = materials[material_index].layers[i].weight;
+        let weight_texture = materials[material_index].layers[i].weight_texture;
+        if weight_texture.width != 0u {
+            weight *= surface_sample(weight_texture, uv).x;
+        }
+        var diffuse = materials[material_index].layers[i].diffuse;
+        let diffuse_texture = materials[material_index].layers[i].diffuse_texture;
+        if diffuse_texture.width != 0u {
+            diffuse *= surface_sample(diffuse_texture, uv).xyz;
+        }
+        var reflection = Reflection(
+            materials[material_index].layers[i].specular,
+            materials[material_index].layers[i].model,
+            materials[material_index].layers[i].grazing,
+            materials[material_index].layers[i].alpha,
+        );
+        let specular_texture = materials[material_index].layers[i].specular_texture;
+        if specular_texture.width != 0u {
+            reflection.specular *= surface_sample(specular_texture, uv).xyz;
+        }
+        let roughness_texture = materials[material_index].layers[i].roughness_texture;
+        if roughness_texture.width != 0u {
+            let roughness = surface_sample(roughness_texture, uv).xy;
+            switch reflection.model {
+                case MODEL_BLINN_PHONG: {
+                    // A quotient by zero need not be infinite here.
+                    reflection.alpha /= max(roughness.x * roughness.x, 1e-12);
+                }
+                case MODEL_COOK_TORRANCE: {
+                    reflection.alpha *= roughness.x;
+                }
+                default: {
+                    reflection.alpha *= roughness;
+                }
+            }
+        }
+        var below = vec3(1.0);
+        switch materials[material_index].layers[i].join {
+            case JOIN_OVER: {
+                below = vec3(1.0 - weight);
+            }
+            case JOIN_COAT: {
+                // Colours above 1 pass nothing.
+                let reflected = weight * surface_reflection_color(reflection, view_cosine);
+                below = max(1.0 - reflected, vec3(0.0));
+            }
+            default: {}
+        }
+        albedo = albedo * below + diffuse * weight;
+        for (var j = 0u; j < i; j++) {
+            reflections[j].specular *= below;
+            reflections[j].grazing *= below;
+        }
+        reflection.specular *= weight;
+        reflection.grazing *= weight;
+        reflections[i] = surface_clamped(reflection);
+    }
+    return albedo;
+}
+
+fn surface_has_fresnel(model: u32) -> bool {
+    return model == MODEL_COOK_TORRANCE || model == MODEL_GGX || model == MODEL_ASHIKHMIN_SHIRLEY;
+}
+
+fn surface_reflection_color(reflection: Reflection, cosine: f32) -> vec3<f32> {
+    if !surface_has_fresnel(reflection.model) {
+        return reflection.specular;
+    }
+    let white = pow(clamp(1.0 - cosine, 0.0, 1.0), 5.0);
+    return reflection.specular + (reflection.grazing - reflection.specular) * white;
+}
+
+fn surface_clamped(reflection: Reflection) -> Reflection {
+    var clamped = reflection;
+    if reflection.model == MODEL_BLINN_PHONG {
+        clamped.alpha = clamp(reflection.alpha, vec2(1.0), vec2(SURFACE_MAX_EXPONENT));
+    } else {
+        clamped.alpha = clamp(reflection.alpha, vec2(SURFACE_MIN_ALPHA), vec2(1.0));
+    }
+    return clamped;
 }
 
 fn surface_sample(slot: TextureSlot, vertex_uv: vec2<f32>) -> vec4<f32> {

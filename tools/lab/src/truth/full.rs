@@ -7,7 +7,7 @@ use std::f32::consts::PI;
 use glam::{Mat3, Vec2, Vec3};
 use relight_bake::hdr::LatLong;
 use relight_bake::import::ImportedTriangle;
-use relight_bake::measured::{self, Rgl};
+use relight_bake::measured::{self, Table};
 use relight_bake::scene_input::SceneInput;
 use relight_format::{
     BakeReport, Representation, Scene, Surface, Triangle, Vertex, VisibilityParameters,
@@ -59,10 +59,10 @@ pub fn unbaked(input: &SceneInput) -> Scene {
 }
 
 /// The measured tables of an input file, by material.
-pub fn tables(input: &SceneInput) -> Result<Vec<Option<Rgl>>, measured::Error> {
+pub fn tables(input: &SceneInput) -> Result<Vec<Option<Table>>, measured::Error> {
     let mut tables: Vec<_> = input.mesh.materials.iter().map(|_| None).collect();
     for (material, path) in &input.measured {
-        tables[*material] = Some(Rgl::load(path)?);
+        tables[*material] = Some(Table::load(path)?);
     }
     Ok(tables)
 }
@@ -72,7 +72,7 @@ pub fn tables(input: &SceneInput) -> Result<Vec<Option<Rgl>>, measured::Error> {
 /// reflection; with [`Filter::Box`] every sample has its own point of the pixel.
 pub fn render(
     geometry: &Geometry,
-    measured: &[Option<Rgl>],
+    measured: &[Option<Table>],
     environment: &EnvironmentSampler,
     size: [u32; 2],
     options: &Options,
@@ -86,7 +86,7 @@ pub fn render(
             let material = geometry.scene.triangles[triangle].material as usize;
             let table = measured.get(material).and_then(Option::as_ref);
             Some(Reflector {
-                point: exact_frame(point, geometry.scene, triangle),
+                point: exact_frame(&point, geometry.scene, triangle),
                 table,
             })
         };
@@ -119,12 +119,15 @@ pub fn render(
 /// The frame in which `point` is anisotropic. glTF says that it is interpolated from the
 /// vertices; for other materials it is the triangle's own: x where the texture coordinate u
 /// grows.
-fn exact_frame(point: SurfacePoint, scene: &Scene, triangle: usize) -> SurfacePoint {
+fn exact_frame(point: &SurfacePoint, scene: &Scene, triangle: usize) -> SurfacePoint {
     let triangle = &scene.triangles[triangle];
     let material = &scene.materials[triangle.material as usize];
-    let isotropic = point.appearance.alpha.x == point.appearance.alpha.y;
+    let isotropic = point
+        .appearance
+        .reflections()
+        .all(|reflection| reflection.alpha.x == reflection.alpha.y);
     if isotropic || !matches!(material.surface, Surface::Layered { .. }) {
-        return point;
+        return *point;
     }
     let [a, b, c] = triangle
         .vertices
@@ -138,19 +141,19 @@ fn exact_frame(point: SurfacePoint, scene: &Scene, triangle: usize) -> SurfacePo
         .reject_from_normalized(point.normal)
         .normalize_or_zero();
     if tangent == Vec3::ZERO {
-        return point;
+        return *point;
     }
     SurfacePoint {
         tangent,
         bitangent: point.normal.cross(tangent),
-        ..point
+        ..*point
     }
 }
 
 /// A surface point and the exact way it reflects.
 struct Reflector<'a> {
     point: SurfacePoint,
-    table: Option<&'a Rgl>,
+    table: Option<&'a Table>,
 }
 
 impl Reflector<'_> {
@@ -202,7 +205,7 @@ impl Reflector<'_> {
 
     fn sample(&self, view: Vec3, uniform: [f32; 3]) -> Option<Vec3> {
         match self.table {
-            Some(table) => table.sample(view, Vec2::new(uniform[1], uniform[2])),
+            Some(table) => table.sample(view, uniform),
             None => reference::sample(&self.point.appearance, view, uniform),
         }
     }
@@ -500,7 +503,7 @@ mod tests {
         let view = test_scene::view(4);
         let tangent = |scene: &Scene| {
             let (point, triangle) = Geometry::new(scene, view).seen(2.0, 2.0).unwrap();
-            let exact = exact_frame(point, scene, triangle);
+            let exact = exact_frame(&point, scene, triangle);
             assert_eq!(exact.bitangent, exact.normal.cross(exact.tangent));
             (point.tangent, exact.tangent)
         };

@@ -28,7 +28,7 @@ pub fn render(
         let seed = hash(hash(options.seed, x), y);
         let at = |[u, v]: [f32; 2]| -> Option<Mixture> {
             let (point, _) = geometry.seen(x as f32 + u, y as f32 + v)?;
-            Some(Mixture::new(point, lights))
+            Some(Mixture::new(&point, lights))
         };
         let center = (options.filter == Filter::Center).then(|| at([0.5; 2]));
         let replicas: [_; REPLICAS as usize] = std::array::from_fn(|replica| {
@@ -108,10 +108,10 @@ struct Mixture {
 }
 
 impl Mixture {
-    fn new(point: SurfacePoint, lights: &[SphericalGaussian]) -> Self {
+    fn new(point: &SurfacePoint, lights: &[SphericalGaussian]) -> Self {
         let mut lobes = Vec::new();
         let mut bound = 0.0;
-        product_lobes(&point, lights, |lobe| {
+        product_lobes(point, lights, |lobe| {
             bound += luminance(lobe.integral().into());
             lobes.push(lobe);
         });
@@ -120,7 +120,7 @@ impl Mixture {
         // of the sums also spreads rays over directions.
         lobes.sort_by_cached_key(|lobe| morton(octahedral::encode(lobe.axis)));
         let mut mixture = Self {
-            point,
+            point: *point,
             lobes: Vec::with_capacity(lobes.len()),
             cumulative: Vec::with_capacity(lobes.len()),
             unoccluded: Vec3::ZERO,

@@ -10,51 +10,18 @@
 
 use std::collections::BTreeMap;
 use std::f32::consts::{FRAC_PI_2, PI, TAU};
-use std::path::Path;
 
-use glam::{DVec3, Vec2, Vec3};
-use relight_shading::reference::evaluate_specular;
-use relight_shading::surface::{Appearance, MIN_ALPHA, Model};
+use glam::{Vec2, Vec3};
+
+use super::{Error, invalid};
 
 /// First twelve bytes of a tensor file.
-const MAGIC: &[u8; 12] = b"tensor_file\0";
+pub(super) const MAGIC: &[u8; 12] = b"tensor_file\0";
 /// Element types of tensor fields that BRDFs use.
 const UINT8: u8 = 1;
 const FLOAT32: u8 = 10;
 /// More than any table has; bounds loops over untrusted counts.
 const MAX_DIMENSIONS: usize = 8;
-
-/// Why a measured BRDF could not be loaded.
-#[derive(Debug, thiserror::Error)]
-pub enum Error {
-    /// The file could not be read.
-    #[error("{path}: {source}")]
-    Io {
-        /// The file.
-        path: String,
-        /// The system's reason.
-        source: std::io::Error,
-    },
-    /// The bytes are not an isotropic RGB table.
-    #[error("{place} of the measured BRDF: expected {expected}, found {found}")]
-    Invalid {
-        /// Header or field.
-        place: String,
-        /// What a valid file has there.
-        expected: String,
-        /// What this file has there.
-        found: String,
-    },
-}
-
-#[expect(clippy::needless_pass_by_value, reason = "callers pass temporaries")]
-fn invalid(place: impl ToString, expected: impl ToString, found: impl ToString) -> Error {
-    Error::Invalid {
-        place: place.to_string(),
-        expected: expected.to_string(),
-        found: found.to_string(),
-    }
-}
 
 /// An isotropic RGB BRDF table.
 pub struct Rgl {
@@ -89,15 +56,6 @@ struct Lookup {
 }
 
 impl Rgl {
-    /// Loads a `.bsdf` file.
-    pub fn load(path: &Path) -> Result<Self, Error> {
-        let bytes = std::fs::read(path).map_err(|source| Error::Io {
-            path: path.display().to_string(),
-            source,
-        })?;
-        Self::parse(&bytes)
-    }
-
     /// Decodes the bytes of a `.bsdf` file, which are not trusted.
     pub fn parse(bytes: &[u8]) -> Result<Self, Error> {
         let fields = fields(bytes)?;
@@ -229,70 +187,6 @@ impl Rgl {
         self.luminance.density(lookup.sample, lookup.slice) * lookup.density / jacobian
     }
 
-    /// The Lambert plus GGX surface nearest to the table, for renderers that do not hold
-    /// it: least squares of BRDF times cosine over the directions of light and, at equal
-    /// projected solid angles, of view. Of the weightings tried, those that favour the
-    /// faint parts of the table lose up to two thirds of its albedo.
-    pub fn stand_in(&self) -> StandIn {
-        let pairs = self.fitting_pairs();
-        let candidate = |alpha: f32| {
-            let (fit, error) = fit_colors(&pairs, alpha);
-            (error, fit)
-        };
-        let best = |alphas: &mut dyn Iterator<Item = f32>| {
-            alphas
-                .map(candidate)
-                .min_by(|a, b| a.0.total_cmp(&b.0))
-                .expect("alphas to try")
-                .1
-        };
-        // Log-spaced over all that is shaded, then finely between the best one's neighbours.
-        let ratio = MIN_ALPHA.recip().powf(1.0 / 40.0);
-        let coarse = best(&mut (0..=40).map(|i| MIN_ALPHA * ratio.powi(i)));
-        best(
-            &mut (-8..=8)
-                .map(|i| (coarse.alpha * ratio.powf(i as f32 / 8.0)).clamp(MIN_ALPHA, 1.0)),
-        )
-    }
-
-    /// Directions drawn half from the cosine, half from the table's own sampling, for view
-    /// elevations of equal projected solid angle.
-    fn fitting_pairs(&self) -> Vec<Pair> {
-        const ELEVATIONS: u32 = 12;
-        const LIGHTS: u32 = 256;
-        let mut pairs = Vec::new();
-        for elevation in 0..ELEVATIONS {
-            let sine = ((elevation as f32 + 0.5) / ELEVATIONS as f32).sqrt();
-            let view = Vec3::new(sine, 0.0, (1.0 - sine * sine).sqrt());
-            for index in 0..LIGHTS {
-                let uniform =
-                    Vec2::new((index as f32 + 0.5) / LIGHTS as f32, radical_inverse(index));
-                let cosine = {
-                    let (sin, cos) = (TAU * uniform.y).sin_cos();
-                    let radius = uniform.x.sqrt();
-                    Vec3::new(radius * cos, radius * sin, (1.0 - uniform.x).sqrt())
-                };
-                for light in [Some(cosine), self.sample(view, uniform)]
-                    .into_iter()
-                    .flatten()
-                {
-                    let density = light.z / PI + self.pdf(light, view);
-                    let value = self.evaluate(light, view).max(Vec3::ZERO);
-                    let weight = light.z * light.z / density;
-                    if weight.is_finite() && value.is_finite() {
-                        pairs.push(Pair {
-                            light,
-                            view,
-                            value,
-                            weight,
-                        });
-                    }
-                }
-            }
-        }
-        pairs
-    }
-
     fn lookup(&self, light: Vec3, view: Vec3) -> Option<Lookup> {
         let half_vector = (light + view).try_normalize()?;
         let azimuth = azimuth(half_vector) - azimuth(view);
@@ -349,83 +243,6 @@ impl Rgl {
             weight: (elevation - a) / (b - a),
         }
     }
-}
-
-/// A Lambertian base plus GGX with Schlick's Fresnel that resembles a measured BRDF.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct StandIn {
-    /// Linear Rec.709 albedo of the base, in [0, 1].
-    pub diffuse: [f32; 3],
-    /// Linear Rec.709 reflectance at normal incidence, in [0, 1].
-    pub f0: [f32; 3],
-    /// GGX alpha, [`MIN_ALPHA`] to 1.
-    pub alpha: f32,
-}
-
-/// One measured value to be fitted.
-struct Pair {
-    light: Vec3,
-    view: Vec3,
-    value: Vec3,
-    weight: f32,
-}
-
-/// Best colours at a given roughness and their weighted square error. The BRDF is linear
-/// in the albedo and, with Schlick's Fresnel, in f0: `d/π + s₀ + f0 (s₁ − s₀)`.
-fn fit_colors(pairs: &[Pair], alpha: f32) -> (StandIn, f64) {
-    let appearance = |specular| Appearance {
-        diffuse: Vec3::ZERO,
-        specular,
-        model: Model::Ggx,
-        alpha: Vec2::splat(alpha),
-    };
-    let (black, white) = (appearance(Vec3::ZERO), appearance(Vec3::ONE));
-    // Normal equations of the two basis functions, which all channels share.
-    let (mut dd, mut ds, mut ss) = (0f64, 0f64, 0f64);
-    let (mut dv, mut sv, mut vv) = (DVec3::ZERO, DVec3::ZERO, DVec3::ZERO);
-    for pair in pairs {
-        let base = evaluate_specular(&black, pair.light, pair.view).x;
-        let slope = f64::from(evaluate_specular(&white, pair.light, pair.view).x - base);
-        let lambert = std::f64::consts::FRAC_1_PI;
-        let value = (pair.value - base).as_dvec3();
-        let weight = f64::from(pair.weight);
-        dd += weight * lambert * lambert;
-        ds += weight * lambert * slope;
-        ss += weight * slope * slope;
-        dv += weight * lambert * value;
-        sv += weight * slope * value;
-        vv += weight * value * value;
-    }
-    let mut fit = StandIn {
-        diffuse: [0.0; 3],
-        f0: [0.0; 3],
-        alpha,
-    };
-    let mut error = 0.0;
-    for channel in 0..3 {
-        // Alternate exact minimisation over [0, 1] each: the error is convex.
-        let (mut diffuse, mut f0) = (0.0, 0.0);
-        for _ in 0..200 {
-            diffuse = ((dv[channel] - ds * f0) / dd).clamp(0.0, 1.0);
-            f0 = if ss > 0.0 {
-                ((sv[channel] - ds * diffuse) / ss).clamp(0.0, 1.0)
-            } else {
-                0.0
-            };
-        }
-        error += vv[channel] - 2.0 * (diffuse * dv[channel] + f0 * sv[channel])
-            + diffuse * diffuse * dd
-            + 2.0 * diffuse * f0 * ds
-            + f0 * f0 * ss;
-        fit.diffuse[channel] = diffuse as f32;
-        fit.f0[channel] = f0 as f32;
-    }
-    (fit, error)
-}
-
-/// Bits of `index` mirrored about the binary point (van der Corput 1935).
-fn radical_inverse(index: u32) -> f32 {
-    index.reverse_bits() as f32 / 2f32.powi(32)
 }
 
 /// Angle from +z, accurate near the pole.
@@ -757,6 +574,7 @@ fn floats(
 
 #[cfg(test)]
 mod tests {
+    use super::super::radical_inverse;
     use super::*;
 
     /// A small table of positive pseudo-random numbers in the layout of real files.
@@ -854,34 +672,6 @@ mod tests {
             assert_eq!(table.pdf(light, view), 0.0);
         }
         assert_eq!(table.sample(down, Vec2::splat(0.5)), None);
-    }
-
-    #[test]
-    fn a_surface_of_the_fitted_kind_is_recovered() {
-        let truth = Appearance {
-            diffuse: Vec3::new(0.4, 0.2, 0.0),
-            specular: Vec3::new(0.04, 0.3, 0.9),
-            model: Model::Ggx,
-            alpha: Vec2::splat(0.23),
-        };
-        let table = Rgl::parse(&file()).unwrap();
-        let mut pairs = table.fitting_pairs();
-        for pair in &mut pairs {
-            pair.value = relight_shading::reference::evaluate(&truth, pair.light, pair.view);
-        }
-        let (fit, error) = fit_colors(&pairs, 0.23);
-        // f32 evaluation of an exactly representable surface.
-        assert!(
-            Vec3::from(fit.diffuse).distance(truth.diffuse) < 1e-3,
-            "{fit:?}"
-        );
-        assert!(
-            Vec3::from(fit.f0).distance(truth.specular) < 1e-3,
-            "{fit:?}"
-        );
-        for wrong in [0.2, 0.26] {
-            assert!(fit_colors(&pairs, wrong).1 > 10.0 * error);
-        }
     }
 
     #[test]

@@ -1,0 +1,474 @@
+//! A measured BRDF as a Lambertian base and a few lobes of the half vector.
+//!
+//! With roughnesses given, the BRDF is linear in the colours: those of the base and, per
+//! lobe, those at normal and at grazing incidence. They are eliminated, non-negative and
+//! with the table's own energy, so that only the roughnesses are searched: a new lobe is
+//! the best of a fixed choice, then all are refined one after the other.
+//!
+//! What is minimised is ∫∫ (fit − table)² (n·i)² / (table n·i + floor) over light directions
+//! and, at equal projected solid angles, of view: as if light were counted. Plain squares see
+//! nothing but the peak, and where that is narrower than what is shaded they spend the
+//! diffuse base on it; weights that favour the faint parts more lose the highlight. What is
+//! reported are plain squares.
+
+use glam::{Vec2, Vec3};
+use nalgebra::{DMatrix, DVector};
+use relight_format::{FittedLobe, MAX_FITTED_LOBES, Specular, Surface};
+use relight_shading::accuracy::local_point;
+use relight_shading::brdf::specular_lobes;
+use relight_shading::reference;
+use relight_shading::surface::{Appearance, MIN_ALPHA, Model, Reflection, fitted_reflection};
+
+use super::{Table, radical_inverse};
+use crate::environment::amplitude;
+
+/// When to stop adding lobes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Stop {
+    /// At this many, 1 to [`MAX_FITTED_LOBES`].
+    Lobes(usize),
+    /// At this relative L2 error, or the most lobes.
+    Error(f64),
+    /// When a lobe takes less than this fraction off the error, or at the most lobes.
+    Gain(f64),
+}
+
+impl Default for Stop {
+    /// A twentieth.
+    fn default() -> Self {
+        Self::Gain(0.05)
+    }
+}
+
+/// A fit and how good it is.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Fit {
+    /// Linear Rec.709 albedo of the base.
+    pub diffuse: [f32; 3],
+    /// The lobes, widest first.
+    pub lobes: Vec<FittedLobe>,
+    /// Relative L2 error of the fitted model, cosine included.
+    pub relative_l2: f64,
+    /// The same of the spherical Gaussians that the runtime makes of it.
+    pub shaded_relative_l2: f64,
+    /// Largest error of the albedo towards one of the view directions, as a fraction of it.
+    pub albedo_error: f64,
+}
+
+impl Fit {
+    /// As a surface of an asset; `path` names the table.
+    pub fn surface(&self, path: String) -> Surface {
+        Surface::Layered {
+            diffuse: self.diffuse,
+            specular: Specular::Lobes {
+                path,
+                lobes: self.lobes.clone(),
+            },
+        }
+    }
+
+    /// As what the reference models evaluate.
+    pub fn appearance(&self) -> Appearance {
+        let reflections: Vec<_> = self.lobes.iter().map(fitted_reflection).collect();
+        Appearance::new(Vec3::from(self.diffuse), &reflections)
+    }
+}
+
+/// View elevations, and light directions for each.
+const VIEWS: u32 = 14;
+const LIGHTS: u32 = 512;
+/// Roughnesses a new lobe is chosen from.
+const CHOICES: usize = 28;
+/// Floor of the weights, as a fraction of the mean reflected light.
+const FLOOR: f64 = 0.1;
+/// Passes over all roughnesses after a lobe was added.
+const SWEEPS: usize = 3;
+
+/// One measured value to be fitted.
+struct Pair {
+    light: Vec3,
+    view: Vec3,
+    value: Vec3,
+    /// Solid angle that the light direction stands for.
+    solid_angle: f64,
+}
+
+impl Pair {
+    fn energy(&self) -> f64 {
+        f64::from(self.value.element_sum() * self.light.z) * self.solid_angle
+    }
+}
+
+/// The weights of the squares, by the light that a pair reflects over a floor.
+fn weights(pairs: &[Pair]) -> Vec<f64> {
+    let energy: f64 = pairs.iter().map(Pair::energy).sum();
+    let total: f64 = pairs.iter().map(|pair| pair.solid_angle).sum();
+    let floor = FLOOR * energy / total;
+    pairs
+        .iter()
+        .map(|pair| {
+            let value = f64::from(pair.value.element_sum() * pair.light.z);
+            1.0 / (value + floor).max(f64::MIN_POSITIVE)
+        })
+        .collect()
+}
+
+/// Fits a table.
+pub fn fit(table: &Table, stop: Stop) -> Fit {
+    fit_pairs(&pairs(table), stop)
+}
+
+/// Directions drawn from highlights of every width, and from the table's own density.
+fn pairs(table: &Table) -> Vec<Pair> {
+    let proposal = Appearance::new(
+        Vec3::ONE,
+        &[0.02, 0.06, 0.2, 0.5]
+            .map(|alpha| Reflection::new(Model::Ggx, Vec3::ONE, Vec2::splat(alpha))),
+    );
+    let mut pairs = Vec::new();
+    for elevation in 0..VIEWS {
+        let sine = ((elevation as f32 + 0.5) / VIEWS as f32).sqrt();
+        let view = Vec3::new(sine, 0.0, (1.0 - sine * sine).sqrt());
+        for index in 0..LIGHTS {
+            let uniform = [
+                (index as f32 + 0.5) / LIGHTS as f32,
+                radical_inverse(index),
+                (index as f32 * 0.618_034).fract(),
+            ];
+            let draws = [
+                reference::sample(&proposal, view, uniform),
+                table.sample(view, uniform),
+            ];
+            for light in draws.into_iter().flatten() {
+                let density = reference::pdf(&proposal, light, view) + table.pdf(light, view);
+                let solid_angle = 1.0 / (f64::from(density) * f64::from(LIGHTS));
+                let value = table.evaluate(light, view).max(Vec3::ZERO);
+                if solid_angle.is_finite() && value.is_finite() {
+                    pairs.push(Pair {
+                        light,
+                        view,
+                        value,
+                        solid_angle,
+                    });
+                }
+            }
+        }
+    }
+    pairs
+}
+
+/// Values of one basis function at all pairs, times cosine and the root of solid angle and
+/// weight, and their energy.
+#[derive(Clone)]
+struct Column {
+    values: Vec<f64>,
+    energy: f64,
+}
+
+impl Column {
+    fn new(pairs: &[Pair], weights: &[f64], function: impl Fn(&Pair) -> f32) -> Self {
+        let mut energy = 0.0;
+        let values = pairs
+            .iter()
+            .zip(weights)
+            .map(|(pair, weight)| {
+                let value = f64::from(function(pair)) * f64::from(pair.light.z);
+                energy += value * pair.solid_angle;
+                value * (pair.solid_angle * weight).sqrt()
+            })
+            .collect();
+        Self { values, energy }
+    }
+
+    fn dot(&self, other: &Self) -> f64 {
+        self.values
+            .iter()
+            .zip(&other.values)
+            .map(|(a, b)| a * b)
+            .sum()
+    }
+
+    /// The two functions of a lobe: the colours at normal and at grazing incidence.
+    fn of_lobe(pairs: &[Pair], weights: &[f64], roughness: f32) -> [Self; 2] {
+        let lobe = |specular: f32, grazing: f32| Reflection {
+            grazing: Vec3::splat(grazing),
+            ..Reflection::new(
+                Model::CookTorrance,
+                Vec3::splat(specular),
+                Vec2::splat(roughness),
+            )
+        };
+        [lobe(1.0, 0.0), lobe(0.0, 1.0)].map(|reflection| {
+            Self::new(pairs, weights, |pair| {
+                reference::evaluate_specular(&reflection, pair.light, pair.view).x
+            })
+        })
+    }
+}
+
+/// Colours of all basis functions, channel by channel, and the squared error.
+struct Solution {
+    colors: [Vec<f64>; 3],
+    error: f64,
+}
+
+fn solve(columns: &[&Column], targets: &[Column; 3]) -> Solution {
+    let norms: Vec<f64> = columns
+        .iter()
+        .map(|column| column.dot(column).sqrt().max(f64::MIN_POSITIVE))
+        .collect();
+    let count = columns.len();
+    let mut gram = DMatrix::zeros(count, count);
+    for i in 0..count {
+        for j in 0..=i {
+            let dot = columns[i].dot(columns[j]) / (norms[i] * norms[j]);
+            gram[(i, j)] = dot;
+            gram[(j, i)] = dot;
+        }
+    }
+    let scaled = |f: &dyn Fn(&Column) -> f64| {
+        DVector::from_iterator(
+            count,
+            columns
+                .iter()
+                .zip(&norms)
+                .map(|(column, norm)| f(column) / norm),
+        )
+    };
+    let energy = scaled(&|column| column.energy);
+    let mut error = 0.0;
+    let colors = targets.each_ref().map(|target| {
+        let projected = scaled(&|column| column.dot(target));
+        let mut free = vec![true; count];
+        let amplitudes =
+            amplitude::solve(&gram, &projected, &energy, target.energy, &mut free).values;
+        let x = DVector::from_column_slice(&amplitudes);
+        error += target.dot(target) - 2.0 * x.dot(&projected) + x.dot(&(&gram * &x));
+        amplitudes
+            .iter()
+            .zip(&norms)
+            .map(|(value, norm)| value / norm)
+            .collect()
+    });
+    Solution { colors, error }
+}
+
+fn fit_pairs(pairs: &[Pair], stop: Stop) -> Fit {
+    let weights = &weights(pairs);
+    let base = Column::new(pairs, weights, |_| std::f32::consts::FRAC_1_PI);
+    let targets = [0, 1, 2].map(|channel| Column::new(pairs, weights, |pair| pair.value[channel]));
+    let ratio = MIN_ALPHA.recip().powf(1.0 / (CHOICES - 1) as f32);
+    let choices: Vec<(f32, [Column; 2])> = (0..CHOICES)
+        .map(|i| {
+            let roughness = (MIN_ALPHA * ratio.powi(i as i32)).min(1.0);
+            (roughness, Column::of_lobe(pairs, weights, roughness))
+        })
+        .collect();
+    let with = |lobes: &[(f32, [Column; 2])]| {
+        let columns: Vec<&Column> = std::iter::once(&base)
+            .chain(lobes.iter().flat_map(|(_, columns)| columns))
+            .collect();
+        solve(&columns, &targets)
+    };
+    let most = match stop {
+        Stop::Lobes(count) => count.clamp(1, MAX_FITTED_LOBES),
+        _ => MAX_FITTED_LOBES,
+    };
+    let mut lobes: Vec<(f32, [Column; 2])> = Vec::new();
+    let mut best = with(&lobes);
+    while lobes.len() < most {
+        let before = best.error;
+        let mut candidate = lobes.clone();
+        let (_, choice) = choices
+            .iter()
+            .map(|choice| {
+                candidate.push(choice.clone());
+                let error = with(&candidate).error;
+                candidate.pop();
+                (error, choice)
+            })
+            .min_by(|a, b| a.0.total_cmp(&b.0))
+            .expect("choices");
+        candidate.push(choice.clone());
+        let mut refined = with(&candidate);
+        for sweep in 0..SWEEPS {
+            let step = ratio.powf(0.5f32.powi(sweep as i32 + 1));
+            for index in 0..candidate.len() {
+                for factor in [step, step.recip()] {
+                    let old = candidate[index].clone();
+                    let roughness = (old.0 * factor).clamp(MIN_ALPHA, 1.0);
+                    candidate[index] = (roughness, Column::of_lobe(pairs, weights, roughness));
+                    let changed = with(&candidate);
+                    if changed.error < refined.error {
+                        refined = changed;
+                        break;
+                    }
+                    candidate[index] = old;
+                }
+            }
+        }
+        let gained = 1.0 - (refined.error.max(0.0) / before.max(f64::MIN_POSITIVE)).sqrt();
+        if matches!(stop, Stop::Gain(least) if !lobes.is_empty() && gained < least) {
+            break;
+        }
+        (lobes, best) = (candidate, refined);
+        if matches!(stop, Stop::Error(most) if measured(pairs, &lobes, &best).relative_l2 <= most) {
+            break;
+        }
+    }
+    measured(pairs, &lobes, &best)
+}
+
+/// The fit of a solution, with its errors.
+fn measured(pairs: &[Pair], lobes: &[(f32, [Column; 2])], solution: &Solution) -> Fit {
+    let color = |index: usize| [0, 1, 2].map(|channel| solution.colors[channel][index] as f32);
+    let mut fitted: Vec<FittedLobe> = lobes
+        .iter()
+        .enumerate()
+        .map(|(index, (roughness, _))| FittedLobe {
+            f0: color(1 + 2 * index),
+            f90: color(2 + 2 * index),
+            roughness: *roughness,
+        })
+        .collect();
+    fitted.sort_by(|a, b| b.roughness.total_cmp(&a.roughness));
+    measure(pairs, color(0), fitted)
+}
+
+fn measure(pairs: &[Pair], diffuse: [f32; 3], lobes: Vec<FittedLobe>) -> Fit {
+    let mut fit = Fit {
+        diffuse,
+        lobes,
+        relative_l2: 0.0,
+        shaded_relative_l2: 0.0,
+        albedo_error: 0.0,
+    };
+    let appearance = fit.appearance();
+    let (mut errors, mut norm) = ([0.0; 2], 0.0);
+    for view in pairs.chunk_by(|a, b| a.view == b.view) {
+        let point = local_point(appearance, view[0].view);
+        let gaussians: Vec<_> = appearance
+            .reflections()
+            .flat_map(|reflection| specular_lobes(&point, reflection).as_slice().to_vec())
+            .collect();
+        let (mut albedo, mut exact) = (0.0, 0.0);
+        for pair in view {
+            let model = reference::evaluate(&appearance, pair.light, pair.view);
+            let shaded: Vec3 = gaussians.iter().map(|lobe| lobe.evaluate(pair.light)).sum();
+            let shaded = shaded + appearance.diffuse * std::f32::consts::FRAC_1_PI;
+            let cosine = f64::from(pair.light.z);
+            let square =
+                |v: Vec3| f64::from(v.length_squared()) * cosine * cosine * pair.solid_angle;
+            errors[0] += square(model - pair.value);
+            errors[1] += square(shaded - pair.value);
+            norm += square(pair.value);
+            albedo += f64::from(shaded.element_sum()) * cosine * pair.solid_angle;
+            exact += f64::from(pair.value.element_sum()) * cosine * pair.solid_angle;
+        }
+        fit.albedo_error = fit.albedo_error.max((albedo / exact - 1.0).abs());
+    }
+    [fit.relative_l2, fit.shaded_relative_l2] =
+        errors.map(|error| (error / norm.max(f64::MIN_POSITIVE)).sqrt());
+    fit
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Pairs whose values are those of a surface of the fitted kind.
+    fn made(truth: &Appearance) -> Vec<Pair> {
+        let proposal = [0.05, 0.2, 0.6]
+            .map(|alpha| Reflection::new(Model::Ggx, Vec3::ONE, Vec2::splat(alpha)));
+        let proposal = Appearance::new(Vec3::ONE, &proposal);
+        let mut pairs = Vec::new();
+        for sine in [0.1f32, 0.4, 0.7, 0.9] {
+            let view = Vec3::new(sine, 0.0, (1.0 - sine * sine).sqrt());
+            for index in 0..256 {
+                let uniform = [
+                    (index as f32 + 0.5) / 256.0,
+                    radical_inverse(index),
+                    (index as f32 * 0.618_034).fract(),
+                ];
+                if let Some(light) = reference::sample(&proposal, view, uniform) {
+                    pairs.push(Pair {
+                        light,
+                        view,
+                        value: reference::evaluate(truth, light, view),
+                        solid_angle: 1.0
+                            / (256.0 * f64::from(reference::pdf(&proposal, light, view))),
+                    });
+                }
+            }
+        }
+        pairs
+    }
+
+    #[test]
+    fn lobes_of_the_fitted_kind_are_recovered() {
+        let lobe = |f0: [f32; 3], f90: f32, roughness| FittedLobe {
+            f0,
+            f90: [f90; 3],
+            roughness,
+        };
+        let lobes = [
+            lobe([0.1, 0.2, 0.3], 0.4, 0.5),
+            lobe([0.5, 0.4, 0.3], 0.9, 0.1),
+        ];
+        let truth = Appearance::new(
+            Vec3::new(0.3, 0.2, 0.1),
+            &lobes.map(|l| fitted_reflection(&l)),
+        );
+        let pairs = made(&truth);
+        let one = fit_pairs(&pairs, Stop::Lobes(1));
+        let two = fit_pairs(&pairs, Stop::Lobes(2));
+        println!("{one:?}\n{two:?}");
+        assert!(two.relative_l2 < 0.3 * one.relative_l2, "{two:?}");
+        // The search ends within an eighth of its steps, which are factors of 1.16.
+        for (found, expected) in two.lobes.iter().zip(lobes) {
+            assert!(
+                (found.roughness / expected.roughness).ln().abs() < 0.1,
+                "{found:?}"
+            );
+        }
+        let bounded = fit_pairs(&pairs, Stop::Error(1.01 * two.relative_l2));
+        assert_eq!(bounded.lobes.len(), 2);
+    }
+
+    #[test]
+    fn more_lobes_are_never_worse_and_keep_the_energy() {
+        let truth = Appearance::new(
+            Vec3::new(0.2, 0.1, 0.05),
+            &[Reflection::new(
+                Model::Ggx,
+                Vec3::new(0.9, 0.6, 0.3),
+                Vec2::splat(0.15),
+            )],
+        );
+        let pairs = made(&truth);
+        let energy = |f: &dyn Fn(&Pair) -> Vec3| -> f64 {
+            pairs
+                .iter()
+                .map(|p| f64::from(f(p).element_sum() * p.light.z) * p.solid_angle)
+                .sum()
+        };
+        let exact = energy(&|pair| pair.value);
+        let mut last = f64::INFINITY;
+        for count in 1..=4 {
+            let fit = fit_pairs(&pairs, Stop::Lobes(count));
+            // It is the weighted error that cannot grow.
+            assert!(fit.relative_l2 <= 1.05 * last, "{count}: {fit:?}");
+            last = fit.relative_l2;
+            let appearance = fit.appearance();
+            let found = energy(&|p| reference::evaluate(&appearance, p.light, p.view));
+            // The constraint, and colours in f32.
+            assert!(
+                (found / exact - 1.0).abs() < 1e-4,
+                "{count}: {}",
+                found / exact
+            );
+        }
+        // GGX is not a sum of a few Gaussians, but nearly.
+        assert!(last < 0.05, "{last}");
+    }
+}

@@ -1,0 +1,105 @@
+//! Measured BRDFs: the tables as files hold them, and the lobes that are fitted to them.
+
+pub mod fit;
+mod merl;
+pub mod report;
+mod rgl;
+
+use std::path::Path;
+
+use glam::{Vec2, Vec3};
+
+pub use merl::Merl;
+pub use rgl::Rgl;
+
+/// Why a measured BRDF could not be loaded.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// The file could not be read.
+    #[error("{path}: {source}")]
+    Io {
+        /// The file.
+        path: String,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// The bytes are not an isotropic RGB table.
+    #[error("{place} of the measured BRDF: expected {expected}, found {found}")]
+    Invalid {
+        /// Header or field.
+        place: String,
+        /// What a valid file has there.
+        expected: String,
+        /// What this file has there.
+        found: String,
+    },
+}
+
+#[expect(clippy::needless_pass_by_value, reason = "callers pass temporaries")]
+fn invalid(place: impl ToString, expected: impl ToString, found: impl ToString) -> Error {
+    Error::Invalid {
+        place: place.to_string(),
+        expected: expected.to_string(),
+        found: found.to_string(),
+    }
+}
+
+/// An isotropic RGB table of either database.
+pub enum Table {
+    /// RGL material database, `.bsdf`.
+    Rgl(Box<Rgl>),
+    /// MERL BRDF database, `.binary`.
+    Merl(Box<Merl>),
+}
+
+impl Table {
+    /// Loads a file of either kind; its first bytes tell which.
+    pub fn load(path: &Path) -> Result<Self, Error> {
+        let bytes = std::fs::read(path).map_err(|source| Error::Io {
+            path: path.display().to_string(),
+            source,
+        })?;
+        Self::parse(&bytes)
+    }
+
+    /// Decodes the bytes of a file, which are not trusted.
+    pub fn parse(bytes: &[u8]) -> Result<Self, Error> {
+        if bytes.starts_with(rgl::MAGIC) {
+            Rgl::parse(bytes).map(|table| Self::Rgl(Box::new(table)))
+        } else {
+            Merl::parse(bytes).map(|table| Self::Merl(Box::new(table)))
+        }
+    }
+
+    /// BRDF in 1/sr (linear Rec.709, cosine not included) for unit vectors towards the
+    /// light and the eye, z along the normal; zero where either is below the surface.
+    /// Measurements may be slightly negative.
+    pub fn evaluate(&self, light: Vec3, view: Vec3) -> Vec3 {
+        match self {
+            Self::Rgl(table) => table.evaluate(light, view),
+            Self::Merl(table) => table.evaluate(light, view),
+        }
+    }
+
+    /// A direction towards the light, distributed as [`Self::pdf`], from three uniform
+    /// numbers in [0, 1); `None` where the draw falls below the surface.
+    pub fn sample(&self, view: Vec3, uniform: [f32; 3]) -> Option<Vec3> {
+        match self {
+            Self::Rgl(table) => table.sample(view, Vec2::new(uniform[1], uniform[2])),
+            Self::Merl(_) => merl::sample(view, uniform),
+        }
+    }
+
+    /// Density of [`Self::sample`] in 1/sr.
+    pub fn pdf(&self, light: Vec3, view: Vec3) -> f32 {
+        match self {
+            Self::Rgl(table) => table.pdf(light, view),
+            Self::Merl(_) => merl::pdf(light, view),
+        }
+    }
+}
+
+/// Bits of `index` mirrored about the binary point (van der Corput 1935).
+fn radical_inverse(index: u32) -> f32 {
+    index.reverse_bits() as f32 / 2f32.powi(32)
+}

@@ -1,0 +1,94 @@
+//! One material with its textures, to be named by scene files.
+
+use serde::{Deserialize, Serialize};
+
+use crate::container::{Kind, Limits, Reader, SectionKind, Writer};
+use crate::scene::{concatenate_texels, split_texels, validate_textures};
+use crate::{Error, Issue, Material, Texture, TextureEncoding};
+
+/// How well the lobes fit what they came from. Zero where nothing was fitted.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct MaterialReport {
+    /// Source file name, without folders.
+    pub source: String,
+    /// Relative L2 error of the fitted model, cosine included.
+    pub relative_l2: f32,
+    /// The same of the spherical Gaussians that the runtime makes of it.
+    pub shaded_relative_l2: f32,
+    /// Largest error of the albedo over view directions, as a fraction of it.
+    pub albedo_error: f32,
+}
+
+/// A decoded material asset.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MaterialAsset {
+    /// How it was made.
+    pub report: MaterialReport,
+    /// The material.
+    pub material: Material,
+    /// The textures that it refers to.
+    pub textures: Vec<Texture>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Metadata {
+    report: MaterialReport,
+    material: Material,
+    textures: Vec<(u32, u32, TextureEncoding)>,
+}
+
+/// Decodes and validates a material.
+pub fn read_material(bytes: &[u8], limits: &Limits) -> Result<MaterialAsset, Error> {
+    let mut reader = Reader::new(bytes, Kind::Material, limits)?;
+    let metadata: Metadata = reader.metadata()?;
+    let texels: Vec<u8> = reader.pod(SectionKind::Texels)?;
+    reader.finish()?;
+    let asset = MaterialAsset {
+        report: metadata.report,
+        material: metadata.material,
+        textures: split_texels(&metadata.textures, &texels)?,
+    };
+    validate(&asset)?;
+    Ok(asset)
+}
+
+/// Encodes a material; the same value gives the same bytes.
+pub fn write_material(asset: &MaterialAsset) -> Result<Vec<u8>, Error> {
+    validate(asset)?;
+    let mut writer = Writer::new(Kind::Material);
+    writer.metadata(&Metadata {
+        report: asset.report.clone(),
+        material: asset.material.clone(),
+        textures: asset
+            .textures
+            .iter()
+            .map(|texture| (texture.width, texture.height, texture.encoding))
+            .collect(),
+    })?;
+    writer.section(SectionKind::Texels, &concatenate_texels(&asset.textures))?;
+    Ok(writer.finish())
+}
+
+fn validate(asset: &MaterialAsset) -> Result<(), Error> {
+    asset.material.validate(asset.textures.len())?;
+    validate_textures(&asset.textures)?;
+    let report = &asset.report;
+    let errors = [
+        report.relative_l2,
+        report.shaded_relative_l2,
+        report.albedo_error,
+    ];
+    if errors
+        .iter()
+        .all(|error| error.is_finite() && *error >= 0.0)
+    {
+        Ok(())
+    } else {
+        Err(Error::section(
+            Issue::ValueOutOfRange,
+            SectionKind::Metadata,
+            "finite errors >= 0",
+            format_args!("{report:?}"),
+        ))
+    }
+}

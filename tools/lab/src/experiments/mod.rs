@@ -1,0 +1,3 @@
+//! Measurements behind the numbers that the documentation states, one module each.
+
+pub mod brdf;

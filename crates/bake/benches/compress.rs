@@ -21,8 +21,8 @@ fn main() {
         if index == 0 {
             println!("us per vertex, one thread, best of {rounds} rounds");
             println!(
-                "{:<14}{:>10}{:>10}{:>10}{:>10}{:>16}",
-                "mesh", "vertices", "analyse", "systems", "encode", "error, rad"
+                "{:<14}{:>10}{:>10}{:>10}{:>10}{:>10}{:>16}",
+                "mesh", "vertices", "analyse", "reweight", "systems", "encode", "error, rad"
             );
         }
         // Every n-th vertex of the whole mesh: harder to compress than neighbours are.
@@ -42,18 +42,23 @@ fn main() {
             std::hint::black_box(compress::analyse(&ssdfs, CHANNELS - 1));
         });
         let basis = compress::analyse(&ssdfs, CHANNELS - 1);
-        let systems = common::best(rounds, || {
-            std::hint::black_box(Encoder::new(&ssdfs, &basis));
+        let reweight = common::best(rounds, || {
+            std::hint::black_box(compress::reweight(&ssdfs, &basis, CHANNELS));
         });
-        let encoder = Encoder::new(&ssdfs, &basis);
+        let images = compress::reweight(&ssdfs, &basis, CHANNELS);
+        let systems = common::best(rounds, || {
+            std::hint::black_box(Encoder::new(&ssdfs, &images));
+        });
+        let encoder = Encoder::new(&ssdfs, &images);
         let encode = common::best(rounds, || {
             std::hint::black_box(encoder.encode(CHANNELS));
         });
         let per_vertex = |seconds: f64| seconds * 1e6 / count as f64;
         println!(
-            "{:<14}{count:>10}{:>10.0}{:>10.0}{:>10.0}{:>16.4}",
+            "{:<14}{count:>10}{:>10.0}{:>10.0}{:>10.0}{:>10.0}{:>16.4}",
             subject.name,
             per_vertex(analyse),
+            per_vertex(reweight),
             per_vertex(systems),
             per_vertex(encode),
             encoder.encode(CHANNELS).error.boundary_rms(),

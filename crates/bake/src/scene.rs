@@ -29,6 +29,8 @@ const CHUNK_VERTICES: usize = 1024;
 /// What the SSDFs of all chunks at hand may take, bytes; copies that compression makes of
 /// them come to about four times as much.
 const CHUNK_BUDGET_BYTES: usize = 96 << 20;
+/// What reweighting divides the error of principal components by, at most.
+const REWEIGHTING_GAIN: f32 = 2.0;
 /// A cluster of fewer vertices is not split further: its basis would outweigh it.
 const MIN_CLUSTER_VERTICES: usize = 96;
 /// Distance of a visibility sample from its surface, in diagonals of the scene: far above
@@ -554,7 +556,7 @@ impl Bake<'_> {
         if self.options.representation == Representation::GlobalPca {
             let rank = self.options.global_rank as usize;
             let basis = compress::analyse(&ssdfs, rank);
-            let compressed = compress::Encoder::new(&ssdfs, &basis).encode(rank + 1);
+            let compressed = compress::Encoder::new(&ssdfs, &basis.images).encode(rank + 1);
             finished.push(self.cluster(triangles, &vertices, compressed));
         } else {
             self.compress_clusters(triangles, &vertices, &ssdfs, &mut finished)?;
@@ -633,20 +635,26 @@ impl Bake<'_> {
         self.report()?;
         let max_channels = self.options.max_tiles as usize * CHANNELS_PER_TILE;
         let basis = compress::analyse(ssdfs, max_channels - 1);
-        let encoder = compress::Encoder::new(ssdfs, &basis);
-        let mut channels = CHANNELS_PER_TILE;
-        let compressed = loop {
-            let compressed = encoder.encode(channels);
-            let good = compressed.error.boundary_rms() <= self.options.max_error;
-            if good || channels >= max_channels.min(basis.images.ncols()) {
-                break compressed;
+        let components = compress::Encoder::new(ssdfs, &basis.images);
+        let max_channels = max_channels.min(basis.images.ncols());
+        let last = vertices.len() < MIN_CLUSTER_VERTICES || triangles.len() < 2;
+        let mut channels = CHANNELS_PER_TILE.min(max_channels);
+        loop {
+            let more = channels < max_channels;
+            let error = components.encode(channels).error.boundary_rms();
+            if error <= REWEIGHTING_GAIN * self.options.max_error || (last && !more) {
+                let images = compress::reweight(ssdfs, &basis, channels);
+                let compressed = compress::Encoder::new(ssdfs, &images).encode(channels);
+                let good = compressed.error.boundary_rms() <= self.options.max_error;
+                if good || (last && !more) {
+                    finished.push(self.cluster(triangles, vertices, compressed));
+                    return Ok(());
+                }
             }
-            channels += CHANNELS_PER_TILE;
-        };
-        let good = compressed.error.boundary_rms() <= self.options.max_error;
-        if good || vertices.len() < MIN_CLUSTER_VERTICES || triangles.len() < 2 {
-            finished.push(self.cluster(triangles, vertices, compressed));
-            return Ok(());
+            if !more {
+                break;
+            }
+            channels = (channels + CHANNELS_PER_TILE).min(max_channels);
         }
         let position = |triangle: u32| -> f32 {
             self.triangles[triangle as usize]
@@ -658,7 +666,7 @@ impl Bake<'_> {
         let mut keyed: Vec<(f32, u32)> = triangles.iter().map(|&t| (position(t), t)).collect();
         keyed.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         let (low, high) = keyed.split_at(keyed.len() / 2);
-        drop((encoder, basis));
+        drop((components, basis));
         for half in [low, high] {
             let mut group: Vec<u32> = half.iter().map(|&(_, triangle)| triangle).collect();
             group.sort_unstable();

@@ -35,6 +35,8 @@ pub(super) struct Facing {
     planes: [Vec<f32>; 4],
     /// The same to double precision, for eyes close to a plane; normals of any length.
     precise: Vec<[f64; 4]>,
+    /// Vertices of every triangle, in the order of the planes.
+    corners: Vec<[u32; 3]>,
     /// Bounds the rounding of the planes in single precision for an eye at the origin;
     /// grows with the eye's distance from it.
     rounding: f32,
@@ -83,6 +85,10 @@ impl Facing {
         let mut facing = Self {
             planes: [(); 4].map(|()| vec![0.0; blocks * BLOCK]),
             precise: vec![[0.0; 4]; blocks * BLOCK],
+            corners: order
+                .iter()
+                .map(|&triangle| triangles[triangle as usize])
+                .collect(),
             rounding: 0.0,
             cones: vec![Cones::default(); blocks.div_ceil(LANES)],
             blocks,
@@ -159,6 +165,7 @@ impl Facing {
     pub(super) fn find_contours(&self, eye: Vec3, faces: &mut Faces, contours: &mut Vec<Contour>) {
         faces.triangles.resize(self.blocks * BLOCK, 0);
         faces.mixed.clear();
+        faces.in_plane.clear();
         contours.clear();
         Arch::new().dispatch(FindFaces {
             mesh: self,
@@ -229,6 +236,8 @@ pub(super) struct Faces {
     triangles: Vec<u8>,
     /// Blocks whose triangles may differ.
     mixed: Vec<u32>,
+    /// Triangles whose planes the eye lies in, but for rounding.
+    in_plane: Vec<u32>,
 }
 
 impl Cones {
@@ -329,7 +338,7 @@ impl WithSimd for FindFaces<'_> {
             for (lane, (class, block)) in classes.into_iter().zip(blocks).enumerate() {
                 if class == 0 {
                     let index = number * LANES + lane;
-                    mesh.find_faces(index, eye, block);
+                    mesh.find_faces(index, eye, block, &mut faces.in_plane);
                     faces.mixed.push(index as u32);
                 } else {
                     block.fill(u8::from(class > 0));
@@ -341,13 +350,19 @@ impl WithSimd for FindFaces<'_> {
 
 impl Facing {
     #[inline(always)]
-    fn find_faces(&self, block: usize, eye: Vec3, faces: &mut [u8; BLOCK]) {
+    fn find_faces(
+        &self,
+        block: usize,
+        eye: Vec3,
+        faces: &mut [u8; BLOCK],
+        in_plane: &mut Vec<u32>,
+    ) {
         let range = block * BLOCK..(block + 1) * BLOCK;
         let [x, y, z, d] = [0, 1, 2, 3].map(|i| {
             let whole = self.planes[i][range.clone()].as_chunks::<BLOCK>().0;
             &whole[0]
         });
-        let rounding = self.rounding + PLANE_ROUNDING * eye.abs().element_sum();
+        let rounding = self.rounding_at(eye);
         let mut unclear = false;
         for i in 0..BLOCK {
             let height = x[i] * eye.x + y[i] * eye.y + z[i] * eye.z - d[i];
@@ -356,10 +371,39 @@ impl Facing {
         }
         if unclear {
             let eye = eye.as_dvec3();
-            for (face, [x, y, z, d]) in faces.iter_mut().zip(&self.precise[range]) {
-                *face = u8::from(x * eye.x + y * eye.y + z * eye.z > *d);
+            let planes = self.precise[range.clone()].iter();
+            for ((face, [x, y, z, d]), index) in faces.iter_mut().zip(planes).zip(range) {
+                let height = x * eye.x + y * eye.y + z * eye.z - d;
+                *face = u8::from(height > 0.0);
+                let bound = f64::from(rounding) * (x * x + y * y + z * z).sqrt();
+                if height.abs() <= bound && index < self.corners.len() {
+                    in_plane.push(index as u32);
+                }
             }
         }
+    }
+}
+
+impl Facing {
+    /// Whether the eye of the last search lies on a triangle, but for rounding. What a ray
+    /// from there meets is a matter of its arithmetic.
+    pub(super) fn touches(&self, positions: &[Vec3], eye: Vec3, faces: &Faces) -> bool {
+        let margin = 4.0 * f64::from(self.rounding_at(eye));
+        faces.in_plane.iter().any(|&index| {
+            let corners = self.corners[index as usize].map(|v| positions[v as usize].as_dvec3());
+            let [a, b, c] = corners;
+            let normal = (b - a).cross(c - a).normalize_or_zero();
+            [(a, b), (b, c), (c, a)].into_iter().all(|(from, to)| {
+                let inward = normal.cross(to - from).normalize_or_zero();
+                inward.dot(eye.as_dvec3() - from) >= -margin
+            })
+        })
+    }
+
+    /// Bounds the rounding of heights above planes, in single precision.
+    #[inline(always)]
+    fn rounding_at(&self, eye: Vec3) -> f32 {
+        self.rounding + PLANE_ROUNDING * eye.abs().element_sum()
     }
 }
 

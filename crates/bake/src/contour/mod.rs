@@ -12,7 +12,7 @@
 //!
 //! The result equals one ray per texel. Texels within rounding of a contour get a ray of
 //! their own, and sums around the map, which must vanish, are checked: where they do not,
-//! rays are cast.
+//! rays are cast, as they are from a point that lies on another surface.
 
 mod crossings;
 mod facing;
@@ -22,7 +22,7 @@ use glam::Vec3;
 
 use crate::ray::RayCaster;
 use crate::ssdf::Crossings;
-use crate::visibility::{Bitmap, Directions};
+use crate::visibility::{self, Bitmap, Directions};
 use facing::{Faces, Facing};
 use layers::Layers;
 
@@ -108,6 +108,10 @@ impl ContourMesh {
         } = scratch;
         *last = origin;
         self.facing.find_contours(origin, facing, contours);
+        if self.facing.touches(&self.positions, origin, facing) {
+            let rays = directions.as_slice().len() as u32;
+            return (visibility::sample(caster, origin, directions), rays);
+        }
         layers.count(&self.positions, origin, contours);
         let directions = directions.as_slice();
         layers.resolve(|texel| !caster.any_hit(origin, directions[texel]))
@@ -132,7 +136,7 @@ impl ContourMesh {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{ssdf, visibility};
+    use crate::ssdf;
 
     /// Deterministic numbers in [0, 1).
     fn random(state: &mut u64) -> f32 {
@@ -233,6 +237,46 @@ mod tests {
             .map(|[a, b, c]| (*a + *b + *c) / 3.0 * 1.0001)
             .collect();
         assert_same_bits(&triangles, &origins, 64);
+    }
+
+    #[test]
+    fn points_on_other_surfaces_give_the_same_bits() {
+        // A box stands on a floor: its lower corners and what lies between are on both.
+        let mut triangles = Vec::new();
+        let mut quad = |corners: [[f32; 3]; 4]| {
+            let [a, b, c, d] = corners.map(Vec3::from);
+            triangles.extend([[a, b, c], [a, c, d]]);
+        };
+        quad([
+            [-3.0, 0.0, -3.0],
+            [-3.0, 0.0, 3.0],
+            [3.0, 0.0, 3.0],
+            [3.0, 0.0, -3.0],
+        ]);
+        quad([
+            [-1.0, 0.0, 1.0],
+            [1.0, 0.0, 1.0],
+            [1.0, 2.0, 1.0],
+            [-1.0, 2.0, 1.0],
+        ]);
+        quad([
+            [1.0, 0.0, 1.0],
+            [1.0, 0.0, -1.0],
+            [1.0, 2.0, -1.0],
+            [1.0, 2.0, 1.0],
+        ]);
+        let origins = [
+            [-1.0, 0.0, 1.001],
+            [1.001, 0.0, 1.001],
+            [0.5, 0.0, 1.0],
+            [1.0, 1.0, 1.0],
+            [0.3, 1.2, 1.0],
+            [1.001, 0.0, -1.0],
+            [0.0, 0.0, 2.0],
+            [0.0, 1e-9, 2.0],
+            [0.0, 1e-3, 2.0],
+        ];
+        assert_same_bits(&triangles, &origins.map(Vec3::from), 64);
     }
 
     /// Root mean square error of signed distances near the boundary, without and with the

@@ -204,7 +204,7 @@ pub fn run() -> ExitCode {
     #[cfg(unix)]
     if cli.low_priority {
         // Before any other thread starts: they inherit it. A refusal costs speed alone.
-        let _ = rustix::process::nice(LOWEST_PRIORITY);
+        let _ = rustix::process::setpriority_process(None, LOWEST_PRIORITY);
     }
     // Without a handler Ctrl-C ends the process at once, which leaves nothing behind
     // either: outputs are renamed into place.

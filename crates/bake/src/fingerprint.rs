@@ -3,6 +3,8 @@
 //! The same on every machine and with every compiler, as files that outlive the program
 //! need. It guards against mistakes, not against forgery.
 
+use relight_format as format;
+
 /// A fingerprint in the making.
 #[derive(Clone, Copy, Debug)]
 pub struct Fingerprint(u128);
@@ -24,6 +26,13 @@ impl Fingerprint {
         for &byte in bytes {
             self.add_byte(byte);
         }
+    }
+
+    /// Adds a texture's layout and texels.
+    pub fn add_texture(&mut self, texture: &format::Texture) {
+        let (width, height, encoding) = (texture.width, texture.height, texture.encoding);
+        self.add(format!("{width} {height} {encoding:?}").as_bytes());
+        self.add(&texture.texels);
     }
 
     fn add_byte(&mut self, byte: u8) {

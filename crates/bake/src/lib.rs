@@ -11,6 +11,7 @@ pub mod import;
 pub mod measured;
 pub mod monitor;
 pub mod parts;
+mod picture;
 pub mod ray;
 pub mod refine;
 pub mod scene;

@@ -227,9 +227,7 @@ fn fingerprint(scene: &format::Scene) -> u128 {
     let small = format!("{:?}", (name, visibility, camera, materials, report));
     fingerprint.add(small.as_bytes());
     for texture in textures {
-        let (width, height, encoding) = (texture.width, texture.height, texture.encoding);
-        fingerprint.add(format!("{width} {height} {encoding:?}").as_bytes());
-        fingerprint.add(&texture.texels);
+        fingerprint.add_texture(texture);
     }
     fingerprint.add(bytemuck::cast_slice(vertices));
     fingerprint.add(bytemuck::cast_slice(triangles));

@@ -725,7 +725,7 @@ mod fit {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::accuracy::{Accuracy, accuracy};
+    use crate::accuracy::{Accuracy, accuracy, local_point};
     use crate::surface::Appearance;
 
     /// Roughnesses (GGX scale) and incidences (degrees) of the accuracy tables.
@@ -740,15 +740,8 @@ mod tests {
         };
         let reflection = Reflection::new(model, Vec3::splat(f0), alpha);
         let (sin, cos) = degrees.to_radians().sin_cos();
-        SurfacePoint {
-            position: Vec3::ZERO,
-            geometric_normal: Vec3::Z,
-            normal: Vec3::Z,
-            tangent: Vec3::X,
-            bitangent: Vec3::Y,
-            view: Vec3::new(sin * azimuth.cos(), sin * azimuth.sin(), cos),
-            appearance: Appearance::new(Vec3::ZERO, &[reflection]),
-        }
+        let view = Vec3::new(sin * azimuth.cos(), sin * azimuth.sin(), cos);
+        local_point(Appearance::new(Vec3::ZERO, &[reflection]), view)
     }
 
     /// Prints one row per material and returns the largest albedo error up to 70° and the

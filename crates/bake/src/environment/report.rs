@@ -4,6 +4,7 @@ use relight_format::Lobe;
 
 use super::measure::render;
 use crate::hdr::LatLong;
+use crate::picture::png;
 
 /// 8-bit sRGB pictures of one size, as PNG files in memory.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -38,37 +39,6 @@ pub fn pictures(image: &LatLong, lobes: &[Lobe]) -> Result<Pictures, image::Imag
         fit: encode(&fit.pixels)?,
         difference: encode(&difference)?,
     })
-}
-
-fn png(
-    width: u32,
-    height: u32,
-    pixels: &[[f32; 3]],
-    exposure: f32,
-) -> Result<Vec<u8>, image::ImageError> {
-    let bytes: Vec<u8> = pixels
-        .as_flattened()
-        .iter()
-        .map(|radiance| {
-            let exposed = radiance * exposure;
-            let linear = exposed / (1.0 + exposed);
-            let encoded = if linear <= 0.003_130_8 {
-                12.92 * linear
-            } else {
-                1.055 * linear.powf(1.0 / 2.4) - 0.055
-            };
-            (encoded * 255.0).round() as u8
-        })
-        .collect();
-    let mut file = Vec::new();
-    image::ImageEncoder::write_image(
-        image::codecs::png::PngEncoder::new(&mut file),
-        &bytes,
-        width,
-        height,
-        image::ExtendedColorType::Rgb8,
-    )?;
-    Ok(file)
 }
 
 #[cfg(test)]

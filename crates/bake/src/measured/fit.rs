@@ -335,6 +335,17 @@ fn measured(pairs: &[Pair], lobes: &[(f32, [Column; 2])], solution: &Solution) -
     measure(pairs, color(0), fitted)
 }
 
+/// The BRDF in 1/sr that the runtime's lobes come to, of the unit vector towards the light.
+pub(super) fn as_shaded(appearance: &Appearance, view: Vec3) -> impl Fn(Vec3) -> Vec3 + use<> {
+    let point = local_point(*appearance, view);
+    let lobes: Vec<_> = appearance
+        .reflections()
+        .flat_map(|reflection| specular_lobes(&point, reflection).as_slice().to_vec())
+        .collect();
+    let diffuse = appearance.diffuse * std::f32::consts::FRAC_1_PI;
+    move |light| lobes.iter().map(|lobe| lobe.evaluate(light)).sum::<Vec3>() + diffuse
+}
+
 fn measure(pairs: &[Pair], diffuse: [f32; 3], lobes: Vec<FittedLobe>) -> Fit {
     let mut fit = Fit {
         diffuse,
@@ -346,16 +357,11 @@ fn measure(pairs: &[Pair], diffuse: [f32; 3], lobes: Vec<FittedLobe>) -> Fit {
     let appearance = fit.appearance();
     let (mut errors, mut norm) = ([0.0; 2], 0.0);
     for view in pairs.chunk_by(|a, b| a.view == b.view) {
-        let point = local_point(appearance, view[0].view);
-        let gaussians: Vec<_> = appearance
-            .reflections()
-            .flat_map(|reflection| specular_lobes(&point, reflection).as_slice().to_vec())
-            .collect();
+        let as_shaded = as_shaded(&appearance, view[0].view);
         let (mut albedo, mut exact) = (0.0, 0.0);
         for pair in view {
             let model = reference::evaluate(&appearance, pair.light, pair.view);
-            let shaded: Vec3 = gaussians.iter().map(|lobe| lobe.evaluate(pair.light)).sum();
-            let shaded = shaded + appearance.diffuse * std::f32::consts::FRAC_1_PI;
+            let shaded = as_shaded(pair.light);
             let cosine = f64::from(pair.light.z);
             let square =
                 |v: Vec3| f64::from(v.length_squared()) * cosine * cosine * pair.solid_angle;

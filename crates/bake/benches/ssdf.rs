@@ -5,7 +5,7 @@
 
 mod common;
 
-use relight_bake::contour::ContourMesh;
+use relight_bake::contour::{ContourMesh, GROUP};
 use relight_bake::ray::RayCaster;
 use relight_bake::ssdf::Transform;
 use relight_bake::visibility::Directions;
@@ -29,18 +29,25 @@ fn main() {
             let directions = Directions::new(samples);
             let mut scratch = contours.scratch(&directions);
             let mut sample = || {
-                for &origin in &subject.origins {
-                    contours.sample(&caster, origin, &directions, &mut scratch);
+                for group in subject.origins.chunks(GROUP) {
+                    contours.prepare(group, &mut scratch);
+                    for &origin in group {
+                        contours.sample(&caster, origin, &directions, &mut scratch);
+                    }
                 }
             };
             let visibility = common::best(rounds, &mut sample);
             let mut scratch = contours.scratch(&directions);
             let mut apply = |transform: Option<&Transform>| {
-                for &origin in &subject.origins {
-                    let (bitmap, _) = contours.sample(&caster, origin, &directions, &mut scratch);
-                    let crossings = contours.crossings(&bitmap, &mut scratch);
-                    if let Some(transform) = transform {
-                        std::hint::black_box(transform.apply(&bitmap, crossings, 0.5));
+                for group in subject.origins.chunks(GROUP) {
+                    contours.prepare(group, &mut scratch);
+                    for &origin in group {
+                        let (bitmap, _) =
+                            contours.sample(&caster, origin, &directions, &mut scratch);
+                        let crossings = contours.crossings(&bitmap, &mut scratch);
+                        if let Some(transform) = transform {
+                            std::hint::black_box(transform.apply(&bitmap, crossings, 0.5));
+                        }
                     }
                 }
             };

@@ -18,7 +18,7 @@ use std::time::Instant;
 use common::Subject;
 use glam::Vec3;
 use rayon::prelude::*;
-use relight_bake::contour::ContourMesh;
+use relight_bake::contour::{ContourMesh, GROUP};
 use relight_bake::ray::RayCaster;
 use relight_bake::ssdf::{Crossings, Transform};
 use relight_bake::visibility::{self, Bitmap, Directions};
@@ -28,7 +28,7 @@ const RESOLUTION: u32 = 128;
 const BASIS_RESOLUTION: u32 = 64;
 
 fn main() {
-    let vertices = common::number("--vertices", 200);
+    let vertices = common::number("--vertices", 256);
     let rounds = common::number("--rounds", 3);
     let threads = common::number("--threads", 2);
     rayon::ThreadPoolBuilder::new()
@@ -111,11 +111,16 @@ fn measure(subject: &Subject, rounds: usize, threads: usize) -> Value {
             best[contender] = best[contender].min(start.elapsed().as_secs_f64());
         };
         lap(0, &mut || {
-            let sample = |scratch: &mut _, &origin: &Vec3| {
-                contours.sample(&caster, origin, &directions, scratch)
+            let sample = |scratch: &mut _, group: &[Vec3]| {
+                contours.prepare(group, scratch);
+                let points = group.iter();
+                points
+                    .map(|&origin| contours.sample(&caster, origin, &directions, scratch))
+                    .collect::<Vec<_>>()
             };
-            fast = (origins.par_iter())
+            fast = (origins.par_chunks(GROUP))
                 .map_init(|| contours.scratch(&directions), sample)
+                .flatten()
                 .collect();
         });
         lap(1, &mut || {

@@ -6,31 +6,41 @@ use glam::Vec3;
 const NORMAL_WEIGHT: f32 = 0.25;
 
 /// A triangle as the partition sees it: position in extents of the scene, weighted normal.
-type Feature = [f32; 6];
+pub(crate) type Feature = [f32; 6];
 
 /// Splits the triangles into groups whose vertices number at most `max_vertices` (or that
 /// hold one triangle), by recursive median cuts along the feature of largest spread.
 /// Groups come in spatial order; triangles within a group keep their order.
 pub fn partition(positions: &[Vec3], triangles: &[[u32; 3]], max_vertices: usize) -> Vec<Vec<u32>> {
+    let features = features(positions, triangles, NORMAL_WEIGHT);
+    let mut groups = Vec::new();
+    let all = (0..triangles.len() as u32).collect();
+    split(all, &features, triangles, max_vertices, &mut groups);
+    groups
+}
+
+/// Where triangles are and how they are turned. A normal's length, in extents of the scene,
+/// is `normal_weight`.
+pub(crate) fn features(
+    positions: &[Vec3],
+    triangles: &[[u32; 3]],
+    normal_weight: f32,
+) -> Vec<Feature> {
     let extent = positions
         .iter()
         .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), p| {
             (low.min(*p), high.max(*p))
         });
     let scale = 1.0 / (extent.1 - extent.0).max_element().max(f32::MIN_POSITIVE);
-    let features: Vec<Feature> = triangles
+    triangles
         .iter()
         .map(|triangle| {
             let [a, b, c] = triangle.map(|vertex| positions[vertex as usize]);
             let centre = (a + b + c) / 3.0 * scale;
-            let normal = (b - a).cross(c - a).normalize_or_zero() * NORMAL_WEIGHT;
+            let normal = (b - a).cross(c - a).normalize_or_zero() * normal_weight;
             [centre.x, centre.y, centre.z, normal.x, normal.y, normal.z]
         })
-        .collect();
-    let mut groups = Vec::new();
-    let all = (0..triangles.len() as u32).collect();
-    split(all, &features, triangles, max_vertices, &mut groups);
-    groups
+        .collect()
 }
 
 fn split(
@@ -76,6 +86,38 @@ fn widest_axis<'a>(features: impl Iterator<Item = &'a Feature> + Clone) -> usize
     (0..6)
         .max_by(|&a, &b| spread[a].total_cmp(&spread[b]))
         .unwrap_or(0)
+}
+
+/// Brings items into an order in which runs of `run` are close together: recursive cuts, at
+/// multiples of it, along the feature of largest extent. `key` gives an item's features and
+/// a number of its own, by which items of a run are ordered.
+pub fn arrange<T: Send, const N: usize>(
+    items: &mut [T],
+    run: usize,
+    key: &(impl Fn(&T) -> ([f32; N], u32) + Sync),
+) {
+    if items.len() <= run {
+        items.sort_unstable_by_key(|item| key(item).1);
+        return;
+    }
+    let mut range = [(f32::INFINITY, f32::NEG_INFINITY); N];
+    for item in items.iter() {
+        for ((low, high), value) in range.iter_mut().zip(key(item).0) {
+            (*low, *high) = (low.min(value), high.max(value));
+        }
+    }
+    let extent = |axis: usize| range[axis].1 - range[axis].0;
+    let axis = (0..N)
+        .max_by(|&a, &b| extent(a).total_cmp(&extent(b)))
+        .unwrap_or(0);
+    let middle = (items.len() / 2).next_multiple_of(run);
+    // Ties are broken by number: the cut does not depend on the selection's implementation.
+    items.select_nth_unstable_by(middle, |a, b| {
+        let ((a, first), (b, second)) = (key(a), key(b));
+        a[axis].total_cmp(&b[axis]).then(first.cmp(&second))
+    });
+    let (lower, upper) = items.split_at_mut(middle);
+    rayon::join(|| arrange(lower, run, key), || arrange(upper, run, key));
 }
 
 /// The vertices that the triangles use, ascending.

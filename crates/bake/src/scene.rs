@@ -15,7 +15,7 @@ use relight_format as format;
 use relight_format::{CHANNELS_PER_TILE, MAX_TILES_PER_CLUSTER, Representation};
 
 use crate::compress::{self, Compressed, ErrorSums};
-use crate::contour::{ContourMesh, Scratch};
+use crate::contour::{self, ContourMesh, Scratch};
 use crate::fingerprint::Fingerprint;
 use crate::import::Mesh;
 use crate::monitor::{Interrupted, Monitor};
@@ -481,9 +481,7 @@ fn fingerprint(input: &SceneInput, options: &Options) -> u128 {
         fingerprint.add(&triangle.material.to_le_bytes());
     }
     for texture in &mesh.textures {
-        let (width, height, encoding) = (texture.width, texture.height, texture.encoding);
-        fingerprint.add(format!("{width} {height} {encoding:?}").as_bytes());
-        fingerprint.add(&texture.texels);
+        fingerprint.add_texture(texture);
     }
     fingerprint.value()
 }
@@ -571,15 +569,27 @@ impl Bake<'_> {
     fn ssdfs(&self, vertices: &[u32]) -> Result<DMatrix<f32>, Interrupted> {
         let texels = (self.options.basis_resolution as usize).pow(2);
         let mut ssdfs = DMatrix::zeros(texels, vertices.len());
-        (ssdfs.as_mut_slice().par_chunks_exact_mut(texels))
-            .zip(vertices)
-            .try_for_each_init(
-                || self.contours.scratch(&self.directions),
-                |scratch, (column, &vertex)| {
-                    column.copy_from_slice(&self.ssdf(vertex, scratch)?);
+        let mut columns: Vec<(u32, &mut [f32])> = (vertices.iter().copied())
+            .zip(ssdfs.as_mut_slice().chunks_exact_mut(texels))
+            .collect();
+        cluster::arrange(&mut columns, contour::GROUP, &|(vertex, _)| {
+            (self.origins[*vertex as usize].to_array(), *vertex)
+        });
+        columns.par_chunks_mut(contour::GROUP).try_for_each_init(
+            || self.contours.scratch(&self.directions),
+            |scratch, group| {
+                let start = Instant::now();
+                let origins: Vec<Vec3> = (group.iter())
+                    .map(|(vertex, _)| self.origins[*vertex as usize])
+                    .collect();
+                self.contours.prepare(&origins, scratch);
+                add_time(&self.counters.visibility_nanoseconds, start);
+                group.iter_mut().try_for_each(|(vertex, column)| {
+                    column.copy_from_slice(&self.ssdf(*vertex, scratch)?);
                     Ok(())
-                },
-            )?;
+                })
+            },
+        )?;
         Ok(ssdfs)
     }
 

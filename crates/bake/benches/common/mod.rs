@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use glam::Vec3;
-use relight_bake::{import, visibility};
+use relight_bake::contour::GROUP;
+use relight_bake::{cluster, import, visibility};
 
 /// Meshes that are measured unless others are named, below the data folder.
 const MESHES: [&str; 5] = [
@@ -82,7 +83,8 @@ pub fn data_folder() -> PathBuf {
     )
 }
 
-/// Loads a mesh and picks `count` of its vertices at equal steps.
+/// Loads a mesh and picks about `count` of its vertices: groups as the bake makes them, at
+/// equal steps.
 pub fn subject(path: &Path, count: usize) -> Subject {
     let mesh = import::mesh(path).unwrap_or_else(|error| panic!("{error}"));
     let positions: Vec<Vec3> = mesh.vertices.iter().map(|v| v.position.into()).collect();
@@ -93,10 +95,15 @@ pub fn subject(path: &Path, count: usize) -> Subject {
         .collect();
     let (low, high) = mesh.bounds().expect("imported meshes have vertices");
     let origins = visibility::origins(&positions, &triangles, 1e-4 * low.distance(high));
+    let mut order: Vec<u32> = (0..origins.len() as u32).collect();
+    cluster::arrange(&mut order, GROUP, &|&vertex| {
+        (origins[vertex as usize].to_array(), vertex)
+    });
     let step = (origins.len() / count).max(1);
+    let picked = order.chunks(GROUP).step_by(step).flatten();
     Subject {
         name: path.file_stem().unwrap_or_default().display().to_string(),
         soup,
-        origins: origins.into_iter().step_by(step).take(count).collect(),
+        origins: picked.map(|&vertex| origins[vertex as usize]).collect(),
     }
 }

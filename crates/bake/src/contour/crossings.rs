@@ -1,71 +1,33 @@
 //! Where contours cross the links between neighbouring texels of different class, to far
 //! below a texel.
 
-use glam::Vec3;
-use pulp::{Arch, Simd, WithSimd};
-
-use super::Contour;
-use super::layers::{CLEARANCE, Edges, LANES, Point, first_from, for_pieces};
+use super::layers::{CLEARANCE, Point, first_from};
 use crate::ssdf::Crossings;
 use crate::visibility::Bitmap;
 
 /// Texels per side of the cells by which contours far from the boundary are told.
 const CELL: usize = 4;
 
-/// Finds the crossings of all contours, seen from `eye`, that `visible` shows.
+/// Finds the crossings of contours, given in texels of a map of `n` to a side, that
+/// `visible` shows.
 pub(super) fn locate(
-    positions: &[Vec3],
-    eye: Vec3,
-    contours: &[Contour],
+    segments: &[[Point; 2]],
     visible: &Bitmap,
     n: usize,
     crossings: &mut Crossings,
 ) {
     crossings.positions.clear();
     crossings.positions.resize(2 * n * n, f32::NAN);
-    Arch::new().dispatch(Locate {
-        positions,
-        eye,
-        contours,
-        cells: Cells::new(visible, n),
-        links: Links {
-            n,
-            visible,
-            positions: &mut crossings.positions,
-        },
-    });
-}
-
-struct Locate<'a> {
-    positions: &'a [Vec3],
-    eye: Vec3,
-    contours: &'a [Contour],
-    cells: Cells,
-    links: Links<'a>,
-}
-
-impl WithSimd for Locate<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) {
-        let Self {
-            positions,
-            eye,
-            contours,
-            cells,
-            mut links,
-        } = self;
-        let half = links.n as f32 * 0.5;
-        for batch in contours.chunks(LANES) {
-            let edges = Edges::project(batch, positions, eye, half);
-            let crosses = edges.cross_any_lines();
-            for (lane, crosses) in crosses.into_iter().enumerate().take(batch.len()) {
-                if crosses && edges.short(lane, CELL).is_none_or(|from| cells.near(from)) {
-                    let [from, to] = edges.ends(lane);
-                    for_pieces(from, to, half, |a, b| links.add_segment(a, b));
-                }
-            }
+    let cells = Cells::new(visible, n);
+    let mut links = Links {
+        n,
+        visible,
+        positions: &mut crossings.positions,
+    };
+    for &[a, b] in segments {
+        let reach = (a[0] - b[0]).abs().max((a[1] - b[1]).abs());
+        if reach >= CELL as f32 || cells.near(a) {
+            links.add_segment(a, b);
         }
     }
 }

@@ -1,5 +1,5 @@
-//! Which triangles face a point, and the contour edges between those that do and those that
-//! do not.
+//! Which triangles face all points of a small group, and which face some and not others.
+//! Contours lie between triangles that face a point and those that do not.
 //!
 //! Triangles are grouped into blocks of similar place and normal. A cone of normals and the
 //! range of the planes' offsets tell for most blocks that all of their triangles face one
@@ -11,9 +11,11 @@ use glam::{DVec3, Vec3};
 use pulp::{Arch, Simd, WithSimd};
 
 use super::Contour;
+use super::candidates::Candidates;
+use crate::cluster;
 
 /// Triangles that are tested together; their edges are grouped by it.
-const BLOCK: usize = 64;
+pub(super) const BLOCK: usize = 64;
 /// Cones that are tested side by side.
 const LANES: usize = 16;
 /// How far a quarter turn of the normal counts against a distance of the scene's extent
@@ -66,15 +68,35 @@ struct Cones {
 }
 
 /// Edges between two triangles: the first is wound along the edge, the second against it.
-struct Edges<T> {
-    triangles: Vec<[T; 2]>,
-    vertices: Vec<[u32; 2]>,
+pub(super) struct Edges<T> {
+    pub(super) triangles: Vec<[T; 2]>,
+    pub(super) vertices: Vec<[u32; 2]>,
 }
 
 /// The triangles at an edge and whether each is wound along it.
-struct IrregularEdge {
-    vertices: [u32; 2],
-    triangles: Vec<(u32, bool)>,
+#[derive(Clone)]
+pub(super) struct IrregularEdge {
+    pub(super) vertices: [u32; 2],
+    pub(super) triangles: Vec<(u32, bool)>,
+}
+
+impl IrregularEdge {
+    /// The contour that it makes, if any. `face` is 1 for triangles that face the eye and 0
+    /// for the others.
+    pub(super) fn contour(&self, face: impl Fn(u32) -> u8) -> Option<Contour> {
+        let left = |&(triangle, along): &(u32, bool)| {
+            if (face(triangle) == 1) == along {
+                1
+            } else {
+                -1
+            }
+        };
+        let step = self.triangles.iter().map(left).sum();
+        (step != 0).then_some(Contour {
+            vertices: self.vertices,
+            step,
+        })
+    }
 }
 
 impl Facing {
@@ -83,8 +105,9 @@ impl Facing {
         let order = group(positions, triangles);
         let blocks = order.len().div_ceil(BLOCK);
         let mut facing = Self {
-            planes: [(); 4].map(|()| vec![0.0; blocks * BLOCK]),
-            precise: vec![[0.0; 4]; blocks * BLOCK],
+            // What pads the last block is seen by nobody.
+            planes: [0.0, 0.0, 0.0, f32::INFINITY].map(|value| vec![value; blocks * BLOCK]),
+            precise: vec![[0.0; 4]; order.len()],
             corners: order
                 .iter()
                 .map(|&triangle| triangles[triangle as usize])
@@ -161,57 +184,102 @@ impl Facing {
         self.first_inner.resize(self.blocks + 1, end);
     }
 
-    /// All contours seen from `eye`. `faces` is scratch memory.
-    pub(super) fn find_contours(&self, eye: Vec3, faces: &mut Faces, contours: &mut Vec<Contour>) {
-        faces.triangles.resize(self.blocks * BLOCK, 0);
-        faces.mixed.clear();
-        faces.in_plane.clear();
-        contours.clear();
-        Arch::new().dispatch(FindFaces {
+    /// Contours that every point within `radius` of `centre` sees, and edges that some may.
+    /// `sides` is scratch memory.
+    pub(super) fn find_candidates(
+        &self,
+        centre: Vec3,
+        radius: f32,
+        sides: &mut Sides,
+        candidates: &mut Candidates,
+    ) {
+        sides.triangles.resize(self.blocks * BLOCK, BACK);
+        sides.numbers.resize(self.blocks * BLOCK, 0);
+        sides.mixed.clear();
+        // Distances to planes are rounded, and so is the radius.
+        let reach = 1.001 * radius + 2.0 * (self.rounding_at(centre) + PLANE_ROUNDING * radius);
+        Arch::new().dispatch(FindSides {
             mesh: self,
-            eye,
-            faces,
+            centre,
+            reach,
+            sides,
         });
-        for &block in &faces.mixed {
+        candidates.clear();
+        for &block in &sides.mixed {
+            for triangle in block as usize * BLOCK..(block as usize + 1) * BLOCK {
+                if sides.triangles[triangle] == EITHER {
+                    sides.numbers[triangle] = candidates.add_triangle(
+                        self.planes.each_ref().map(|plane| plane[triangle]),
+                        self.precise[triangle],
+                        self.corners[triangle],
+                    );
+                }
+            }
+        }
+        candidates.finish_triangles();
+        for &block in &sides.mixed {
             let block = block as usize;
             let range = self.first_inner[block] as usize..self.first_inner[block + 1] as usize;
-            let members = &faces.triangles[block * BLOCK..(block + 1) * BLOCK];
-            let face = |triangle: u8| members[usize::from(triangle) % BLOCK];
-            self.inner.collect(range, face, contours);
+            let members = block * BLOCK..(block + 1) * BLOCK;
+            let known = &sides.triangles[members.clone()];
+            let numbers = &sides.numbers[members];
+            let side = |triangle: u8| known[usize::from(triangle) % BLOCK];
+            let number = |triangle: u8| numbers[usize::from(triangle) % BLOCK];
+            self.inner.collect(range, side, number, candidates);
         }
-        let face = |triangle: u32| faces.triangles[triangle as usize];
-        self.outer
-            .collect(0..self.outer.vertices.len(), face, contours);
+        let side = |triangle: u32| sides.triangles[triangle as usize];
+        let number = |triangle: u32| sides.numbers[triangle as usize];
+        let all = 0..self.outer.vertices.len();
+        self.outer.collect(all, side, number, candidates);
         for edge in &self.irregular {
-            let left = |&(triangle, along): &(u32, bool)| {
-                if (face(triangle) == 1) == along {
-                    1
-                } else {
-                    -1
+            let mut triangles = edge.triangles.iter();
+            if triangles.any(|&(triangle, _)| side(triangle) == EITHER) {
+                let mut edge = edge.clone();
+                for (triangle, _) in &mut edge.triangles {
+                    *triangle = known_number(side(*triangle)).unwrap_or_else(|| number(*triangle));
                 }
-            };
-            let step = edge.triangles.iter().map(left).sum();
-            if step != 0 {
-                contours.push(Contour {
-                    vertices: edge.vertices,
-                    step,
-                });
+                candidates.irregular.push(edge);
+            } else {
+                candidates.sure.extend(edge.contour(side));
             }
         }
     }
+
+    /// Bounds the rounding of heights above planes, in single precision.
+    #[inline(always)]
+    pub(super) fn rounding_at(&self, eye: Vec3) -> f32 {
+        self.rounding + PLANE_ROUNDING * eye.abs().element_sum()
+    }
+}
+
+/// How a triangle lies to the points of a group: it faces none of them, all of them, or it
+/// is not known.
+const BACK: u8 = 0;
+const FRONT: u8 = 1;
+const EITHER: u8 = 2;
+
+/// The number that stands for all triangles that face no point, or every point.
+fn known_number(side: u8) -> Option<u32> {
+    (side != EITHER).then_some(u32::from(side))
 }
 
 impl<T: Copy> Edges<T> {
-    fn new() -> Self {
+    pub(super) fn new() -> Self {
         Self {
             triangles: Vec::new(),
             vertices: Vec::new(),
         }
     }
 
-    /// Appends those edges of `range` of which one triangle faces the eye and one does not.
+    /// Adds those edges of `range` whose triangles lie to different sides or may.
     #[inline(always)]
-    fn collect(&self, range: Range<usize>, face: impl Fn(T) -> u8, contours: &mut Vec<Contour>) {
+    fn collect(
+        &self,
+        range: Range<usize>,
+        side: impl Fn(T) -> u8,
+        number: impl Fn(T) -> u32,
+        candidates: &mut Candidates,
+    ) {
         let mut found = [0; CHUNK];
         let vertices = self.vertices[range.clone()].chunks(CHUNK);
         for (triangles, vertices) in self.triangles[range].chunks(CHUNK).zip(vertices) {
@@ -219,25 +287,62 @@ impl<T: Copy> Edges<T> {
             let mut count = 0;
             for (index, pair) in triangles.iter().enumerate() {
                 found[count % CHUNK] = index as u8;
+                let [a, b] = pair.map(&side);
+                count += usize::from((a ^ b) | (a & EITHER) != 0);
+            }
+            for &index in &found[..count] {
+                let (triangles, vertices) =
+                    (triangles[usize::from(index)], vertices[usize::from(index)]);
+                let sides = triangles.map(&side);
+                if sides.contains(&EITHER) {
+                    candidates.edges.triangles.push(triangles.map(|triangle| {
+                        known_number(side(triangle)).unwrap_or_else(|| number(triangle))
+                    }));
+                    candidates.edges.vertices.push(vertices);
+                } else {
+                    candidates.sure.push(Contour {
+                        vertices,
+                        step: step(sides[0]),
+                    });
+                }
+            }
+        }
+    }
+
+    /// Appends the edges of which one triangle faces the eye and one does not.
+    #[inline(always)]
+    pub(super) fn find(&self, face: impl Fn(T) -> u8, contours: &mut Vec<Contour>) {
+        let mut found = [0; CHUNK];
+        let vertices = self.vertices.chunks(CHUNK);
+        for (triangles, vertices) in self.triangles.chunks(CHUNK).zip(vertices) {
+            let mut count = 0;
+            for (index, pair) in triangles.iter().enumerate() {
+                found[count % CHUNK] = index as u8;
                 count += usize::from(face(pair[0]) ^ face(pair[1]));
             }
             contours.extend(found[..count].iter().map(|&index| Contour {
                 vertices: vertices[usize::from(index)],
-                step: 4 * i32::from(face(triangles[usize::from(index)][0])) - 2,
+                step: step(face(triangles[usize::from(index)][0])),
             }));
         }
     }
 }
 
-/// Which triangles face the eye.
+/// Layers that begin at an edge whose first triangle faces the eye (1), or end (0), along
+/// with those of its second triangle.
+fn step(face: u8) -> i32 {
+    4 * i32::from(face) - 2
+}
+
+/// How triangles lie to a group of points.
 #[derive(Default)]
-pub(super) struct Faces {
-    /// 1 or 0 per triangle.
+pub(super) struct Sides {
+    /// [`BACK`], [`FRONT`] or [`EITHER`] per triangle.
     triangles: Vec<u8>,
     /// Blocks whose triangles may differ.
     mixed: Vec<u32>,
-    /// Triangles whose planes the eye lies in, but for rounding.
-    in_plane: Vec<u32>,
+    /// What candidates call a triangle of either side.
+    numbers: Vec<u32>,
 }
 
 impl Cones {
@@ -284,11 +389,11 @@ impl Cones {
         };
     }
 
-    /// Per block: 1 if all triangles face the eye, −1 if none does, 0 if it is unknown.
+    /// Per block, how all of its triangles lie to all points within `reach` of `eye`.
     #[inline(always)]
-    fn test(&self, eye: Vec3) -> [i8; LANES] {
+    fn test(&self, eye: Vec3, reach: f32) -> [u8; LANES] {
         let mut result = [0; LANES];
-        for (lane, class) in result.iter_mut().enumerate() {
+        for (lane, side) in result.iter_mut().enumerate() {
             let x = eye.x - self.centre[0][lane];
             let y = eye.y - self.centre[1][lane];
             let z = eye.z - self.centre[2][lane];
@@ -309,148 +414,74 @@ impl Cones {
             } else {
                 along * cosine + across * sine
             };
-            let slack = SLACK * length;
+            let slack = SLACK * length + reach;
             let front = least - slack + self.low[lane] > 0.0;
             let back = largest + slack + self.high[lane] < 0.0;
-            *class = i8::from(front) - i8::from(back);
+            *side = 2 - u8::from(front) - 2 * u8::from(back);
         }
         result
     }
 }
 
-/// The vectorised body of [`Facing::find_contours`].
-struct FindFaces<'a> {
+/// The vectorised body of [`Facing::find_candidates`].
+struct FindSides<'a> {
     mesh: &'a Facing,
-    eye: Vec3,
-    faces: &'a mut Faces,
+    centre: Vec3,
+    reach: f32,
+    sides: &'a mut Sides,
 }
 
-impl WithSimd for FindFaces<'_> {
+impl WithSimd for FindSides<'_> {
     type Output = ();
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        let Self { mesh, eye, faces } = self;
-        let groups = faces.triangles.chunks_mut(LANES * BLOCK);
+        let Self {
+            mesh,
+            centre,
+            reach,
+            sides,
+        } = self;
+        let groups = sides.triangles.chunks_mut(LANES * BLOCK);
         for (number, (cones, group)) in mesh.cones.iter().zip(groups).enumerate() {
-            let classes = cones.test(eye);
+            let known = cones.test(centre, reach);
             let blocks = group.as_chunks_mut::<BLOCK>().0;
-            for (lane, (class, block)) in classes.into_iter().zip(blocks).enumerate() {
-                if class == 0 {
+            for (lane, (side, block)) in known.into_iter().zip(blocks).enumerate() {
+                if side == EITHER {
                     let index = number * LANES + lane;
-                    mesh.find_faces(index, eye, block, &mut faces.in_plane);
-                    faces.mixed.push(index as u32);
+                    let planes = mesh.planes.each_ref().map(|plane| block_of(plane, index));
+                    let [x, y, z, d] = planes;
+                    for i in 0..BLOCK {
+                        let height = x[i] * centre.x + y[i] * centre.y + z[i] * centre.z - d[i];
+                        block[i] = if height > reach {
+                            FRONT
+                        } else if height < -reach {
+                            BACK
+                        } else {
+                            EITHER
+                        };
+                    }
+                    sides.mixed.push(index as u32);
                 } else {
-                    block.fill(u8::from(class > 0));
+                    block.fill(side);
                 }
             }
         }
     }
 }
 
-impl Facing {
-    #[inline(always)]
-    fn find_faces(
-        &self,
-        block: usize,
-        eye: Vec3,
-        faces: &mut [u8; BLOCK],
-        in_plane: &mut Vec<u32>,
-    ) {
-        let range = block * BLOCK..(block + 1) * BLOCK;
-        let [x, y, z, d] = [0, 1, 2, 3].map(|i| {
-            let whole = self.planes[i][range.clone()].as_chunks::<BLOCK>().0;
-            &whole[0]
-        });
-        let rounding = self.rounding_at(eye);
-        let mut unclear = false;
-        for i in 0..BLOCK {
-            let height = x[i] * eye.x + y[i] * eye.y + z[i] * eye.z - d[i];
-            faces[i] = u8::from(height > 0.0);
-            unclear |= height.abs() < rounding;
-        }
-        if unclear {
-            let eye = eye.as_dvec3();
-            let planes = self.precise[range.clone()].iter();
-            for ((face, [x, y, z, d]), index) in faces.iter_mut().zip(planes).zip(range) {
-                let height = x * eye.x + y * eye.y + z * eye.z - d;
-                *face = u8::from(height > 0.0);
-                let bound = f64::from(rounding) * (x * x + y * y + z * z).sqrt();
-                if height.abs() <= bound && index < self.corners.len() {
-                    in_plane.push(index as u32);
-                }
-            }
-        }
-    }
+/// The elements that belong to a block of triangles.
+#[inline(always)]
+pub(super) fn block_of<T>(elements: &[T], block: usize) -> &[T; BLOCK] {
+    &elements.as_chunks().0[block]
 }
 
-impl Facing {
-    /// Whether the eye of the last search lies on a triangle, but for rounding. What a ray
-    /// from there meets is a matter of its arithmetic.
-    pub(super) fn touches(&self, positions: &[Vec3], eye: Vec3, faces: &Faces) -> bool {
-        let margin = 4.0 * f64::from(self.rounding_at(eye));
-        faces.in_plane.iter().any(|&index| {
-            let corners = self.corners[index as usize].map(|v| positions[v as usize].as_dvec3());
-            let [a, b, c] = corners;
-            let normal = (b - a).cross(c - a).normalize_or_zero();
-            [(a, b), (b, c), (c, a)].into_iter().all(|(from, to)| {
-                let inward = normal.cross(to - from).normalize_or_zero();
-                inward.dot(eye.as_dvec3() - from) >= -margin
-            })
-        })
-    }
-
-    /// Bounds the rounding of heights above planes, in single precision.
-    #[inline(always)]
-    fn rounding_at(&self, eye: Vec3) -> f32 {
-        self.rounding + PLANE_ROUNDING * eye.abs().element_sum()
-    }
-}
-
-/// An order of the triangles in which runs of [`BLOCK`] are close in place and normal:
-/// recursive cuts, at multiples of the block, along the feature of largest extent.
+/// An order of the triangles in which runs of [`BLOCK`] are close in place and normal.
 fn group(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<u32> {
-    let (low, high) = positions.iter().fold(
-        (Vec3::INFINITY, Vec3::NEG_INFINITY),
-        |(low, high), position| (low.min(*position), high.max(*position)),
-    );
-    let scale = 1.0 / (high - low).max_element().max(f32::MIN_POSITIVE);
-    let features: Vec<[f32; 6]> = triangles
-        .iter()
-        .map(|triangle| {
-            let [a, b, c] = triangle.map(|vertex| positions[vertex as usize]);
-            let centre = (a + b + c) / 3.0 * scale;
-            let normal = (b - a).cross(c - a).normalize_or_zero() * NORMAL_WEIGHT;
-            [centre.x, centre.y, centre.z, normal.x, normal.y, normal.z]
-        })
-        .collect();
+    let features = cluster::features(positions, triangles, NORMAL_WEIGHT);
     let mut order: Vec<u32> = (0..triangles.len() as u32).collect();
-    cut(&mut order, &features);
-    order
-}
-
-fn cut(group: &mut [u32], features: &[[f32; 6]]) {
-    if group.len() <= BLOCK {
-        group.sort_unstable();
-        return;
-    }
-    let mut range = [(f32::INFINITY, f32::NEG_INFINITY); 6];
-    for &triangle in group.iter() {
-        for ((low, high), value) in range.iter_mut().zip(features[triangle as usize]) {
-            (*low, *high) = (low.min(value), high.max(value));
-        }
-    }
-    let extent = |axis: usize| range[axis].1 - range[axis].0;
-    let axis = (0..6)
-        .max_by(|&a, &b| extent(a).total_cmp(&extent(b)))
-        .unwrap_or(0);
-    let middle = (group.len() / 2).next_multiple_of(BLOCK);
-    // Ties are broken by index: the cut does not depend on the selection's implementation.
-    group.select_nth_unstable_by(middle, |&a, &b| {
-        features[a as usize][axis]
-            .total_cmp(&features[b as usize][axis])
-            .then(a.cmp(&b))
+    cluster::arrange(&mut order, BLOCK, &|&triangle| {
+        (features[triangle as usize], triangle)
     });
-    let (lower, upper) = group.split_at_mut(middle);
-    rayon::join(|| cut(lower, features), || cut(upper, features));
+    order
 }

@@ -10,14 +10,12 @@
 use glam::Vec3;
 use pulp::{Arch, Simd, WithSimd};
 
-use super::Contour;
+use super::candidates::{Batch, LANES};
 use crate::visibility::Bitmap;
 
 /// Distance from a segment within which a texel centre is uncertain, in texels: several
 /// times the rounding of projected segments and of the texels' directions.
 pub(super) const CLEARANCE: f32 = 2.5e-4;
-/// Edges that are projected side by side.
-pub(super) const LANES: usize = 16;
 
 pub(super) type Point = [f32; 2];
 
@@ -33,6 +31,9 @@ pub(super) struct Layers {
     totals: Vec<i32>,
     /// Texels that need a ray of their own; some may be named twice.
     uncertain: Vec<u32>,
+    /// Contours in texels, cut at the borders of octants; none that passes between all lines
+    /// of texel centres.
+    segments: Vec<[Point; 2]>,
     /// Whether some contour could not be projected.
     broken: bool,
 }
@@ -45,6 +46,7 @@ impl Layers {
             first_row: vec![0; n + 1],
             totals: vec![0; n * n],
             uncertain: Vec::new(),
+            segments: Vec::new(),
             broken: false,
         }
     }
@@ -54,15 +56,20 @@ impl Layers {
         self.n
     }
 
+    /// Contours of the last count, in texels.
+    pub(super) fn segments(&self) -> &[[Point; 2]] {
+        &self.segments
+    }
+
     /// Sums the steps of all contours, seen from `eye`.
-    pub(super) fn count(&mut self, positions: &[Vec3], eye: Vec3, contours: &[Contour]) {
+    pub(super) fn count<'a>(&mut self, eye: Vec3, contours: impl Iterator<Item = &'a Batch>) {
         self.steps.fill(0);
         self.first_row.fill(0);
         self.uncertain.clear();
+        self.segments.clear();
         self.broken = false;
         Arch::new().dispatch(Count {
             layers: self,
-            positions,
             eye,
             contours,
         });
@@ -180,7 +187,7 @@ impl Layers {
 /// Calls back with the straight segments that an edge, relative to the eye, maps to: one
 /// per octant.
 #[inline(always)]
-pub(super) fn for_pieces(from: Vec3, to: Vec3, half: f32, mut call: impl FnMut(Point, Point)) {
+fn for_pieces(from: Vec3, to: Vec3, half: f32, mut call: impl FnMut(Point, Point)) {
     let signs = |p: Vec3| [p.x < 0.0, p.y < 0.0, p.z < 0.0];
     if signs(from) == signs(to) {
         call(project_own(from, half), project_own(to, half));
@@ -263,42 +270,51 @@ fn max_zero(x: f32) -> f32 {
 
 /// The vectorised part of [`Layers::count`]: most edges lie between two lines of texel
 /// centres and change nothing.
-struct Count<'a> {
+struct Count<'a, I> {
     layers: &'a mut Layers,
-    positions: &'a [Vec3],
     eye: Vec3,
-    contours: &'a [Contour],
+    contours: I,
 }
 
-impl WithSimd for Count<'_> {
+impl<'a, I: Iterator<Item = &'a Batch>> WithSimd for Count<'_, I> {
     type Output = ();
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
         let Self {
             layers,
-            positions,
             eye,
             contours,
         } = self;
         let half = layers.n as f32 * 0.5;
-        for batch in contours.chunks(LANES) {
-            let edges = Edges::project(batch, positions, eye, half);
-            let crosses = edges.cross_counted_lines();
-            for (lane, contour) in batch.iter().enumerate() {
-                if crosses[lane] {
-                    let [from, to] = edges.ends(lane);
-                    for_pieces(from, to, half, |a, b| {
-                        layers.add_segment(a, b, contour.step);
-                    });
+        for batch in contours {
+            let edges = Edges::project(batch, eye, half);
+            let (counted, crossing) = edges.cross_lines();
+            for lane in 0..batch.count {
+                if !crossing[lane] {
+                    continue;
+                }
+                let step = batch.steps[lane];
+                let mut add = |a, b| {
+                    layers.segments.push([a, b]);
+                    if counted[lane] {
+                        layers.add_segment(a, b, step);
+                    }
+                };
+                match edges.segment(lane) {
+                    Some([a, b]) => add(a, b),
+                    None => {
+                        let [from, to] = edges.ends(lane);
+                        for_pieces(from, to, half, add);
+                    }
                 }
             }
         }
     }
 }
 
-/// Contours side by side.
-pub(super) struct Edges {
+/// Contours side by side, projected.
+struct Edges {
     /// Relative to the eye.
     ends: [[[f32; LANES]; 3]; 2],
     points: [[[f32; LANES]; 2]; 2],
@@ -306,28 +322,22 @@ pub(super) struct Edges {
 }
 
 impl Edges {
-    /// Projects up to [`LANES`] contours.
     #[inline(always)]
-    pub(super) fn project(batch: &[Contour], positions: &[Vec3], eye: Vec3, half: f32) -> Self {
+    fn project(batch: &Batch, eye: Vec3, half: f32) -> Self {
         let mut edges = Self {
             ends: [[[0.0; LANES]; 3]; 2],
             points: [[[0.0; LANES]; 2]; 2],
             octants: [[0; LANES]; 2],
         };
-        for (lane, contour) in batch.iter().enumerate() {
-            for (end, vertex) in edges.ends.iter_mut().zip(contour.vertices) {
-                let p = positions[vertex as usize];
-                end[0][lane] = p.x;
-                end[1][lane] = p.y;
-                end[2][lane] = p.z;
-            }
-        }
-        let ends = edges.ends.iter_mut();
-        for ((end, point), octants) in ends.zip(&mut edges.points).zip(&mut edges.octants) {
+        for i in 0..2 {
+            let vertices = &batch.ends[i];
+            let end = &mut edges.ends[i];
+            let point = &mut edges.points[i];
+            let octants = &mut edges.octants[i];
             for lane in 0..LANES {
-                let x = end[0][lane] - eye.x;
-                let y = end[1][lane] - eye.y;
-                let z = end[2][lane] - eye.z;
+                let x = vertices[0][lane] - eye.x;
+                let y = vertices[1][lane] - eye.y;
+                let z = vertices[2][lane] - eye.z;
                 (end[0][lane], end[1][lane], end[2][lane]) = (x, y, z);
                 octants[lane] = u8::from(x < 0.0) | u8::from(y < 0.0) << 1 | u8::from(z < 0.0) << 2;
                 let sign = |x: f32| if x < 0.0 { -1.0 } else { 1.0 };
@@ -342,47 +352,33 @@ impl Edges {
 
     /// Both ends, relative to the eye.
     #[inline(always)]
-    pub(super) fn ends(&self, lane: usize) -> [Vec3; 2] {
+    fn ends(&self, lane: usize) -> [Vec3; 2] {
         [0, 1].map(|end| Vec3::from(self.ends[end].map(|axis| axis[lane])))
     }
 
-    /// Where an edge starts, if it lies within one octant and ends less than `length` texels
-    /// away in either coordinate.
+    /// The edge in texels, if it lies within one octant.
     #[inline(always)]
-    pub(super) fn short(&self, lane: usize, length: usize) -> Option<Point> {
-        let [from, to] = [0, 1].map(|end| self.points[end].map(|axis| axis[lane]));
-        let reach = (from[0] - to[0]).abs().max((from[1] - to[1]).abs());
+    fn segment(&self, lane: usize) -> Option<[Point; 2]> {
+        let [[u0, v0], [u1, v1]] = &self.points;
         let within = self.octants[0][lane] == self.octants[1][lane];
-        (within && reach < length as f32).then_some(from)
+        within.then_some([[u0[lane], v0[lane]], [u1[lane], v1[lane]]])
     }
 
-    /// Which edges come near a line that steps are summed on.
+    /// Which edges come near a line that steps are summed on, and which near any line of
+    /// texel centres.
     #[inline(always)]
-    fn cross_counted_lines(&self) -> [bool; LANES] {
-        let mut crosses = [true; LANES];
+    fn cross_lines(&self) -> ([bool; LANES], [bool; LANES]) {
+        let (mut counted, mut crossing) = ([true; LANES], [true; LANES]);
         let [[u0, v0], [u1, v1]] = &self.points;
         let [from, to] = &self.octants;
         for lane in 0..LANES {
             // Written so that NaN crosses.
-            let between = between_lines(u0[lane], u1[lane]);
+            let between = between_lines(u0[lane], u1[lane]) && from[lane] == to[lane];
             let below = v0[lane] > CLEARANCE && v1[lane] > CLEARANCE;
-            crosses[lane] = !(between && below && from[lane] == to[lane]);
+            counted[lane] = !(between && below);
+            crossing[lane] = !(between && below && between_lines(v0[lane], v1[lane]));
         }
-        crosses
-    }
-
-    /// Which edges come near any line of texel centres.
-    #[inline(always)]
-    pub(super) fn cross_any_lines(&self) -> [bool; LANES] {
-        let mut crosses = [true; LANES];
-        let [[u0, v0], [u1, v1]] = &self.points;
-        let [from, to] = &self.octants;
-        for lane in 0..LANES {
-            let columns = between_lines(u0[lane], u1[lane]);
-            let rows = between_lines(v0[lane], v1[lane]);
-            crosses[lane] = !(columns && rows && from[lane] == to[lane]);
-        }
-        crosses
+        (counted, crossing)
     }
 }
 

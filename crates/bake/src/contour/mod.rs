@@ -14,6 +14,7 @@
 //! their own, and sums around the map, which must vanish, are checked: where they do not,
 //! rays are cast, as they are from a point that lies on another surface.
 
+mod candidates;
 mod crossings;
 mod facing;
 mod layers;
@@ -23,8 +24,12 @@ use glam::Vec3;
 use crate::ray::RayCaster;
 use crate::ssdf::Crossings;
 use crate::visibility::{self, Bitmap, Directions};
-use facing::{Faces, Facing};
+use candidates::Candidates;
+use facing::Facing;
 use layers::Layers;
+
+/// Points, close together, for which [`ContourMesh::prepare`] pays best.
+pub const GROUP: usize = 32;
 
 /// A mesh's edges, prepared for finding contours from any point.
 pub struct ContourMesh {
@@ -41,12 +46,9 @@ struct Contour {
     step: i32,
 }
 
-/// Memory that sampling one point after the other reuses.
+/// What sampling one point after the other reuses.
 pub struct Scratch {
-    /// The point sampled last.
-    origin: Vec3,
-    facing: Faces,
-    contours: Vec<Contour>,
+    candidates: Candidates,
     layers: Layers,
     crossings: Crossings,
 }
@@ -83,12 +85,17 @@ impl ContourMesh {
     /// Memory for [`Self::sample`] at the directions' resolution.
     pub fn scratch(&self, directions: &Directions) -> Scratch {
         Scratch {
-            origin: Vec3::NAN,
-            facing: Faces::default(),
-            contours: Vec::new(),
+            candidates: Candidates::default(),
             layers: Layers::new(directions.resolution() as usize),
             crossings: Crossings::default(),
         }
+    }
+
+    /// Finds what the points between `origins` may see as contours. Points close together
+    /// have most of it in common: sampling them is then several times faster.
+    pub fn prepare(&self, origins: &[Vec3], scratch: &mut Scratch) {
+        let candidates = &mut scratch.candidates;
+        candidates.prepare(&self.facing, &self.positions, origins);
     }
 
     /// The same bitmap as [`crate::visibility::sample`], and the number of rays it took.
@@ -99,20 +106,18 @@ impl ContourMesh {
         directions: &Directions,
         scratch: &mut Scratch,
     ) -> (Bitmap, u32) {
+        if !scratch.candidates.covers(origin) {
+            self.prepare(&[origin], scratch);
+        }
         let Scratch {
-            origin: last,
-            facing,
-            contours,
-            layers,
-            ..
+            candidates, layers, ..
         } = scratch;
-        *last = origin;
-        self.facing.find_contours(origin, facing, contours);
-        if self.facing.touches(&self.positions, origin, facing) {
+        let touches = candidates.look(&self.facing, &self.positions, origin);
+        layers.count(origin, candidates.contours());
+        if touches {
             let rays = directions.as_slice().len() as u32;
             return (visibility::sample(caster, origin, directions), rays);
         }
-        layers.count(&self.positions, origin, contours);
         let directions = directions.as_slice();
         layers.resolve(|texel| !caster.any_hit(origin, directions[texel]))
     }
@@ -121,14 +126,10 @@ impl ContourMesh {
     /// sampled last, which gave `visible`.
     pub fn crossings<'a>(&self, visible: &Bitmap, scratch: &'a mut Scratch) -> &'a Crossings {
         let Scratch {
-            origin,
-            contours,
-            crossings,
-            layers,
-            ..
+            crossings, layers, ..
         } = scratch;
-        let n = layers.resolution();
-        crossings::locate(&self.positions, *origin, contours, visible, n, crossings);
+        let segments = layers.segments();
+        crossings::locate(segments, visible, layers.resolution(), crossings);
         crossings
     }
 }
@@ -176,6 +177,11 @@ mod tests {
         let mut scratch = mesh.scratch(&directions);
         let mut total = 0;
         for (index, &origin) in origins.iter().enumerate() {
+            // Some points by themselves, the others in groups that are far too wide.
+            if index % 12 == 6 {
+                let group = &origins[index..origins.len().min(index + 6)];
+                mesh.prepare(group, &mut scratch);
+            }
             let exact = visibility::sample(&caster, origin, &directions);
             let (fast, rays) = mesh.sample(&caster, origin, &directions, &mut scratch);
             let wrong = (0..(resolution * resolution) as usize)

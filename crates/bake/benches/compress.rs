@@ -5,7 +5,7 @@
 mod common;
 
 use nalgebra::DMatrix;
-use relight_bake::compress::{self, Encoder};
+use relight_bake::compress::{self, Samples, Weighting};
 use relight_bake::ray::RayCaster;
 use relight_bake::ssdf::{Crossings, Transform};
 use relight_bake::visibility::{self, Directions};
@@ -13,6 +13,8 @@ use relight_bake::visibility::{self, Directions};
 const RESOLUTION: u32 = 64;
 /// Images of the largest default cluster.
 const CHANNELS: usize = 16;
+/// The default's.
+const MAX_ERROR: f32 = 0.005;
 
 fn main() {
     let vertices = common::number("--vertices", 512);
@@ -22,10 +24,10 @@ fn main() {
             println!("us per vertex, one thread, best of {rounds} rounds");
             println!(
                 "{:<14}{:>10}{:>10}{:>10}{:>10}{:>10}{:>16}",
-                "mesh", "vertices", "analyse", "reweight", "systems", "encode", "error, rad"
+                "mesh", "vertices", "analyse", "select", "reweight", "encode", "error, rad"
             );
         }
-        // Every n-th vertex of the whole mesh: harder to compress than neighbours are.
+        // Groups from all over the mesh: harder to compress than one neighbourhood is.
         let subject = common::subject(path, vertices);
         let caster = RayCaster::new(&subject.soup);
         let directions = Directions::new(RESOLUTION);
@@ -38,30 +40,33 @@ fn main() {
             .collect();
         let count = subject.origins.len();
         let ssdfs = DMatrix::from_vec(RESOLUTION.pow(2) as usize, count, columns);
+        let samples = Samples::new(ssdfs, &subject.normals, &Weighting::new(RESOLUTION));
         let analyse = common::best(rounds, || {
-            std::hint::black_box(compress::analyse(&ssdfs, CHANNELS - 1));
+            std::hint::black_box(compress::analyse(&samples, CHANNELS - 1));
         });
-        let basis = compress::analyse(&ssdfs, CHANNELS - 1);
+        let basis = compress::analyse(&samples, CHANNELS - 1);
+        let select = common::best(rounds, || {
+            std::hint::black_box(samples.fitted());
+        });
+        let fitted = samples.fitted();
         let reweight = common::best(rounds, || {
-            std::hint::black_box(compress::reweight(&ssdfs, &basis, CHANNELS));
+            std::hint::black_box(compress::reweight(&fitted, &basis, CHANNELS));
         });
-        let images = compress::reweight(&ssdfs, &basis, CHANNELS);
-        let systems = common::best(rounds, || {
-            std::hint::black_box(Encoder::new(&ssdfs, &images));
-        });
-        let encoder = Encoder::new(&ssdfs, &images);
+        let images = compress::reweight(&fitted, &basis, CHANNELS);
         let encode = common::best(rounds, || {
-            std::hint::black_box(encoder.encode(CHANNELS));
+            std::hint::black_box(compress::encode(&fitted, &images, MAX_ERROR));
         });
         let per_vertex = |seconds: f64| seconds * 1e6 / count as f64;
         println!(
             "{:<14}{count:>10}{:>10.0}{:>10.0}{:>10.0}{:>10.0}{:>16.4}",
             subject.name,
             per_vertex(analyse),
+            per_vertex(select),
             per_vertex(reweight),
-            per_vertex(systems),
             per_vertex(encode),
-            encoder.encode(CHANNELS).error.boundary_rms(),
+            compress::encode(&fitted, &images, MAX_ERROR)
+                .error
+                .boundary_rms(),
         );
     }
 }

@@ -1,26 +1,169 @@
 //! SSDFs of a cluster -> a mean, basis images and coefficients, quantised as stored.
 //!
 //! Principal component analysis of the cluster's clamped SSDFs (Sloan et al. 2003; Wang et
-//! al. 2013) finds a basis, and weighted least squares the one that is stored. The basis is
-//! quantised first; each vertex's coefficients are
-//! then the weighted least-squares fit to the quantised basis, so that rounding of the
-//! basis is compensated as far as the basis allows and the error near the visibility
-//! boundary, where alone an SSDF shades, counts most.
+//! al. 2013) finds a basis, and weighted least squares the one that is stored. The weights
+//! are what an error costs in a picture: an SSDF shades by the place of its boundary alone,
+//! and light that comes from there by the squared cosine to the surface's normal. What lies
+//! below the horizon is never looked at. The basis is quantised first; each vertex's
+//! coefficients are then fitted to the quantised basis.
 
+use glam::Vec3;
 use nalgebra::{DMatrix, DVector};
 use relight_format::CHANNELS_PER_TILE;
 
-/// Half-width of the error weight about the visibility boundary, radians: the width of the
-/// lobes that resolve the boundary, and of the reported boundary error.
-pub const BOUNDARY_WIDTH: f32 = 0.1;
+use crate::visibility::Directions;
+
+/// Half-width of the weight about the visibility boundary, radians: two texels of a basis
+/// image of usual size.
+const BOUNDARY_WIDTH: f32 = 0.05;
 /// Weight of texels far from the boundary, which only guide the steps of sphere tracing.
-const FAR_WEIGHT: f32 = 0.01;
+const FAR_WEIGHT: f32 = 0.003;
+/// Weight of texels below the horizon, for normals that interpolation turns.
+const HIDDEN_WEIGHT: f32 = 0.01;
 /// Subspace iterations; four separate the spectrum of SSDFs to well below quantisation.
 const ITERATIONS: usize = 4;
 /// Rounds of reweighting: further ones gain 3 % each.
-const ROUNDS: usize = 2;
+const ROUNDS: usize = 3;
+/// What rounding may add to the error, as a part of the error allowed: the squares of both
+/// come to less than a tenth of its square.
+const BASIS_ROUNDING: f32 = 0.25;
+const COEFFICIENT_ROUNDING: f32 = 0.15;
+/// Largest step of basis images, in 127ths of their range.
+const MAX_STEP: f32 = 16.0;
+/// Texels whose weight at every vertex is below this part of the largest are told by the
+/// [`SKIPPED`]th of them.
+const IDLE: f32 = 0.02;
+const SKIPPED: usize = 8;
 /// Extra vectors in the subspace iteration, to converge the last ones kept.
 const OVERSAMPLING: usize = 6;
+
+/// A vertex's shading normal as the weights see it.
+#[derive(Clone, Copy, Debug)]
+pub struct Normal {
+    /// Unit length.
+    pub direction: Vec3,
+    /// Sine of the angle by which a normal map may turn it.
+    pub tilt: f32,
+}
+
+/// What an error of an SSDF costs, by direction.
+pub struct Weighting {
+    directions: Directions,
+    /// Solid angle of every texel, in units of the weights that a wall has: of a vertical
+    /// wall that hides half of the sky, at a vertex whose normal points up.
+    solid_angles: Vec<f32>,
+}
+
+impl Weighting {
+    /// For basis images of this many texels per side.
+    pub fn new(basis_resolution: u32) -> Self {
+        let directions = Directions::new(basis_resolution);
+        // The octahedral map shrinks by the third power of the distance to the octahedron's
+        // face (Engelhardt & Dachsbacher 2008).
+        let solid_angles = (directions.as_slice().iter())
+            .map(|direction| direction.abs().element_sum().powi(3))
+            .collect();
+        let mut weighting = Self {
+            directions,
+            solid_angles,
+        };
+        let wall: Vec<f32> = (weighting.directions.as_slice().iter())
+            .map(|direction| direction.x.asin())
+            .collect();
+        let up = Normal {
+            direction: Vec3::Y,
+            tilt: 0.0,
+        };
+        let mut weights = vec![0.0; wall.len()];
+        weighting.weigh(&wall, up, &mut weights);
+        let sum: f32 = weights.iter().sum();
+        (weighting.solid_angles.iter_mut()).for_each(|solid_angle| *solid_angle /= sum);
+        weighting
+    }
+
+    /// Weight of a squared error at every texel of an SSDF.
+    fn weigh(&self, ssdf: &[f32], normal: Normal, weights: &mut [f32]) {
+        let texels = self.directions.as_slice().iter().zip(&self.solid_angles);
+        for ((weight, distance), (direction, solid_angle)) in
+            weights.iter_mut().zip(ssdf).zip(texels)
+        {
+            let cosine = normal.direction.dot(*direction);
+            let seen = ((cosine + normal.tilt) / (1.0 + normal.tilt)).max(0.0);
+            let near = 1.0 / (1.0 + (distance / BOUNDARY_WIDTH).powi(4));
+            *weight = solid_angle * (FAR_WEIGHT + near) * (HIDDEN_WEIGHT + seen * seen);
+        }
+    }
+}
+
+/// SSDFs of a cluster and what their errors cost: one row per texel, one column per vertex.
+pub struct Samples {
+    ssdfs: DMatrix<f32>,
+    weights: DMatrix<f32>,
+}
+
+/// Those texels of samples that bases and coefficients are fitted to.
+pub struct Fitted<'a> {
+    samples: &'a Samples,
+    texels: Vec<usize>,
+    /// Products of weights and SSDFs.
+    weighted: DMatrix<f32>,
+    weights: DMatrix<f32>,
+}
+
+impl Samples {
+    /// One normal per column of `ssdfs`.
+    pub fn new(ssdfs: DMatrix<f32>, normals: &[Normal], weighting: &Weighting) -> Self {
+        let mut weights = DMatrix::zeros(ssdfs.nrows(), ssdfs.ncols());
+        let texels = ssdfs.nrows();
+        let columns = ssdfs.as_slice().chunks_exact(texels);
+        let weighted = weights.as_mut_slice().chunks_exact_mut(texels);
+        for ((weights, ssdf), normal) in weighted.zip(columns).zip(normals) {
+            weighting.weigh(ssdf, *normal, weights);
+        }
+        Self { ssdfs, weights }
+    }
+
+    /// Those of some vertices.
+    pub fn select(&self, columns: &[usize]) -> Self {
+        Self {
+            ssdfs: self.ssdfs.select_columns(columns),
+            weights: self.weights.select_columns(columns),
+        }
+    }
+
+    /// The texels that count: all near a boundary above some vertex's horizon, few others.
+    pub fn fitted(&self) -> Fitted<'_> {
+        let mut largest = vec![0.0f32; self.weights.nrows()];
+        for column in self.weights.column_iter() {
+            for (largest, weight) in largest.iter_mut().zip(&column) {
+                *largest = largest.max(*weight);
+            }
+        }
+        let bound = IDLE * largest.iter().copied().fold(0.0, f32::max);
+        let mut idle = 0;
+        let (mut texels, mut factors) = (Vec::new(), Vec::new());
+        for (texel, largest) in largest.into_iter().enumerate() {
+            let busy = largest > bound;
+            if busy || idle % SKIPPED == 0 {
+                texels.push(texel);
+                factors.push(if busy { 1.0 } else { SKIPPED as f32 });
+            }
+            idle += usize::from(!busy);
+        }
+        let mut weights = self.weights.select_rows(&texels);
+        for mut column in weights.column_iter_mut() {
+            for (weight, factor) in column.iter_mut().zip(&factors) {
+                *weight *= factor;
+            }
+        }
+        Fitted {
+            samples: self,
+            weighted: self.ssdfs.select_rows(&texels).component_mul(&weights),
+            texels,
+            weights,
+        }
+    }
+}
 
 /// Squared error sums of a compressed set, for root mean squares over many sets.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -29,10 +172,10 @@ pub struct ErrorSums {
     pub all: f64,
     /// Number of texels summed in `all`.
     pub all_count: u64,
-    /// The same over texels within [`BOUNDARY_WIDTH`] of the boundary.
+    /// The same, weighted by what it costs, in units of a wall's weights.
     pub boundary: f64,
-    /// Number of texels summed in `boundary`.
-    pub boundary_count: u64,
+    /// Number of vertices.
+    pub vertices: u64,
 }
 
 impl ErrorSums {
@@ -41,7 +184,7 @@ impl ErrorSums {
         self.all += other.all;
         self.all_count += other.all_count;
         self.boundary += other.boundary;
-        self.boundary_count += other.boundary_count;
+        self.vertices += other.vertices;
     }
 
     /// Root mean square over all texels, radians.
@@ -49,9 +192,10 @@ impl ErrorSums {
         (self.all / self.all_count.max(1) as f64).sqrt() as f32
     }
 
-    /// Root mean square over texels near the boundary, radians.
+    /// Root mean square over vertices of what errors cost, radians: a wall whose boundary is
+    /// off by this angle costs as much.
     pub fn boundary_rms(&self) -> f32 {
-        (self.boundary / self.boundary_count.max(1) as f64).sqrt() as f32
+        (self.boundary / self.vertices.max(1) as f64).sqrt() as f32
     }
 }
 
@@ -70,21 +214,29 @@ pub struct Compressed {
     pub error: ErrorSums,
 }
 
+/// Images whose weighted sums are SSDFs.
+#[derive(Clone)]
+pub struct Images {
+    /// One row per texel, one column per image.
+    pub values: DMatrix<f32>,
+    /// Root mean square of the coefficients of every image.
+    pub amplitudes: Vec<f32>,
+}
+
 /// Mean and leading principal components of a set of SSDFs.
 pub struct Basis {
-    /// Column 0 is the mean; the others are orthonormal, by falling variance. One row per
-    /// texel.
-    pub images: DMatrix<f32>,
+    /// Column 0 is the mean; the others are orthonormal, by falling variance.
+    pub images: Images,
     /// Projections of the centred SSDFs: one row per component (without the mean), one
     /// column per vertex.
     pub projections: DMatrix<f32>,
 }
 
-/// Principal component analysis of `ssdfs` (one row per texel, one column per vertex):
-/// the mean and at most `rank` components.
+/// Principal component analysis: the mean and at most `rank` components.
 ///
 /// Randomised subspace iteration (Halko, Martinsson & Tropp 2011) from a fixed seed.
-pub fn analyse(ssdfs: &DMatrix<f32>, rank: usize) -> Basis {
+pub fn analyse(samples: &Samples, rank: usize) -> Basis {
+    let ssdfs = &samples.ssdfs;
     let (texels, vertices) = ssdfs.shape();
     let mean = ssdfs.column_mean();
     let mut centred = ssdfs.clone();
@@ -122,188 +274,234 @@ pub fn analyse(ssdfs: &DMatrix<f32>, rank: usize) -> Basis {
         eigen.eigenvectors[(row, order[column])] as f32
     });
     let components = &orthonormal * &rotation;
-    let mut images = DMatrix::zeros(texels, rank + 1);
-    images.column_mut(0).copy_from(&mean);
-    images.columns_mut(1, rank).copy_from(&components);
+    let mut values = DMatrix::zeros(texels, rank + 1);
+    values.column_mut(0).copy_from(&mean);
+    values.columns_mut(1, rank).copy_from(&components);
+    let projections = rotation.transpose() * &coordinates;
+    let spread = projections.row_iter().map(|row| row.norm());
+    let amplitudes = std::iter::once(1.0)
+        .chain(spread.map(|norm| norm / (vertices as f32).sqrt()))
+        .collect();
     Basis {
-        images,
-        projections: rotation.transpose() * &coordinates,
+        images: Images { values, amplitudes },
+        projections,
     }
 }
 
-/// Fits the first `channels` images to `ssdfs` anew, with the weights that count when
-/// coefficients are fitted: principal components spend most of their variance far from the
-/// boundary, where an error costs nothing. Alternating least squares from the principal
-/// components, which takes the error near the boundary to about 0.6 of theirs.
-pub fn reweight(ssdfs: &DMatrix<f32>, basis: &Basis, channels: usize) -> DMatrix<f32> {
-    let (texels, vertices) = ssdfs.shape();
-    let channels = channels.min(basis.images.ncols());
-    let mut images = basis.images.columns(0, channels).into_owned();
+/// Fits the first `channels` images to the samples anew, with their weights: principal
+/// components spend most of their variance where an error costs nothing. Alternating least
+/// squares from the principal components, which takes the error to a fraction of theirs.
+pub fn reweight(fitted: &Fitted, basis: &Basis, channels: usize) -> Images {
+    let channels = channels.min(basis.images.values.ncols());
+    let vertices = fitted.weights.ncols();
+    let mut values = basis.images.values.columns(0, channels).into_owned();
+    let mut coefficients = DMatrix::zeros(channels, vertices);
     let pairs = channels * (channels + 1) / 2;
-    let weights = ssdfs.map(weight);
-    let weighted = weights.component_mul(ssdfs);
-    let (weights, weighted) = (weights.transpose(), weighted.transpose());
+    let (weights, weighted) = (fitted.weights.transpose(), fitted.weighted.transpose());
     for _ in 0..ROUNDS {
-        let encoder = Encoder::new(ssdfs, &images);
-        let mut fitted = DMatrix::zeros(channels, vertices);
-        for (mut out, system) in fitted.column_iter_mut().zip(encoder.systems.column_iter()) {
-            out.copy_from(&solve(system.as_slice(), channels, channels));
+        let normal_equations = fitted.systems(&values);
+        let systems = normal_equations.column_iter();
+        for (mut out, system) in coefficients.column_iter_mut().zip(systems) {
+            out.copy_from(&solve(system.as_slice(), channels));
         }
         let mut products = DMatrix::zeros(pairs, vertices);
-        for (mut products, fitted) in products.column_iter_mut().zip(fitted.column_iter()) {
+        for (mut products, factors) in products.column_iter_mut().zip(coefficients.column_iter()) {
             let pair = |j: usize| (0..=j).map(move |i| (i, j));
             for (product, (i, j)) in products.iter_mut().zip((0..channels).flat_map(pair)) {
-                *product = fitted[i] * fitted[j];
+                *product = factors[i] * factors[j];
             }
         }
-        let mut systems = DMatrix::zeros(pairs + channels, texels);
+        let mut systems = DMatrix::zeros(pairs + channels, fitted.texels.len());
         systems
             .rows_mut(0, pairs)
             .copy_from(&(&products * &weights));
         systems
             .rows_mut(pairs, channels)
-            .copy_from(&(&fitted * &weighted));
-        for (texel, system) in systems.column_iter().enumerate() {
-            let image = solve(system.as_slice(), channels, channels);
-            images.row_mut(texel).copy_from(&image.transpose());
+            .copy_from(&(&coefficients * &weighted));
+        for (texel, system) in fitted.texels.iter().zip(systems.column_iter()) {
+            let image = solve(system.as_slice(), channels);
+            values.row_mut(*texel).copy_from(&image.transpose());
         }
     }
-    images
+    fitted.fill(&coefficients, &mut values);
+    let amplitude = |row: usize| coefficients.row(row).norm() / (vertices as f32).sqrt();
+    Images {
+        values,
+        amplitudes: (0..channels).map(amplitude).collect(),
+    }
 }
 
-/// Weight of an error where the SSDF is `distance`.
-fn weight(distance: f32) -> f32 {
-    FAR_WEIGHT + 1.0 / (1.0 + (distance / BOUNDARY_WIDTH).powi(4))
-}
-
-/// SSDFs that are fitted in one product of matrices.
-const BLOCK_VERTICES: usize = 512;
-
-/// A quantised basis and the least-squares systems of every SSDF in it. Leading parts of
-/// the systems belong to fewer images, so one set serves every number of tiles.
-pub struct Encoder<'a> {
-    ssdfs: &'a DMatrix<f32>,
-    /// One column per image, quantised.
-    quantised: DMatrix<i8>,
-    /// The same, decoded.
-    decoded: DMatrix<f32>,
-    /// Upper triangle of the normal matrix by columns, then the right side: one column per
-    /// vertex.
-    systems: DMatrix<f32>,
-}
-
-impl<'a> Encoder<'a> {
-    /// Quantises `images`, one per column, and forms the weighted normal equations of every
-    /// column of `ssdfs`.
-    pub fn new(ssdfs: &'a DMatrix<f32>, images: &DMatrix<f32>) -> Self {
-        let (texels, channels) = images.shape();
-        let mut quantised = DMatrix::zeros(texels, channels);
-        for (mut out, image) in quantised.column_iter_mut().zip(images.column_iter()) {
-            let largest = image.amax();
-            let scale = if largest > 0.0 { 127.0 / largest } else { 0.0 };
-            out.iter_mut()
-                .zip(&image)
-                .for_each(|(out, value)| *out = (value * scale).round() as i8);
-        }
-        let decoded = quantised.map(|value: i8| f32::from(value) / 127.0);
-        // Products of images, one row each: a normal matrix is their weighted sum.
+impl Fitted<'_> {
+    /// Normal equations of every vertex for its coefficients of images: the upper triangle
+    /// of the matrix by columns, then the right side. One column per vertex.
+    fn systems(&self, images: &DMatrix<f32>) -> DMatrix<f32> {
+        let channels = images.ncols();
+        let vertices = self.weights.ncols();
+        let images = images.select_rows(&self.texels);
+        // Products of images: a normal matrix is their weighted sum.
         let pairs = channels * (channels + 1) / 2;
-        let mut products = DMatrix::zeros(texels, pairs);
-        let mut row = 0;
-        for j in 0..channels {
-            for i in 0..=j {
-                let product = decoded.column(i).component_mul(&decoded.column(j));
-                products.column_mut(row).copy_from(&product);
-                row += 1;
-            }
+        let mut products = DMatrix::zeros(self.texels.len(), pairs);
+        let pair = |j: usize| (0..=j).map(move |i| (i, j));
+        for (mut product, (i, j)) in (products.column_iter_mut()).zip((0..channels).flat_map(pair))
+        {
+            product.copy_from(&images.column(i).component_mul(&images.column(j)));
         }
-        let (products, images) = (products.transpose(), decoded.transpose());
-        let mut systems = DMatrix::zeros(pairs + channels, ssdfs.ncols());
-        for first in (0..ssdfs.ncols()).step_by(BLOCK_VERTICES) {
-            let count = BLOCK_VERTICES.min(ssdfs.ncols() - first);
-            let block = ssdfs.columns(first, count);
-            let weights = block.map(weight);
-            let weighted = weights.component_mul(&block);
-            systems
-                .view_mut((0, first), (pairs, count))
-                .copy_from(&(&products * weights));
-            systems
-                .view_mut((pairs, first), (channels, count))
-                .copy_from(&(&images * weighted));
-        }
-        Self {
-            ssdfs,
-            quantised,
-            decoded,
-            systems,
-        }
+        // Products with an explicit transpose run at the speed of a blocked kernel.
+        let (products, images) = (products.transpose(), images.transpose());
+        let mut systems = DMatrix::zeros(pairs + channels, vertices);
+        systems
+            .rows_mut(0, pairs)
+            .copy_from(&(products * &self.weights));
+        systems
+            .rows_mut(pairs, channels)
+            .copy_from(&(images * &self.weighted));
+        systems
     }
 
-    /// Fits and quantises the coefficients of the first `channels` images.
-    pub fn encode(&self, channels: usize) -> Compressed {
-        let (texels, vertices) = self.ssdfs.shape();
-        let channels = channels.min(self.quantised.ncols());
-        let tiles = channels.div_ceil(CHANNELS_PER_TILE);
-        let stored = tiles * CHANNELS_PER_TILE;
-        let mut fitted = DMatrix::zeros(channels, vertices);
-        for (mut out, system) in fitted.column_iter_mut().zip(self.systems.column_iter()) {
-            out.copy_from(&solve(system.as_slice(), channels, self.quantised.ncols()));
-        }
-        let coefficient_scale = fitted.amax();
-        let to_integer = if coefficient_scale > 0.0 {
-            32767.0 / coefficient_scale
-        } else {
-            0.0
-        };
-        let integers = fitted.map(|value| (value * to_integer).round() as i16);
-        let mut coefficients = vec![0i16; vertices * stored];
-        for (out, column) in coefficients
-            .chunks_exact_mut(stored)
-            .zip(integers.column_iter())
-        {
-            out.iter_mut()
-                .zip(&column)
-                .for_each(|(out, value)| *out = *value);
-        }
-        let mut basis = vec![0i8; texels * stored];
-        for (channel, image) in self.quantised.column_iter().take(channels).enumerate() {
-            let (tile, lane) = (channel / CHANNELS_PER_TILE, channel % CHANNELS_PER_TILE);
-            let out =
-                basis[tile * texels * CHANNELS_PER_TILE..].chunks_exact_mut(CHANNELS_PER_TILE);
-            out.zip(&image)
-                .for_each(|(texel, value)| texel[lane] = *value);
-        }
-        let images = self.decoded.columns(0, channels);
-        let mut error = ErrorSums::default();
-        for first in (0..vertices).step_by(BLOCK_VERTICES) {
-            let count = BLOCK_VERTICES.min(vertices - first);
-            let values = integers
-                .columns(first, count)
-                .map(|value| f32::from(value) / 32767.0 * coefficient_scale);
-            let found = images * values;
-            for (found, exact) in found.iter().zip(&self.ssdfs.columns(first, count)) {
-                let squared = f64::from((found - exact).powi(2));
-                error.all += squared;
-                if exact.abs() < BOUNDARY_WIDTH {
-                    error.boundary += squared;
-                    error.boundary_count += 1;
-                }
+    /// Fits the texels left out to coefficients, without weights.
+    fn fill(&self, coefficients: &DMatrix<f32>, images: &mut DMatrix<f32>) {
+        let mut left = vec![true; images.nrows()];
+        self.texels.iter().for_each(|&texel| left[texel] = false);
+        let rest: Vec<usize> = (0..left.len()).filter(|&texel| left[texel]).collect();
+        let channels = coefficients.nrows();
+        let transposed = coefficients.transpose();
+        let mut normal = (coefficients * &transposed).cast::<f64>();
+        let ridge = 1e-7 * normal.trace() / channels as f64 + f64::MIN_POSITIVE;
+        normal += DMatrix::identity(channels, channels) * ridge;
+        let right = (self.samples.ssdfs.select_rows(&rest) * transposed).transpose();
+        if let Some(factor) = normal.cholesky() {
+            let found = factor.solve(&right.cast::<f64>()).cast::<f32>();
+            for (texel, image) in rest.into_iter().zip(found.column_iter()) {
+                images.row_mut(texel).copy_from(&image.transpose());
             }
-        }
-        error.all_count = (texels * vertices) as u64;
-        Compressed {
-            tiles: tiles as u32,
-            coefficient_scale,
-            coefficients,
-            basis,
-            error,
         }
     }
 }
 
-/// Solves the leading `channels` × `channels` part of a packed system of `all` channels.
-fn solve(system: &[f32], channels: usize, all: usize) -> DVector<f32> {
-    let (packed, right) = system.split_at(all * (all + 1) / 2);
+/// SSDFs whose errors are summed in one product of matrices.
+const BLOCK_VERTICES: usize = 512;
+/// Sums that are formed side by side.
+const LANES: usize = 16;
+
+/// Quantises images and fits coefficients to them. Rounding takes its part of `max_error`,
+/// the root mean square that [`ErrorSums::boundary_rms`] may have, radians.
+pub fn encode(fitted: &Fitted, images: &Images, max_error: f32) -> Compressed {
+    let Samples { ssdfs, weights } = fitted.samples;
+    let (texels, vertices) = ssdfs.shape();
+    let channels = images.values.ncols();
+    // What an error of one radian everywhere costs.
+    let cost = fitted.weights.sum() / vertices as f32;
+    let quantised = quantise(images, max_error * BASIS_ROUNDING / cost.sqrt());
+    let decoded = quantised.map(|value: i8| f32::from(value) / 127.0);
+    let systems = fitted.systems(&decoded);
+    let mut coefficients = DMatrix::zeros(channels, vertices);
+    for (mut out, system) in coefficients.column_iter_mut().zip(systems.column_iter()) {
+        out.copy_from(&solve(system.as_slice(), channels));
+    }
+    // What an error of one in every coefficient costs: the traces of the normal matrices.
+    let diagonal = (0..channels).map(|channel| channel * (channel + 3) / 2);
+    let trace = diagonal.map(|row| systems.row(row).sum()).sum::<f32>() / vertices as f32;
+    let step = max_error * COEFFICIENT_ROUNDING * (12.0 / trace).sqrt();
+    let coefficient_scale = if step.is_finite() {
+        coefficients.amax().max(32767.0 * step)
+    } else {
+        coefficients.amax()
+    };
+    let to_integer = if coefficient_scale > 0.0 {
+        32767.0 / coefficient_scale
+    } else {
+        0.0
+    };
+    let integers = coefficients.map(|value| (value * to_integer).round() as i16);
+    let tiles = channels.div_ceil(CHANNELS_PER_TILE);
+    let stored = tiles * CHANNELS_PER_TILE;
+    let mut coefficients = vec![0i16; vertices * stored];
+    for (out, column) in coefficients
+        .chunks_exact_mut(stored)
+        .zip(integers.column_iter())
+    {
+        out.iter_mut()
+            .zip(&column)
+            .for_each(|(out, value)| *out = *value);
+    }
+    let mut basis = vec![0i8; texels * stored];
+    for (channel, image) in quantised.column_iter().enumerate() {
+        let (tile, lane) = (channel / CHANNELS_PER_TILE, channel % CHANNELS_PER_TILE);
+        let out = basis[tile * texels * CHANNELS_PER_TILE..].chunks_exact_mut(CHANNELS_PER_TILE);
+        out.zip(&image)
+            .for_each(|(texel, value)| texel[lane] = *value);
+    }
+    let mut error = ErrorSums::default();
+    for first in (0..vertices).step_by(BLOCK_VERTICES) {
+        let count = BLOCK_VERTICES.min(vertices - first);
+        let values = integers
+            .columns(first, count)
+            .map(|value| f32::from(value) / 32767.0 * coefficient_scale);
+        let found = &decoded * values;
+        for ((found, exact), weights) in columns(&found, 0)
+            .zip(columns(ssdfs, first))
+            .zip(columns(weights, first))
+        {
+            let [all, boundary] = squared_errors(found, exact, weights);
+            error.all += f64::from(all);
+            error.boundary += f64::from(boundary);
+        }
+    }
+    error.vertices = vertices as u64;
+    error.all_count = (texels * vertices) as u64;
+    Compressed {
+        tiles: tiles as u32,
+        coefficient_scale,
+        coefficients,
+        basis,
+        error,
+    }
+}
+
+/// The columns from `first` on.
+fn columns(matrix: &DMatrix<f32>, first: usize) -> std::slice::ChunksExact<'_, f32> {
+    let texels = matrix.nrows();
+    matrix.as_slice()[first * texels..].chunks_exact(texels)
+}
+
+/// Sums of squared differences, without and with weights, over the texels of one vertex.
+fn squared_errors<'a>(found: &'a [f32], exact: &'a [f32], weights: &'a [f32]) -> [f32; 2] {
+    // Side by side, as vector instructions want it.
+    let mut sums = [[0.0; LANES]; 2];
+    let chunks = |values: &'a [f32]| values.chunks(LANES);
+    for ((found, exact), weights) in chunks(found).zip(chunks(exact)).zip(chunks(weights)) {
+        for (lane, ((found, exact), weight)) in found.iter().zip(exact).zip(weights).enumerate() {
+            let squared = (found - exact).powi(2);
+            sums[0][lane] += squared;
+            sums[1][lane] += squared * weight;
+        }
+    }
+    sums.map(|lanes| lanes.iter().sum())
+}
+
+/// Images in 127ths of their range, in steps that together err by `rounding`, radians root
+/// mean square. Images of small coefficients need less precision and compress better.
+fn quantise(images: &Images, rounding: f32) -> DMatrix<i8> {
+    let (texels, channels) = images.values.shape();
+    let each = rounding * (12.0 / channels as f32).sqrt();
+    let mut quantised = DMatrix::zeros(texels, channels);
+    let pairs = quantised.column_iter_mut().zip(images.values.column_iter());
+    for ((mut out, image), amplitude) in pairs.zip(&images.amplitudes) {
+        let largest = image.amax();
+        if largest > 0.0 {
+            let unit = largest / 127.0;
+            let step = (each / (amplitude * unit)).floor().clamp(1.0, MAX_STEP);
+            out.iter_mut().zip(&image).for_each(|(out, value)| {
+                *out = ((value / (unit * step)).round() * step).clamp(-127.0, 127.0) as i8;
+            });
+        }
+    }
+    quantised
+}
+
+/// Solves a packed system.
+fn solve(system: &[f32], channels: usize) -> DVector<f32> {
+    let (packed, right) = system.split_at(channels * (channels + 1) / 2);
     let mut normal = DMatrix::from_fn(channels, channels, |i, j| {
         let (i, j) = (i.min(j), i.max(j));
         f64::from(packed[j * (j + 1) / 2 + i])
@@ -313,7 +511,7 @@ fn solve(system: &[f32], channels: usize, all: usize) -> DVector<f32> {
     for i in 0..channels {
         normal[(i, i)] += ridge;
     }
-    let right = DVector::from_iterator(channels, right[..channels].iter().map(|&r| f64::from(r)));
+    let right = DVector::from_iterator(channels, right.iter().map(|&r| f64::from(r)));
     normal
         .cholesky()
         .map_or_else(|| DVector::zeros(channels), |factor| factor.solve(&right))
@@ -325,21 +523,66 @@ mod tests {
     use super::*;
 
     /// SSDFs of caps that drift over a small patch, clamped: smooth but not low-rank.
-    fn drifting_caps(vertices: usize) -> DMatrix<f32> {
+    fn drifting_caps(vertices: usize) -> Samples {
         let n = 16;
-        DMatrix::from_fn(n * n, vertices, |texel, vertex| {
+        let ssdfs = DMatrix::from_fn(n * n, vertices, |texel, vertex| {
             let (x, y) = ((texel % n) as f32 / n as f32, (texel / n) as f32 / n as f32);
             let t = vertex as f32 / vertices as f32;
             let distance = ((x - 0.3 - 0.3 * t).powi(2) + (y - 0.5 + 0.2 * t * t).powi(2)).sqrt();
             (2.0 * (distance - 0.2)).clamp(-0.5, 0.5)
-        })
+        });
+        samples(ssdfs)
+    }
+
+    /// At vertices whose normals point up.
+    fn samples(ssdfs: DMatrix<f32>) -> Samples {
+        let up = Normal {
+            direction: Vec3::Y,
+            tilt: 0.0,
+        };
+        let weighting = Weighting::new(ssdfs.nrows().isqrt() as u32);
+        let normals = vec![up; ssdfs.ncols()];
+        Samples::new(ssdfs, &normals, &weighting)
+    }
+
+    #[test]
+    fn a_wall_off_by_an_angle_costs_that_angle() {
+        for (resolution, off) in [(64, 0.01f32), (64, -0.003), (32, 0.01)] {
+            let directions = Directions::new(resolution);
+            let wall = |off: f32| {
+                let distances = directions.as_slice().iter().map(|d| d.x.asin() + off);
+                DMatrix::from_iterator(directions.as_slice().len(), 1, distances)
+            };
+            let exact = samples(wall(0.0));
+            let squared: f32 = (wall(off) - &exact.ssdfs)
+                .component_mul(&(wall(off) - &exact.ssdfs))
+                .component_mul(&exact.weights)
+                .sum();
+            assert!((squared.sqrt() - off.abs()).abs() < 1e-4, "{squared}");
+        }
+    }
+
+    #[test]
+    fn boundaries_below_the_horizon_cost_next_to_nothing() {
+        let weighting = Weighting::new(64);
+        let floor: Vec<f32> = (weighting.directions.as_slice().iter())
+            .map(|direction| direction.y.asin() + 0.1)
+            .collect();
+        let cost = |direction: Vec3, tilt: f32| {
+            let mut weights = vec![0.0; floor.len()];
+            weighting.weigh(&floor, Normal { direction, tilt }, &mut weights);
+            weights.iter().sum::<f32>()
+        };
+        let (up, down) = (cost(Vec3::Y, 0.0), cost(Vec3::NEG_Y, 0.0));
+        assert!(up < 0.2 && up < cost(Vec3::Y, 0.3), "{up}");
+        assert!(cost(Vec3::X, 0.0) > 0.8, "{down}");
     }
 
     #[test]
     fn components_are_orthonormal_and_ordered() {
         let ssdfs = drifting_caps(50);
         let basis = analyse(&ssdfs, 8);
-        let components = basis.images.columns(1, 8);
+        let components = basis.images.values.columns(1, 8);
         let gram = components.tr_mul(&components);
         // Single-precision orthogonalisation of a few hundred texels.
         assert!((gram - DMatrix::identity(8, 8)).amax() < 1e-4);
@@ -358,8 +601,10 @@ mod tests {
     fn error_falls_with_rank() {
         let ssdfs = drifting_caps(60);
         let basis = analyse(&ssdfs, 15);
-        let encoder = Encoder::new(&ssdfs, &basis.images);
-        let errors = [1, 4, 8, 12, 16].map(|k| encoder.encode(k).error.boundary_rms());
+        let errors = [1, 4, 8, 12, 16].map(|k| {
+            let images = reweight(&ssdfs.fitted(), &basis, k);
+            encode(&ssdfs.fitted(), &images, 1e-4).error.boundary_rms()
+        });
         assert!(
             errors.windows(2).all(|pair| pair[1] < pair[0]),
             "{errors:?}"
@@ -369,15 +614,15 @@ mod tests {
     #[test]
     fn reweighting_lowers_the_error_near_the_boundary() {
         let ssdfs = drifting_caps(60);
-        for channels in [4, 8] {
+        for channels in [2, 4] {
             let basis = analyse(&ssdfs, channels - 1);
-            let error = |images: &DMatrix<f32>| {
-                let compressed = Encoder::new(&ssdfs, images).encode(channels);
+            let error = |images: &Images| {
+                let compressed = encode(&ssdfs.fitted(), images, 1e-4);
                 compressed.error.boundary_rms()
             };
             let (before, after) = (
                 error(&basis.images),
-                error(&reweight(&ssdfs, &basis, channels)),
+                error(&reweight(&ssdfs.fitted(), &basis, channels)),
             );
             // These caps are so smooth that quantisation bounds the gain.
             assert!(
@@ -393,7 +638,8 @@ mod tests {
             let (a, b) = ((texel as f32 * 0.1).sin(), (texel as f32 * 0.07).cos());
             0.2 * a + 0.1 * b * (vertex as f32 * 0.3).sin()
         });
-        let compressed = Encoder::new(&ssdfs, &analyse(&ssdfs, 3).images).encode(4);
+        let ssdfs = samples(ssdfs);
+        let compressed = encode(&ssdfs.fitted(), &analyse(&ssdfs, 3).images, 1e-4);
         // 8-bit steps of images whose largest values are 0.2 and 0.1 rad, half a step off.
         assert!(
             compressed.error.rms() < 0.3 / 127.0 / 2.0,
@@ -403,10 +649,31 @@ mod tests {
     }
 
     #[test]
+    fn rounding_takes_its_part_of_the_error() {
+        let ssdfs = drifting_caps(60);
+        let fitted = ssdfs.fitted();
+        let images = reweight(&fitted, &analyse(&ssdfs, 15), 16);
+        let fine = encode(&fitted, &images, 1e-5).error.boundary_rms();
+        for max_error in [4.0 * fine, 10.0 * fine] {
+            let compressed = encode(&fitted, &images, max_error);
+            let added = (compressed.error.boundary_rms().powi(2) - fine.powi(2)).max(0.0);
+            assert!(
+                added < 0.1 * max_error.powi(2),
+                "{added} for {max_error}, {fine} without"
+            );
+            let bits = |compressed: &Compressed| {
+                let largest = compressed.coefficients.iter().map(|c| c.unsigned_abs());
+                largest.max().unwrap_or(0).ilog2()
+            };
+            assert!(bits(&compressed) < 13, "coarse coefficients are small");
+        }
+    }
+
+    #[test]
     fn equal_and_single_columns_compress() {
         for (vertices, value) in [(1, 0.5f32), (7, 0.5), (3, -0.5), (2, 0.0)] {
-            let ssdfs = DMatrix::from_element(64, vertices, value);
-            let compressed = Encoder::new(&ssdfs, &analyse(&ssdfs, 7).images).encode(8);
+            let ssdfs = samples(DMatrix::from_element(64, vertices, value));
+            let compressed = encode(&ssdfs.fitted(), &analyse(&ssdfs, 7).images, 1e-4);
             assert!(
                 compressed.error.rms() < 1e-4,
                 "{vertices} columns of {value}"

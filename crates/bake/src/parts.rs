@@ -463,7 +463,7 @@ pub fn encode(clusters: &[Cluster]) -> Vec<u8> {
         bytes.extend(error.all.to_le_bytes());
         bytes.extend(error.all_count.to_le_bytes());
         bytes.extend(error.boundary.to_le_bytes());
-        bytes.extend(error.boundary_count.to_le_bytes());
+        bytes.extend(error.vertices.to_le_bytes());
         bytes.extend(array_bytes(&cluster.vertices));
         bytes.extend(array_bytes(&cluster.triangles));
         bytes.extend(array_bytes(&compressed.coefficients));
@@ -490,7 +490,7 @@ fn decode(mut bytes: &[u8]) -> Option<Vec<Cluster>> {
             all: take(bytes)?,
             all_count: take(bytes)?,
             boundary: take(bytes)?,
-            boundary_count: take(bytes)?,
+            vertices: take(bytes)?,
         };
         if !(1..=MAX_TILES_PER_CLUSTER).contains(&tiles) {
             return None;

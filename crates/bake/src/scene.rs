@@ -14,7 +14,7 @@ use rayon::prelude::*;
 use relight_format as format;
 use relight_format::{CHANNELS_PER_TILE, MAX_TILES_PER_CLUSTER, Representation};
 
-use crate::compress::{self, Compressed, ErrorSums};
+use crate::compress::{self, Compressed, ErrorSums, Normal, Samples, Weighting};
 use crate::contour::{self, ContourMesh, Scratch};
 use crate::fingerprint::Fingerprint;
 use crate::import::Mesh;
@@ -29,8 +29,12 @@ const CHUNK_VERTICES: usize = 1024;
 /// What the SSDFs of all chunks at hand may take, bytes; copies that compression makes of
 /// them come to about four times as much.
 const CHUNK_BUDGET_BYTES: usize = 96 << 20;
-/// What reweighting divides the error of principal components by, at most.
-const REWEIGHTING_GAIN: f32 = 2.0;
+/// Sine of the angle by which normal maps are taken to turn normals: few texels of real
+/// ones turn them further.
+const NORMAL_MAP_TILT: f32 = 0.35;
+/// How far a cluster may exceed the error bound at its last tile, as a factor: splitting it
+/// costs as much as all that others are below the bound.
+const OVERSHOOT: f32 = 1.3;
 /// A cluster of fewer vertices is not split further: its basis would outweigh it.
 const MIN_CLUSTER_VERTICES: usize = 96;
 /// Distance of a visibility sample from its surface, in diagonals of the scene: far above
@@ -51,8 +55,9 @@ pub struct Options {
     /// Clustered: tiles of four images per cluster, at most. The GPU's cost of a sample is
     /// proportional to the tiles.
     pub max_tiles: u32,
-    /// Clustered: root mean square error near the visibility boundary that a cluster may
-    /// have, radians; clusters gain tiles, then split, until they meet it.
+    /// Clustered: root mean square error of the visibility boundary that a cluster may have,
+    /// radians ([`ErrorSums::boundary_rms`]); clusters gain tiles, then split, until they
+    /// meet it. Those that miss it narrowly are not split.
     pub max_error: f32,
     /// Global: components besides the mean.
     pub global_rank: u32,
@@ -84,7 +89,7 @@ impl Options {
             distance_clamp: 0.5,
             representation: Representation::ClusteredPca,
             max_tiles: 4,
-            max_error: 0.01,
+            max_error: 0.005,
             global_rank: 24,
             max_edge: 0.04,
             max_vertices: 1_000_000,
@@ -94,7 +99,8 @@ impl Options {
     /// Small errors at several times the size.
     pub fn high() -> Self {
         Self {
-            max_error: 0.004,
+            max_error: 0.002,
+            max_tiles: 6,
             max_edge: 0.02,
             ..Self::standard()
         }
@@ -172,6 +178,7 @@ pub struct Bake<'a> {
     contours: ContourMesh,
     directions: Directions,
     transform: ssdf::Transform,
+    weighting: Weighting,
     verify: bool,
     stages: Vec<(&'static str, Duration)>,
     counters: Counters,
@@ -297,6 +304,7 @@ impl<'a> Bake<'a> {
             contours,
             directions,
             transform,
+            weighting: Weighting::new(options.basis_resolution),
             verify: false,
             stages,
             counters: Counters::default(),
@@ -550,19 +558,43 @@ impl Bake<'_> {
         let ssdfs = self.ssdfs(&vertices)?;
         let count = vertices.len() as u64;
         let start = Instant::now();
+        let normals = self.normals(triangles, &vertices);
+        let samples = Samples::new(ssdfs, &normals, &self.weighting);
         let mut finished = Vec::new();
         if self.options.representation == Representation::GlobalPca {
             let rank = self.options.global_rank as usize;
-            let basis = compress::analyse(&ssdfs, rank);
-            let compressed = compress::Encoder::new(&ssdfs, &basis.images).encode(rank + 1);
+            let basis = compress::analyse(&samples, rank);
+            let max_error = self.options.max_error;
+            let compressed = compress::encode(&samples.fitted(), &basis.images, max_error);
             finished.push(self.cluster(triangles, &vertices, compressed));
         } else {
-            self.compress_clusters(triangles, &vertices, &ssdfs, &mut finished)?;
+            self.compress_clusters(triangles, &vertices, &samples, &mut finished)?;
         }
         add_time(&self.counters.compress_nanoseconds, start);
         self.counters.compressed.fetch_add(count, Ordering::Relaxed);
         self.report()?;
         Ok(finished)
+    }
+
+    /// Shading normals of `vertices`, which `triangles` use.
+    fn normals(&self, triangles: &[u32], vertices: &[u32]) -> Vec<Normal> {
+        let mut normals: Vec<Normal> = (vertices.iter())
+            .map(|&vertex| Normal {
+                direction: Vec3::from(self.mesh.vertices[vertex as usize].normal)
+                    .normalize_or_zero(),
+                tilt: 0.0,
+            })
+            .collect();
+        for triangle in triangles.iter().map(|&t| &self.mesh.triangles[t as usize]) {
+            let material = &self.head.materials[usize::from(triangle.material)];
+            if material.normal_texture.is_some() {
+                for vertex in triangle.vertices {
+                    normals[vertices.partition_point(|&other| other < vertex)].tilt =
+                        NORMAL_MAP_TILT;
+                }
+            }
+        }
+        normals
     }
 
     /// Clamped SSDFs at the basis resolution: one column per vertex.
@@ -639,27 +671,26 @@ impl Bake<'_> {
         &self,
         triangles: &[u32],
         vertices: &[u32],
-        ssdfs: &DMatrix<f32>,
+        samples: &Samples,
         finished: &mut Vec<Cluster>,
     ) -> Result<(), Interrupted> {
         self.report()?;
         let max_channels = self.options.max_tiles as usize * CHANNELS_PER_TILE;
-        let basis = compress::analyse(ssdfs, max_channels - 1);
-        let components = compress::Encoder::new(ssdfs, &basis.images);
-        let max_channels = max_channels.min(basis.images.ncols());
+        let basis = compress::analyse(samples, max_channels - 1);
+        let fitted = samples.fitted();
+        let max_error = self.options.max_error;
+        let max_channels = max_channels.min(basis.images.values.ncols());
         let last = vertices.len() < MIN_CLUSTER_VERTICES || triangles.len() < 2;
         let mut channels = CHANNELS_PER_TILE.min(max_channels);
         loop {
+            let images = compress::reweight(&fitted, &basis, channels);
+            let compressed = compress::encode(&fitted, &images, max_error);
             let more = channels < max_channels;
-            let error = components.encode(channels).error.boundary_rms();
-            if error <= REWEIGHTING_GAIN * self.options.max_error || (last && !more) {
-                let images = compress::reweight(ssdfs, &basis, channels);
-                let compressed = compress::Encoder::new(ssdfs, &images).encode(channels);
-                let good = compressed.error.boundary_rms() <= self.options.max_error;
-                if good || (last && !more) {
-                    finished.push(self.cluster(triangles, vertices, compressed));
-                    return Ok(());
-                }
+            let bound = if more { 1.0 } else { OVERSHOOT } * max_error;
+            let good = compressed.error.boundary_rms() <= bound;
+            if good || (last && !more) {
+                finished.push(self.cluster(triangles, vertices, compressed));
+                return Ok(());
             }
             if !more {
                 break;
@@ -676,7 +707,7 @@ impl Bake<'_> {
         let mut keyed: Vec<(f32, u32)> = triangles.iter().map(|&t| (position(t), t)).collect();
         keyed.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         let (low, high) = keyed.split_at(keyed.len() / 2);
-        drop((components, basis));
+        drop((fitted, basis));
         for half in [low, high] {
             let mut group: Vec<u32> = half.iter().map(|&(_, triangle)| triangle).collect();
             group.sort_unstable();
@@ -685,7 +716,7 @@ impl Bake<'_> {
                 .iter()
                 .filter_map(|vertex| vertices.binary_search(vertex).ok())
                 .collect();
-            let subset = ssdfs.select_columns(&columns);
+            let subset = samples.select(&columns);
             self.compress_clusters(&group, &members, &subset, finished)?;
         }
         Ok(())

@@ -61,7 +61,7 @@ pub enum SectionKind {
     Clusters = 4,
     /// 16-bit SSDF coefficients.
     Coefficients = 5,
-    /// 8-bit basis tiles.
+    /// 8-bit basis tiles, as differences from what neighbours predict.
     Basis = 6,
     /// Texels of all textures, concatenated.
     Texels = 7,

@@ -15,6 +15,7 @@ mod environment;
 mod error;
 mod material;
 mod material_asset;
+mod prediction;
 mod scene;
 
 pub use container::{Kind, Limits, MAGIC, SectionInfo, SectionKind, VERSION, inspect, write_file};

@@ -4,6 +4,7 @@ use bytemuck::{Pod, Zeroable};
 use serde::{Deserialize, Serialize};
 
 use crate::container::{Kind, Limits, Reader, SectionKind, Writer};
+use crate::prediction;
 use crate::{Camera, Error, Issue, Material, Texture, TextureEncoding};
 
 /// Basis images per tile: one per channel of an RGBA texel.
@@ -149,7 +150,10 @@ pub fn read_scene(bytes: &[u8], limits: &Limits) -> Result<Scene, Error> {
     let triangles = reader.pod(SectionKind::Triangles)?;
     let clusters = reader.pod(SectionKind::Clusters)?;
     let coefficients = reader.pod(SectionKind::Coefficients)?;
-    let basis = reader.pod(SectionKind::Basis)?;
+    let basis = prediction::sums(
+        reader.pod(SectionKind::Basis)?,
+        metadata.visibility.basis_resolution,
+    );
     let texels: Vec<u8> = reader.pod(SectionKind::Texels)?;
     reader.finish()?;
     let scene = Scene {
@@ -189,7 +193,9 @@ pub fn write_scene(scene: &Scene) -> Result<Vec<u8>, Error> {
     writer.section(SectionKind::Triangles, &scene.triangles)?;
     writer.section(SectionKind::Clusters, &scene.clusters)?;
     writer.section(SectionKind::Coefficients, &scene.coefficients)?;
-    writer.section(SectionKind::Basis, &scene.basis)?;
+    let resolution = scene.visibility.basis_resolution;
+    let differences = prediction::differences(&scene.basis, resolution);
+    writer.section(SectionKind::Basis, &differences)?;
     writer.section(SectionKind::Texels, &concatenate_texels(&scene.textures))?;
     Ok(writer.finish())
 }

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use glam::Vec3;
+use relight_bake::compress::Normal;
 use relight_bake::contour::GROUP;
 use relight_bake::{cluster, import, visibility};
 
@@ -26,6 +27,8 @@ pub struct Subject {
     pub soup: Vec<[Vec3; 3]>,
     /// Points that visibility is sampled from.
     pub origins: Vec<Vec3>,
+    /// Shading normals there.
+    pub normals: Vec<Normal>,
 }
 
 /// `--name value` of the command line.
@@ -100,10 +103,17 @@ pub fn subject(path: &Path, count: usize) -> Subject {
         (origins[vertex as usize].to_array(), vertex)
     });
     let step = (origins.len() / count).max(1);
-    let picked = order.chunks(GROUP).step_by(step).flatten();
+    let picked: Vec<u32> = (order.chunks(GROUP).step_by(step).flatten())
+        .copied()
+        .collect();
+    let normal = |&vertex: &u32| Normal {
+        direction: Vec3::from(mesh.vertices[vertex as usize].normal).normalize_or_zero(),
+        tilt: 0.0,
+    };
     Subject {
         name: path.file_stem().unwrap_or_default().display().to_string(),
         soup,
-        origins: picked.map(|&vertex| origins[vertex as usize]).collect(),
+        origins: (picked.iter()).map(|&v| origins[v as usize]).collect(),
+        normals: picked.iter().map(normal).collect(),
     }
 }

@@ -121,10 +121,14 @@ pub(crate) struct SceneArguments {
     /// Global representation: components besides the mean [default: 24].
     #[arg(long, value_name = "K")]
     rank: Option<u32>,
-    /// Clustered representation: root mean square error of the SSDF near the visibility
-    /// boundary that a cluster may have, radians.
+    /// Clustered representation: root mean square error of the visibility boundary: the
+    /// angle by which a wall's edge would be off.
     #[arg(long, value_name = "RADIANS")]
     max_error: Option<f32>,
+    /// Clustered representation: size of the asset, textures included; the least error that
+    /// fits is found.
+    #[arg(long, value_name = "BYTES", conflicts_with_all = ["max_error", "shard"])]
+    max_bytes: Option<u64>,
     /// Clustered representation: tiles of four basis images per cluster, at most.
     #[arg(long, value_name = "N")]
     max_tiles: Option<u32>,
@@ -132,6 +136,10 @@ pub(crate) struct SceneArguments {
     /// its ground; a scene file's own bound wins.
     #[arg(long, value_name = "FRACTION")]
     max_edge: Option<f32>,
+    /// Also cut edges where interpolated visibility is off by more than this: the angle by
+    /// which a wall's edge would have to be; a scene file's own bound wins.
+    #[arg(long, value_name = "RADIANS")]
+    refine_error: Option<f32>,
     /// Refinement stops at this many vertices.
     #[arg(long, value_name = "N")]
     max_vertices: Option<usize>,
@@ -366,8 +374,10 @@ pub(crate) fn scene_options(arguments: &SceneArguments) -> scene::Options {
     replace(&mut options.representation, representation);
     replace(&mut options.global_rank, arguments.rank);
     replace(&mut options.max_error, arguments.max_error);
+    options.max_bytes = arguments.max_bytes;
     replace(&mut options.max_tiles, arguments.max_tiles);
     replace(&mut options.max_edge, arguments.max_edge);
+    replace(&mut options.refine_error, arguments.refine_error);
     replace(&mut options.max_vertices, arguments.max_vertices);
     replace(&mut options.sample_resolution, arguments.sample_resolution);
     replace(&mut options.basis_resolution, arguments.basis_resolution);

@@ -3,9 +3,11 @@
 //! Principal component analysis of the cluster's clamped SSDFs (Sloan et al. 2003; Wang et
 //! al. 2013) finds a basis, and weighted least squares the one that is stored. The weights
 //! are what an error costs in a picture: an SSDF shades by the place of its boundary alone,
-//! and light that comes from there by the squared cosine to the surface's normal. What lies
-//! below the horizon is never looked at. The basis is quantised first; each vertex's
-//! coefficients are then fitted to the quantised basis.
+//! and light from there by the cosine to the surface's normal; what lies below the horizon
+//! is never looked at. Squares of errors are weighted by the cosine, between its square, as
+//! is right for light from everywhere, and none, as is right for a low sun and nothing
+//! else. The basis is quantised first; each vertex's coefficients are then fitted to the
+//! quantised basis.
 
 use glam::Vec3;
 use nalgebra::{DMatrix, DVector};
@@ -19,7 +21,7 @@ const BOUNDARY_WIDTH: f32 = 0.05;
 /// Weight of texels far from the boundary, which only guide the steps of sphere tracing.
 const FAR_WEIGHT: f32 = 0.003;
 /// Weight of texels below the horizon, for normals that interpolation turns.
-const HIDDEN_WEIGHT: f32 = 0.01;
+const HIDDEN_WEIGHT: f32 = 0.02;
 /// Subspace iterations; four separate the spectrum of SSDFs to well below quantisation.
 const ITERATIONS: usize = 4;
 /// Rounds of reweighting: further ones gain 3 % each.
@@ -82,7 +84,7 @@ impl Weighting {
     }
 
     /// Weight of a squared error at every texel of an SSDF.
-    fn weigh(&self, ssdf: &[f32], normal: Normal, weights: &mut [f32]) {
+    pub(crate) fn weigh(&self, ssdf: &[f32], normal: Normal, weights: &mut [f32]) {
         let texels = self.directions.as_slice().iter().zip(&self.solid_angles);
         for ((weight, distance), (direction, solid_angle)) in
             weights.iter_mut().zip(ssdf).zip(texels)
@@ -90,7 +92,7 @@ impl Weighting {
             let cosine = normal.direction.dot(*direction);
             let seen = ((cosine + normal.tilt) / (1.0 + normal.tilt)).max(0.0);
             let near = 1.0 / (1.0 + (distance / BOUNDARY_WIDTH).powi(4));
-            *weight = solid_angle * (FAR_WEIGHT + near) * (HIDDEN_WEIGHT + seen * seen);
+            *weight = solid_angle * (FAR_WEIGHT + near) * (HIDDEN_WEIGHT + seen);
         }
     }
 }

@@ -4,6 +4,8 @@
 //! a chunk of triangles is sampled, transformed, compressed and handed over before the
 //! next. What is held grows with neither vertices × texels nor threads.
 
+mod budget;
+
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -29,12 +31,19 @@ const CHUNK_VERTICES: usize = 1024;
 /// What the SSDFs of all chunks at hand may take, bytes; copies that compression makes of
 /// them come to about four times as much.
 const CHUNK_BUDGET_BYTES: usize = 96 << 20;
+/// Edges up to this part of the object's diagonal are not cut for their error: shadows of
+/// contacts have no finest scale.
+const RELATIVE_MIN_EDGE: f32 = 0.004;
 /// Sine of the angle by which normal maps are taken to turn normals: few texels of real
 /// ones turn them further.
 const NORMAL_MAP_TILT: f32 = 0.35;
-/// How far a cluster may exceed the error bound at its last tile, as a factor: splitting it
-/// costs as much as all that others are below the bound.
-const OVERSHOOT: f32 = 1.3;
+/// What the error aimed at, squared, is worth in bytes per vertex.
+const BYTES_PER_ERROR: f32 = 30.0;
+/// Bytes that a texel of a basis image and a coefficient take in a file, measured.
+const BASIS_BYTES: f32 = 0.4;
+const COEFFICIENT_BYTES: f32 = 1.5;
+/// Part of a cluster's squared error that a split takes away, at most; measured 0.6.
+const SPLIT_GAIN: f32 = 0.75;
 /// A cluster of fewer vertices is not split further: its basis would outweigh it.
 const MIN_CLUSTER_VERTICES: usize = 96;
 /// Distance of a visibility sample from its surface, in diagonals of the scene: far above
@@ -55,16 +64,21 @@ pub struct Options {
     /// Clustered: tiles of four images per cluster, at most. The GPU's cost of a sample is
     /// proportional to the tiles.
     pub max_tiles: u32,
-    /// Clustered: root mean square error of the visibility boundary that a cluster may have,
-    /// radians ([`ErrorSums::boundary_rms`]); clusters gain tiles, then split, until they
-    /// meet it. Those that miss it narrowly are not split.
+    /// Clustered: root mean square error of the visibility boundary, radians
+    /// ([`ErrorSums::boundary_rms`]). Clusters gain tiles and split as long as the bytes are
+    /// worth it, at one rate for all: fine detail ends above it, the rest below.
     pub max_error: f32,
+    /// Clustered: bytes of the asset, in place of `max_error`.
+    pub max_bytes: Option<u64>,
     /// Global: components besides the mean.
     pub global_rank: u32,
     /// Longest edge after refinement, as a fraction of the diagonal of the scene without
     /// its ground. A scene file may set its own in metres. The default leaves the default
     /// ground, of 1/80 of three extents, as it is.
     pub max_edge: f32,
+    /// Edges are cut further where interpolated visibility is off by more than this, radians
+    /// ([`refine::Bound::error`]); infinite for nowhere. A scene file may set its own.
+    pub refine_error: f32,
     /// Refinement stops here.
     pub max_vertices: usize,
 }
@@ -77,6 +91,7 @@ impl Options {
             max_tiles: 2,
             max_error: 0.02,
             max_edge: 0.08,
+            refine_error: f32::INFINITY,
             ..Self::standard()
         }
     }
@@ -89,9 +104,11 @@ impl Options {
             distance_clamp: 0.5,
             representation: Representation::ClusteredPca,
             max_tiles: 4,
-            max_error: 0.005,
+            max_error: 0.007,
+            max_bytes: None,
             global_rank: 24,
             max_edge: 0.04,
+            refine_error: f32::INFINITY,
             max_vertices: 1_000_000,
         }
     }
@@ -99,7 +116,7 @@ impl Options {
     /// Small errors at several times the size.
     pub fn high() -> Self {
         Self {
-            max_error: 0.002,
+            max_error: 0.003,
             max_tiles: 6,
             max_edge: 0.02,
             ..Self::standard()
@@ -179,6 +196,9 @@ pub struct Bake<'a> {
     directions: Directions,
     transform: ssdf::Transform,
     weighting: Weighting,
+    /// The error that clusters aim at, radians; what it is worth in bytes is the same for
+    /// all.
+    aim: f32,
     verify: bool,
     stages: Vec<(&'static str, Duration)>,
     counters: Counters,
@@ -237,14 +257,17 @@ impl<'a> Bake<'a> {
             .mesh
             .bounds()
             .map_or(0.0, |(low, high)| low.distance(high));
-        let (max_edge, max_vertices) = refinement(&input, options);
+        let (max_edge, bound) = refinement(&input, options, RELATIVE_RAY_OFFSET * diagonal);
         let mut report = format::BakeReport {
             source_vertices: input.mesh.vertices.len() as u64,
             source_triangles: input.mesh.triangles.len() as u64,
             warnings: input.warnings,
             ..Default::default()
         };
-        let mut mesh = refine::refine(input.mesh, max_edge, max_vertices);
+        let mut mesh = refine::refine(input.mesh, max_edge, bound.max_vertices);
+        if bound.error.is_finite() {
+            mesh = refine::refine_wrong(mesh, bound, monitor)?;
+        }
         for warning in mesh.warnings.drain(..) {
             if !report.warnings.contains(&warning) {
                 report.warnings.push(warning);
@@ -291,7 +314,8 @@ impl<'a> Bake<'a> {
         let directions = Directions::new(options.sample_resolution);
         let transform = ssdf::Transform::new(&directions, options.basis_resolution);
         stages.push(("build bvh", clock.elapsed()));
-        Ok(Self {
+        let mut bake = Self {
+            aim: options.max_error,
             options: options.clone(),
             monitor,
             fingerprint,
@@ -308,7 +332,13 @@ impl<'a> Bake<'a> {
             verify: false,
             stages,
             counters: Counters::default(),
-        })
+        };
+        if options.representation == Representation::ClusteredPca {
+            clock = Instant::now();
+            bake.aim = bake.choose_aim()?;
+            bake.stages.push(("budget", clock.elapsed()));
+        }
+        Ok(bake)
     }
 
     /// Also casts one ray per texel at every vertex; a difference fails the bake.
@@ -529,7 +559,19 @@ fn check(options: &Options) -> Result<(), Error> {
             options.global_rank.to_string(),
         );
     }
-    let positive = [options.distance_clamp, options.max_error, options.max_edge];
+    if options.max_bytes.is_some() && options.representation == Representation::GlobalPca {
+        return wrong(
+            "max_bytes",
+            "a rank: the global representation has no other choice".into(),
+            "a number of bytes".into(),
+        );
+    }
+    let positive = [
+        options.distance_clamp,
+        options.max_error,
+        options.max_edge,
+        options.refine_error,
+    ];
     if !positive.iter().all(|value| *value > 0.0) || options.distance_clamp > 3.0 {
         return wrong(
             "options",
@@ -540,26 +582,32 @@ fn check(options: &Options) -> Result<(), Error> {
     Ok(())
 }
 
-/// Edge bound in metres and vertex bound: the scene file's, else the options'.
-fn refinement(input: &SceneInput, options: &Options) -> (f32, usize) {
-    let from_file = input.refinement.as_ref();
-    let max_edge = from_file.map_or(options.max_edge * input.object_diagonal, |refinement| {
-        refinement.max_edge
-    });
-    let max_vertices = from_file
-        .and_then(|refinement| refinement.max_vertices)
-        .unwrap_or(options.max_vertices);
-    (max_edge, max_vertices)
+/// Edge bound in metres, and the bounds on cuts by error: the scene file's, else the
+/// options'.
+fn refinement(input: &SceneInput, options: &Options, ray_offset: f32) -> (f32, refine::Bound) {
+    let file = input.refinement.as_ref();
+    let max_edge = file.and_then(|refinement| refinement.max_edge);
+    let bound = refine::Bound {
+        error: file
+            .and_then(|refinement| refinement.error)
+            .unwrap_or(options.refine_error),
+        min_edge: RELATIVE_MIN_EDGE * input.object_diagonal,
+        max_vertices: file
+            .and_then(|refinement| refinement.max_vertices)
+            .unwrap_or(options.max_vertices),
+        ray_offset,
+    };
+    (
+        max_edge.unwrap_or(options.max_edge * input.object_diagonal),
+        bound,
+    )
 }
 
 impl Bake<'_> {
     fn bake_chunk(&self, triangles: &[u32]) -> Result<Vec<Cluster>, Error> {
-        let vertices = cluster::vertices_of(triangles, &self.triangles);
-        let ssdfs = self.ssdfs(&vertices)?;
+        let (vertices, samples) = self.samples(triangles)?;
         let count = vertices.len() as u64;
         let start = Instant::now();
-        let normals = self.normals(triangles, &vertices);
-        let samples = Samples::new(ssdfs, &normals, &self.weighting);
         let mut finished = Vec::new();
         if self.options.representation == Representation::GlobalPca {
             let rank = self.options.global_rank as usize;
@@ -568,12 +616,23 @@ impl Bake<'_> {
             let compressed = compress::encode(&samples.fitted(), &basis.images, max_error);
             finished.push(self.cluster(triangles, &vertices, compressed));
         } else {
-            self.compress_clusters(triangles, &vertices, &samples, &mut finished)?;
+            self.compress_clusters(triangles, &vertices, &samples, self.aim, &mut finished)?;
         }
         add_time(&self.counters.compress_nanoseconds, start);
         self.counters.compressed.fetch_add(count, Ordering::Relaxed);
         self.report()?;
         Ok(finished)
+    }
+
+    /// The vertices that some triangles use, and what they see.
+    fn samples(&self, triangles: &[u32]) -> Result<(Vec<u32>, Samples), Interrupted> {
+        let vertices = cluster::vertices_of(triangles, &self.triangles);
+        let ssdfs = self.ssdfs(&vertices)?;
+        let start = Instant::now();
+        let normals = self.normals(triangles, &vertices);
+        let samples = Samples::new(ssdfs, &normals, &self.weighting);
+        add_time(&self.counters.compress_nanoseconds, start);
+        Ok((vertices, samples))
     }
 
     /// Shading normals of `vertices`, which `triangles` use.
@@ -659,43 +718,61 @@ impl Bake<'_> {
     /// Sampling and compressing a vertex count alike: once the first chunks are through,
     /// both go on side by side, and any weights tell the time left.
     fn report(&self) -> Result<(), Interrupted> {
+        let total = 2 * load(&self.counters.total);
+        if total == 0 {
+            return self.monitor.step("budget", 0.0);
+        }
         let done = load(&self.counters.sampled) + load(&self.counters.compressed);
-        let fraction = done as f64 / (2 * load(&self.counters.total)) as f64;
+        let fraction = done as f64 / total as f64;
         self.monitor
             .step("visibility and compression", fraction.min(0.999) as f32)
     }
 
-    /// Adds tiles until the cluster meets the error bound, or splits it along its leading
-    /// principal component: vertices that see alike stay together.
+    /// Tiles, and splits along the leading principal component, where vertices that see
+    /// alike stay together, as long as they lower the sum of bytes and of what errors are
+    /// worth in bytes. Returns that sum.
     fn compress_clusters(
         &self,
         triangles: &[u32],
         vertices: &[u32],
         samples: &Samples,
+        aim: f32,
         finished: &mut Vec<Cluster>,
-    ) -> Result<(), Interrupted> {
+    ) -> Result<f32, Interrupted> {
         self.report()?;
         let max_channels = self.options.max_tiles as usize * CHANNELS_PER_TILE;
         let basis = compress::analyse(samples, max_channels - 1);
         let fitted = samples.fitted();
-        let max_error = self.options.max_error;
-        let max_channels = max_channels.min(basis.images.values.ncols());
-        let last = vertices.len() < MIN_CLUSTER_VERTICES || triangles.len() < 2;
-        let mut channels = CHANNELS_PER_TILE.min(max_channels);
-        loop {
-            let images = compress::reweight(&fitted, &basis, channels);
-            let compressed = compress::encode(&fitted, &images, max_error);
-            let more = channels < max_channels;
-            let bound = if more { 1.0 } else { OVERSHOOT } * max_error;
-            let good = compressed.error.boundary_rms() <= bound;
-            if good || (last && !more) {
-                finished.push(self.cluster(triangles, vertices, compressed));
-                return Ok(());
+        let count = vertices.len() as f32;
+        let texels = self.options.basis_resolution.pow(2) as f32;
+        let tile_bytes =
+            CHANNELS_PER_TILE as f32 * (texels * BASIS_BYTES + count * COEFFICIENT_BYTES);
+        let worth = |compressed: &Compressed| {
+            let error = compressed.error.boundary_rms() / aim;
+            count * BYTES_PER_ERROR * error * error
+        };
+        let mut best: Option<(f32, Compressed)> = None;
+        for channels in (0..basis.images.values.ncols()).step_by(CHANNELS_PER_TILE) {
+            let images = compress::reweight(&fitted, &basis, channels + CHANNELS_PER_TILE);
+            let compressed = compress::encode(&fitted, &images, aim);
+            let cost = compressed.tiles as f32 * tile_bytes + worth(&compressed);
+            // Another tile could not pay any more.
+            let enough = worth(&compressed) < tile_bytes;
+            if best.as_ref().is_none_or(|(least, _)| cost < *least) {
+                best = Some((cost, compressed));
             }
-            if !more {
+            if enough {
                 break;
             }
-            channels = (channels + CHANNELS_PER_TILE).min(max_channels);
+        }
+        let Some((cost, compressed)) = best else {
+            return Ok(0.0);
+        };
+        let split_bytes = compressed.tiles as f32 * texels * 4.0 * BASIS_BYTES;
+        let hopeless = SPLIT_GAIN * worth(&compressed) < split_bytes;
+        if hopeless || vertices.len() < MIN_CLUSTER_VERTICES || triangles.len() < 2 {
+            finished.push(self.cluster(triangles, vertices, compressed));
+            return Ok(cost);
         }
         let position = |triangle: u32| -> f32 {
             self.triangles[triangle as usize]
@@ -708,6 +785,8 @@ impl Bake<'_> {
         keyed.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         let (low, high) = keyed.split_at(keyed.len() / 2);
         drop((fitted, basis));
+        let begun = finished.len();
+        let mut split_cost = 0.0;
         for half in [low, high] {
             let mut group: Vec<u32> = half.iter().map(|&(_, triangle)| triangle).collect();
             group.sort_unstable();
@@ -717,9 +796,14 @@ impl Bake<'_> {
                 .filter_map(|vertex| vertices.binary_search(vertex).ok())
                 .collect();
             let subset = samples.select(&columns);
-            self.compress_clusters(&group, &members, &subset, finished)?;
+            split_cost += self.compress_clusters(&group, &members, &subset, aim, finished)?;
         }
-        Ok(())
+        if split_cost < cost {
+            return Ok(split_cost);
+        }
+        finished.truncate(begun);
+        finished.push(self.cluster(triangles, vertices, compressed));
+        Ok(cost)
     }
 
     /// Copies what a cluster needs of the mesh. `vertices` ascend.

@@ -93,6 +93,11 @@ pub fn bake(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Summ
         let assembled = (0..chunks).map(|chunk| Ok(parts.chunk(chunk)?));
         let scene = scene::assemble::<anyhow::Error>(head, assembled)?;
         let summary = write(&arguments.output, scene)?;
+        if let (Some(most), Some(bytes)) = (options.max_bytes, summary.json["bytes"].as_u64())
+            && bytes > most
+        {
+            eprintln!("warning: {bytes} bytes, more than the {most} that --max-bytes allows");
+        }
         drop(parts);
         std::fs::remove_file(&path).with_context(|| path.display().to_string())?;
         summary

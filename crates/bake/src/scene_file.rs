@@ -298,8 +298,13 @@ fn up() -> [f32; 3] {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Refinement {
-    /// Longer edges are halved until none is left, metres.
-    pub max_edge: f32,
+    /// Longer edges are halved until none is left, metres. Default: the option's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_edge: Option<f32>,
+    /// Edges are halved further where interpolated visibility is off by more than this,
+    /// radians. Default: the option's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub error: Option<f32>,
     /// Division stops before the mesh has more vertices than this. Default: no bound.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_vertices: Option<usize>,
@@ -324,7 +329,12 @@ pub fn load(path: &Path) -> Result<SceneFile, Error> {
         checked.camera(camera)?;
     }
     if let Some(refinement) = &scene.refinement {
-        checked.positive("refinement.max_edge", refinement.max_edge)?;
+        if let Some(max_edge) = refinement.max_edge {
+            checked.positive("refinement.max_edge", max_edge)?;
+        }
+        if let Some(error) = refinement.error {
+            checked.positive("refinement.error", error)?;
+        }
     }
     Ok(scene)
 }
@@ -712,7 +722,7 @@ mod tests {
                 "mesh = 'a'\n[refinement]\nmax_edge = inf",
                 "refinement.max_edge",
             ),
-            ("mesh = 'a'\n[refinement]\nmax_vertices = 5", "max_edge"),
+            ("mesh = 'a'\n[refinement]\nerror = 0", "refinement.error"),
             (
                 "mesh = 'a'\n[camera]\nposition = [0, 0, 1]\ntarget = [0, 0, 0]",
                 "fov_x_degrees",

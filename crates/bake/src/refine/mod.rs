@@ -1,12 +1,25 @@
 //! Divides a mesh until no edge is longer than a bound, so that visibility, which lives at
 //! vertices, is sampled finely enough.
 
+mod wrong;
+
 use std::collections::HashMap;
 
 use glam::{Vec2, Vec3};
 use relight_format::Vertex;
 
 use crate::import::{ImportedTriangle, Mesh};
+
+pub use wrong::{Bound, refine as refine_wrong};
+
+/// Both ends of an edge, bit by bit, the lesser first.
+type Key = [[u32; 3]; 2];
+
+fn key(a: Vec3, b: Vec3) -> Key {
+    // Adding zero turns −0 into +0.
+    let [a, b] = [a, b].map(|end| (end + Vec3::ZERO).to_array().map(f32::to_bits));
+    if a <= b { [a, b] } else { [b, a] }
+}
 
 /// Halves edges longer than `max_edge` (metres) until none is left, or until another round
 /// would give more than `max_vertices` vertices, which adds a warning.
@@ -25,14 +38,14 @@ pub fn refine(mut mesh: Mesh, max_edge: f32, max_vertices: usize) -> Mesh {
         }
         let room = max_vertices.saturating_sub(mesh.vertices.len());
         if lengths.len() <= room {
-            divide(&mut mesh, max_edge);
+            divide(&mut mesh, |a, b| cut(a, b, max_edge));
             continue;
         }
         // Spend what is left on the longest edges. Edges of one length are cut together or
         // not at all, or neighbours would disagree.
         let bound = lengths[room];
         if lengths[0] > bound {
-            divide(&mut mesh, bound);
+            divide(&mut mesh, |a, b| cut(a, b, bound));
         }
         let left = long_edges(&mesh, max_edge);
         mesh.warnings.push(format!(
@@ -78,8 +91,9 @@ fn long_edges(mesh: &Mesh, max_edge: f32) -> Vec<f32> {
     lengths
 }
 
-/// One round: cuts every edge longer than `bound`.
-fn divide(mesh: &mut Mesh, bound: f32) {
+/// One round: cuts edges where `cut`, which does not depend on the order of the ends, says.
+/// Returns the new vertex of every edge that was cut.
+fn divide(mesh: &mut Mesh, cut: impl Fn(Vec3, Vec3) -> Option<Vec3>) -> HashMap<[u32; 2], u32> {
     let mut middles: HashMap<[u32; 2], u32> = HashMap::new();
     let mut triangles = Vec::with_capacity(mesh.triangles.len() * 2);
     let vertices = &mut mesh.vertices;
@@ -90,7 +104,7 @@ fn divide(mesh: &mut Mesh, bound: f32) {
     {
         let mut middle = |a: u32, b: u32| {
             let (first, second) = (vertices[a as usize], vertices[b as usize]);
-            let position = cut(first.position.into(), second.position.into(), bound)?;
+            let position = cut(first.position.into(), second.position.into())?;
             Some(*middles.entry([a.min(b), a.max(b)]).or_insert_with(|| {
                 vertices.push(average(&first, &second, position));
                 vertices.len() as u32 - 1
@@ -128,6 +142,7 @@ fn divide(mesh: &mut Mesh, bound: f32) {
         );
     }
     mesh.triangles = triangles;
+    middles
 }
 
 fn average(a: &Vertex, b: &Vertex, position: Vec3) -> Vertex {

@@ -1,0 +1,406 @@
+//! Division where visibility, interpolated between vertices, is wrong.
+//!
+//! The SSDF in the middle of an edge is compared with the mean of those at its ends, which
+//! is what would be shaded there. What differs most is cut first.
+
+use std::collections::{HashMap, HashSet};
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::{Key, cut, divide, key};
+use crate::cluster;
+use crate::compress::{Normal, Weighting};
+use crate::contour::{ContourMesh, GROUP, Scratch};
+use crate::import::Mesh;
+use crate::monitor::{Interrupted, Monitor};
+use crate::ray::RayCaster;
+use crate::ssdf::Transform;
+use crate::visibility::{self, Directions};
+
+/// Texels per side of the visibility that is compared: half of a bake's.
+const SAMPLE_RESOLUTION: u32 = 64;
+const RESOLUTION: u32 = 32;
+const TEXELS: usize = (RESOLUTION * RESOLUTION) as usize;
+/// Distances are clamped to and kept in 127ths of this angle, radians.
+const CLAMP: f32 = 0.5;
+/// Rounds of halving, whatever the bounds say.
+const MAX_ROUNDS: usize = 12;
+
+/// What is wrong, and how far to go.
+#[derive(Clone, Copy, Debug)]
+pub struct Bound {
+    /// Edges are cut whose middle is more wrong than this: the angle by which a wall's edge
+    /// would have to be off for the same effect, radians.
+    pub error: f32,
+    /// Edges up to this length are left alone, metres.
+    pub min_edge: f32,
+    /// Cuts stop before the mesh has more vertices.
+    pub max_vertices: usize,
+    /// Distance of visibility samples from the surface, metres.
+    pub ray_offset: f32,
+}
+
+/// A clamped SSDF, coarsely.
+type Coarse = Box<[i8]>;
+
+/// An edge and what cutting it would mean.
+struct Edge {
+    vertices: [u32; 2],
+    /// Sum of the normals of its triangles, weighted by area.
+    normal: Vec3,
+}
+
+/// Where visibility is sampled.
+#[derive(Clone, Copy)]
+struct Point {
+    origin: Vec3,
+    normal: Vec3,
+}
+
+struct Sampler {
+    caster: RayCaster,
+    contours: ContourMesh,
+    directions: Directions,
+    transform: Transform,
+    weighting: Weighting,
+}
+
+/// Cuts edges, most wrong first, until none is more wrong than the bound allows. As with
+/// [`super::refine`], triangles that meet at an edge cut it alike.
+pub fn refine(mut mesh: Mesh, bound: Bound, monitor: Monitor) -> Result<Mesh, Interrupted> {
+    let triangles: Vec<[Vec3; 3]> = (mesh.triangles.iter())
+        .map(|triangle| triangle.vertices.map(|vertex| position(&mesh, vertex)))
+        .collect();
+    // Cuts do not move the surface.
+    let sampler = Sampler::new(&triangles);
+    let mut ssdfs: HashMap<u32, Coarse> = HashMap::new();
+    let mut known: HashSet<[u32; 2]> = HashSet::new();
+    for _ in 0..MAX_ROUNDS {
+        let edges: Vec<Edge> = (edges(&mesh).into_iter())
+            .filter(|edge| {
+                let [a, b] = edge.vertices.map(|vertex| position(&mesh, vertex));
+                cut(a, b, bound.min_edge).is_some() && known.insert(edge.vertices)
+            })
+            .collect();
+        if edges.is_empty() {
+            break;
+        }
+        sample_ends(&mesh, &edges, &mut ssdfs, &sampler, bound, monitor)?;
+        let points: Vec<Point> = edges
+            .iter()
+            .map(|edge| middle(&mesh, edge, bound))
+            .collect();
+        let found = sampler.sample(&points, monitor, |index, middle, normal| {
+            let ends = edges[index].vertices.map(|vertex| &ssdfs[&vertex]);
+            let error = sampler.error(&middle, ends, normal);
+            (error > bound.error).then(|| (error, coarse(&middle)))
+        })?;
+        let mut wrong: Vec<(f32, Key, usize)> = (found.iter().enumerate())
+            .filter_map(|(index, found)| {
+                let [a, b] = edges[index].vertices.map(|vertex| position(&mesh, vertex));
+                // What an edge's error spreads over grows with its length.
+                let (error, _) = found.as_ref()?;
+                Some((error * a.distance(b), key(a, b), index))
+            })
+            .collect();
+        wrong.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)).then(a.2.cmp(&b.2)));
+        let room = bound.max_vertices.saturating_sub(mesh.vertices.len());
+        let full = wrong.len() > room;
+        let chosen: HashSet<Key> = wrong.iter().take(room).map(|(_, key, _)| *key).collect();
+        let middles = divide(&mut mesh, |a, b| {
+            chosen.contains(&key(a, b)).then(|| cut(a, b, 0.0))?
+        });
+        for (edge, found) in edges.iter().zip(found) {
+            if let (Some(vertex), Some((_, ssdf))) = (middles.get(&edge.vertices), found) {
+                ssdfs.insert(*vertex, ssdf);
+            }
+        }
+        if full {
+            mesh.warnings.push(format!(
+                "refinement stopped at {} of at most {} vertices; {} edges are left that are \
+                 off by more than {} rad",
+                mesh.vertices.len(),
+                bound.max_vertices,
+                wrong.len().saturating_sub(room),
+                bound.error,
+            ));
+            break;
+        }
+    }
+    Ok(mesh)
+}
+
+fn position(mesh: &Mesh, vertex: u32) -> Vec3 {
+    mesh.vertices[vertex as usize].position.into()
+}
+
+/// Every edge once, in the order of its vertices.
+fn edges(mesh: &Mesh) -> Vec<Edge> {
+    let mut sides: Vec<([u32; 2], usize)> = (mesh.triangles.iter().enumerate())
+        .flat_map(|(index, triangle)| {
+            let [a, b, c] = triangle.vertices;
+            [[a, b], [b, c], [c, a]].map(|[a, b]| ([a.min(b), a.max(b)], index))
+        })
+        .collect();
+    sides.par_sort_unstable();
+    let normal = |triangle: usize| {
+        let [a, b, c] = mesh.triangles[triangle].vertices.map(|v| position(mesh, v));
+        (b - a).cross(c - a)
+    };
+    sides
+        .chunk_by(|a, b| a.0 == b.0)
+        .map(|sides| Edge {
+            vertices: sides[0].0,
+            normal: sides.iter().map(|&(_, triangle)| normal(triangle)).sum(),
+        })
+        .collect()
+}
+
+/// Where the vertex will be sampled that a cut makes.
+fn middle(mesh: &Mesh, edge: &Edge, bound: Bound) -> Point {
+    let [a, b] = edge.vertices.map(|vertex| &mesh.vertices[vertex as usize]);
+    let position = (Vec3::from(a.position) + Vec3::from(b.position)) * 0.5;
+    Point {
+        origin: position + bound.ray_offset * edge.normal.normalize_or_zero(),
+        normal: (Vec3::from(a.normal) + Vec3::from(b.normal)).normalize_or_zero(),
+    }
+}
+
+/// Samples those ends of edges that are not known yet.
+fn sample_ends(
+    mesh: &Mesh,
+    edges: &[Edge],
+    ssdfs: &mut HashMap<u32, Coarse>,
+    sampler: &Sampler,
+    bound: Bound,
+    monitor: Monitor,
+) -> Result<(), Interrupted> {
+    let mut missing: Vec<u32> = (edges.iter().flat_map(|edge| edge.vertices))
+        .filter(|vertex| !ssdfs.contains_key(vertex))
+        .collect();
+    missing.sort_unstable();
+    missing.dedup();
+    if missing.is_empty() {
+        return Ok(());
+    }
+    let positions: Vec<Vec3> = mesh.vertices.iter().map(|v| v.position.into()).collect();
+    let triangles: Vec<[u32; 3]> = mesh.triangles.iter().map(|t| t.vertices).collect();
+    let origins = visibility::origins(&positions, &triangles, bound.ray_offset);
+    let points: Vec<Point> = (missing.iter())
+        .map(|&vertex| Point {
+            origin: origins[vertex as usize],
+            normal: Vec3::ZERO,
+        })
+        .collect();
+    let found = sampler.sample(&points, monitor, |_, ssdf, _| coarse(&ssdf))?;
+    ssdfs.extend(missing.into_iter().zip(found));
+    Ok(())
+}
+
+fn coarse(ssdf: &[f32]) -> Coarse {
+    (ssdf.iter())
+        .map(|distance| (distance * (127.0 / CLAMP)).round() as i8)
+        .collect()
+}
+
+impl Sampler {
+    fn new(triangles: &[[Vec3; 3]]) -> Self {
+        let directions = Directions::new(SAMPLE_RESOLUTION);
+        Self {
+            caster: RayCaster::new(triangles),
+            contours: ContourMesh::new(triangles),
+            transform: Transform::new(&directions, RESOLUTION),
+            weighting: Weighting::new(RESOLUTION),
+            directions,
+        }
+    }
+
+    /// Calls `use_ssdf` with the number, SSDF and normal of every point, and collects what it
+    /// returns in the points' order.
+    fn sample<T: Send>(
+        &self,
+        points: &[Point],
+        monitor: Monitor,
+        use_ssdf: impl Fn(usize, Vec<f32>, Vec3) -> T + Sync,
+    ) -> Result<Vec<T>, Interrupted> {
+        let mut order: Vec<u32> = (0..points.len() as u32).collect();
+        cluster::arrange(&mut order, GROUP, &|&index| {
+            (points[index as usize].origin.to_array(), index)
+        });
+        let done = std::sync::atomic::AtomicUsize::new(0);
+        let groups: Vec<Vec<(u32, T)>> = (order.par_chunks(GROUP))
+            .map_init(
+                || self.contours.scratch(&self.directions),
+                |scratch, group| {
+                    let before = done.fetch_add(group.len(), std::sync::atomic::Ordering::Relaxed);
+                    monitor.step("refine", before as f32 / points.len() as f32)?;
+                    let origins: Vec<Vec3> = (group.iter())
+                        .map(|&index| points[index as usize].origin)
+                        .collect();
+                    self.contours.prepare(&origins, scratch);
+                    Ok((group.iter())
+                        .map(|&index| {
+                            let point = points[index as usize];
+                            let ssdf = self.ssdf(point.origin, scratch);
+                            (index, use_ssdf(index as usize, ssdf, point.normal))
+                        })
+                        .collect())
+                },
+            )
+            .collect::<Result<_, Interrupted>>()?;
+        let mut found: Vec<(u32, T)> = groups.into_iter().flatten().collect();
+        found.par_sort_unstable_by_key(|(index, _)| *index);
+        Ok(found.into_iter().map(|(_, found)| found).collect())
+    }
+
+    fn ssdf(&self, origin: Vec3, scratch: &mut Scratch) -> Vec<f32> {
+        let (visible, _) = (self.contours).sample(&self.caster, origin, &self.directions, scratch);
+        let crossings = self.contours.crossings(&visible, scratch);
+        self.transform.apply(&visible, crossings, CLAMP)
+    }
+
+    /// How wrong the mean of the ends is in the middle.
+    fn error(&self, middle: &[f32], ends: [&Coarse; 2], normal: Vec3) -> f32 {
+        let mut weights = [0.0; TEXELS];
+        let normal = Normal {
+            direction: normal,
+            tilt: 0.0,
+        };
+        self.weighting.weigh(middle, normal, &mut weights);
+        let mean = (ends[0].iter())
+            .zip(ends[1])
+            .map(|(a, b)| (f32::from(*a) + f32::from(*b)) * (0.5 * CLAMP / 127.0));
+        let squares = middle.iter().zip(mean).zip(weights);
+        let sum: f32 = squares
+            .map(|((exact, mean), weight)| weight * (exact - mean).powi(2))
+            .sum();
+        sum.sqrt()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::import::ImportedTriangle;
+    use crate::monitor::SILENT;
+    use relight_format::Vertex;
+
+    fn vertex(position: Vec3, normal: Vec3) -> Vertex {
+        Vertex {
+            position: position.into(),
+            normal: normal.into(),
+            tangent: [1.0, 0.0, 0.0, 1.0],
+            uv: [position.x, position.z],
+        }
+    }
+
+    fn quad(mesh: &mut Mesh, corners: [Vec3; 4]) {
+        let base = mesh.vertices.len() as u32;
+        let normal = (corners[1] - corners[0])
+            .cross(corners[2] - corners[0])
+            .normalize();
+        mesh.vertices
+            .extend(corners.map(|corner| vertex(corner, normal)));
+        for [a, b, c] in [[0, 1, 2], [0, 2, 3]] {
+            mesh.triangles.push(ImportedTriangle {
+                vertices: [base + a, base + b, base + c],
+                material: 0,
+            });
+        }
+    }
+
+    /// A thin wall on one side of a wide floor of two triangles.
+    fn wall() -> Mesh {
+        let mut mesh = Mesh::default();
+        let p = Vec3::new;
+        quad(
+            &mut mesh,
+            [
+                p(-4.0, 0.0, -4.0),
+                p(-4.0, 0.0, 4.0),
+                p(4.0, 0.0, 4.0),
+                p(4.0, 0.0, -4.0),
+            ],
+        );
+        quad(
+            &mut mesh,
+            [
+                p(2.0, 0.01, 0.3),
+                p(2.3, 0.01, 0.3),
+                p(2.3, 1.0, 0.3),
+                p(2.0, 1.0, 0.3),
+            ],
+        );
+        mesh
+    }
+
+    fn bound(error: f32) -> Bound {
+        Bound {
+            error,
+            min_edge: 0.2,
+            max_vertices: 100_000,
+            ray_offset: 1e-3,
+        }
+    }
+
+    #[test]
+    fn cuts_gather_where_shadows_change() {
+        let mesh = refine(wall(), bound(0.05), SILENT).unwrap();
+        let near = |vertex: &&Vertex| {
+            Vec3::from(vertex.position).distance(Vec3::new(2.15, 0.0, 0.3)) < 1.2
+        };
+        let close = mesh.vertices.iter().filter(near).count();
+        let floor = 64.0;
+        let share = std::f32::consts::PI * 1.2f32.powi(2) / floor;
+        let expected = share * mesh.vertices.len() as f32;
+        assert!(mesh.vertices.len() > 100, "{}", mesh.vertices.len());
+        assert!(close as f32 > 3.0 * expected, "{close}, {expected} if even");
+    }
+
+    #[test]
+    fn the_most_wrong_edges_come_first_and_the_bound_holds() {
+        let all = refine(wall(), bound(0.02), SILENT).unwrap().vertices.len();
+        let limited = Bound {
+            max_vertices: all / 2,
+            ..bound(0.02)
+        };
+        let mesh = refine(wall(), limited, SILENT).unwrap();
+        assert!(mesh.vertices.len() <= all / 2);
+        assert_eq!(mesh.warnings.len(), 1, "{:?}", mesh.warnings);
+    }
+
+    #[test]
+    fn no_edge_gets_a_vertex_on_one_side_alone() {
+        let mesh = refine(wall(), bound(0.05), SILENT).unwrap();
+        let at = |vertex: u32| position(&mesh, vertex);
+        let sides: Vec<[Vec3; 2]> = (mesh.triangles.iter())
+            .flat_map(|t| {
+                let [a, b, c] = t.vertices.map(at);
+                [[a, b], [b, c], [c, a]]
+            })
+            .collect();
+        let keys: HashSet<Key> = sides.iter().map(|&[a, b]| key(a, b)).collect();
+        for [a, b] in sides {
+            let middle = (a + b) * 0.5;
+            assert!(
+                !(keys.contains(&key(a, middle)) && keys.contains(&key(middle, b))),
+                "{a} to {b} is whole on one side and cut on the other"
+            );
+        }
+    }
+
+    #[test]
+    fn threads_do_not_matter() {
+        let refined = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
+            let mesh = pool
+                .build()
+                .unwrap()
+                .install(|| refine(wall(), bound(0.05), SILENT));
+            let mesh = mesh.unwrap();
+            (mesh.vertices, mesh.triangles.len())
+        };
+        assert_eq!(refined(1), refined(3));
+    }
+}

@@ -4,7 +4,8 @@ use std::path::Path;
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use libtest_mimic::Trial;
+use libtest_mimic::{Failed, Trial};
+use serde_json::Value;
 
 use crate::meshes::sphere_over_ground;
 use crate::support::{Outcome, binary, describe, with_data};
@@ -32,6 +33,8 @@ pub fn trials() -> Vec<Trial> {
     vec![
         Trial::test("cli::usage", usage),
         Trial::test("cli::scene", scene),
+        Trial::test("cli::budget", budget),
+        Trial::test("cli::refine_error", refine_error),
         Trial::test("cli::environment", environment),
         Trial::test("cli::layered_material", layered_material),
         Trial::test("cli::broken_table", broken_table),
@@ -177,12 +180,76 @@ fn scene() -> Outcome {
     let inspected = expect(OK, binary("bake").arg("inspect").arg(&asset));
     assert!(!inspected.stdout.is_empty());
     let inspected = expect(OK, binary("bake").arg("inspect").arg(&asset).arg("--json"));
-    let json: serde_json::Value = serde_json::from_slice(&inspected.stdout)?;
+    let json: Value = serde_json::from_slice(&inspected.stdout)?;
     assert!(json.is_object(), "{json}");
     Ok(())
 }
 
 /// A 32×16 image, grey with one bright pixel.
+/// What a bake at a quarter of the usual resolution says about itself.
+fn summary(input: &Path, output: &Path, arguments: &[&str]) -> Result<Value, Failed> {
+    let mut bake = binary("bake");
+    bake.arg("scene").arg(input).arg("-o").arg(output);
+    bake.args(["--sample-resolution", "32", "--basis-resolution", "32"]);
+    bake.args(["--max-edge", "1", "--json"]).args(arguments);
+    Ok(serde_json::from_slice(&expect_success(&mut bake).stdout)?)
+}
+
+fn budget() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let (mesh, asset) = (folder.path().join("a.obj"), folder.path().join("a.relight"));
+    std::fs::write(&mesh, sphere_over_ground(48))?;
+    let of = |arguments: &[&str]| -> Result<(f64, u64), Failed> {
+        let summary = summary(&mesh, &asset, arguments)?;
+        let bytes = std::fs::metadata(&asset)?.len();
+        assert_eq!(summary["bytes"].as_u64(), Some(bytes));
+        let error = summary["boundary_rms_error"].as_f64();
+        Ok((error.expect("an error"), bytes))
+    };
+    let (coarse, least) = of(&["--max-error", "0.03"])?;
+    let (fine, most) = of(&["--max-error", "0.01"])?;
+    // Tiles come whole: few clusters cannot meet an error closely.
+    assert!(coarse < 1.3 * 0.03 && coarse > 0.3 * 0.03, "{coarse}");
+    assert!(fine < 1.3 * 0.01 && fine < coarse, "{fine}");
+    assert!(least < most, "{least} and {most} bytes");
+    let between = u64::midpoint(least, most);
+    let (error, bytes) = of(&["--max-bytes", &between.to_string()])?;
+    assert!(bytes <= between, "{bytes} of {between}");
+    assert!(error < 1.05 * coarse, "{error}, {coarse} in {least} bytes");
+
+    let mut both = bake_scene(&mesh, &asset);
+    both.args(["--max-error", "0.1", "--max-bytes", "1000"]);
+    expect(USAGE, &mut both);
+    Ok(())
+}
+
+fn refine_error() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let (mesh, asset) = (folder.path().join("a.obj"), folder.path().join("a.relight"));
+    std::fs::write(&mesh, sphere_over_ground(12))?;
+    let vertices = |arguments: &[&str]| -> Result<u64, Failed> {
+        let summary = summary(&mesh, &asset, arguments)?;
+        Ok(summary["vertices"].as_u64().expect("a number"))
+    };
+    let plain = vertices(&[])?;
+    let refined = vertices(&["--refine-error", "0.05"])?;
+    let finer = vertices(&["--refine-error", "0.02"])?;
+    assert!(
+        plain < refined && refined < finer,
+        "{plain}, {refined}, {finer}"
+    );
+    let bound = ["--refine-error", "0.02", "--max-vertices", "600"];
+    let bounded = summary(&mesh, &asset, &bound)?;
+    let warnings = bounded["warnings"].as_array().expect("a list");
+    assert!(bounded["vertices"].as_u64() < Some(finer), "{bounded}");
+    assert!(
+        warnings
+            .iter()
+            .any(|w| w.as_str().is_some_and(|w| w.contains("600")))
+    );
+    Ok(())
+}
+
 pub fn write_hdr(path: &Path) -> Outcome {
     let mut image = image::Rgb32FImage::from_pixel(32, 16, image::Rgb([0.5, 0.5, 0.5]));
     image.put_pixel(20, 5, image::Rgb([100.0, 50.0, 25.0]));

@@ -339,7 +339,7 @@ fn full_disk() -> Outcome {
 /// At default resolutions, on many more threads than chunks may be at hand.
 fn memory() -> Outcome {
     /// What may be at hand, with room for the scene. All chunks together come to more.
-    const MOST_BYTES: u64 = 640 << 20;
+    const MOST_BYTES: u64 = 896 << 20;
     let folder = tempfile::tempdir()?;
     let (mesh, asset) = (
         folder.path().join("sphere.obj"),

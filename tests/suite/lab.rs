@@ -24,6 +24,7 @@ pub fn trials() -> Vec<Trial> {
         Trial::test("lab::usage", usage),
         Trial::test("lab::compare", compare),
         Trial::test("lab::render_and_truth", render_and_truth),
+        Trial::test("lab::compression", compression),
     ]
 }
 
@@ -175,6 +176,64 @@ fn render_and_truth() -> Outcome {
 
     run("render", "polar.png", &["--exposure", "-1"])?;
     assert!(std::fs::read(path("polar.png"))?.starts_with(b"\x89PNG"));
+    Ok(())
+}
+
+fn compression() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let path = |name: &str| folder.path().join(name);
+    std::fs::write(path("scene.obj"), sphere_over_ground(12))?;
+    std::fs::write(
+        path("scene.toml"),
+        "mesh = 'scene.obj'\n[camera]\nposition = [0, 4, 6]\ntarget = [0, 0.8, 0]\n\
+         fov_y_degrees = 45\n",
+    )?;
+    let environment = Environment {
+        report: EnvironmentReport::default(),
+        lobes: vec![Lobe {
+            axis: Vec3::new(0.6, 0.8, 0.0).into(),
+            sharpness: 40.0,
+            amplitude: [4.0, 3.0, 2.0],
+            reserved: 0.0,
+        }],
+    };
+    write(
+        &path("environment.relight"),
+        &relight_format::write_environment(&environment)?,
+    )?;
+    let mut lab = binary("lab");
+    lab.args(["experiments", "compression", "--json", "--device", "cpu"]);
+    lab.args(["--size", "48x36", "--samples", "32", "--environment"]);
+    lab.arg(path("environment.relight"))
+        .arg("--out")
+        .arg(path("out"));
+    lab.arg(path("scene.toml"));
+    let report: Value = serde_json::from_str(&expect(OK, &mut lab))?;
+    let rows = report["rows"].as_array().ok_or("rows")?;
+    let table = std::fs::read_to_string(path("out/compression.csv"))?;
+    assert_eq!(table.lines().count(), rows.len() + 1);
+    for name in ["diffuse", "specular"] {
+        let plot = std::fs::read_to_string(path(&format!("out/compression-scene-{name}.svg")))?;
+        assert!(plot.starts_with("<svg") && plot.contains("bytes per vertex"));
+    }
+    let number = |row: &Value, key: &str| row[key].as_f64().unwrap_or(f64::NAN);
+    for row in rows {
+        let (diffuse, specular) = (number(row, "diffuse"), number(row, "specular"));
+        assert!(diffuse < 0.2 && specular < 0.3, "{row}");
+        let texels = number(row, "bytes_per_vertex") * number(row, "vertices");
+        assert!((texels - number(row, "bytes")).abs() < 1.0, "{row}");
+    }
+    // Along a curve bytes buy accuracy.
+    let first = rows[0]["curve"].clone();
+    let curve: Vec<&Value> = rows.iter().filter(|row| row["curve"] == first).collect();
+    for pair in curve.windows(2) {
+        assert!(
+            number(pair[0], "bytes") < number(pair[1], "bytes"),
+            "{pair:?}"
+        );
+        let errors = [pair[0], pair[1]].map(|row| number(row, "boundary_rms_error"));
+        assert!(errors[1] < errors[0], "{errors:?}");
+    }
     Ok(())
 }
 

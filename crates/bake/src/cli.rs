@@ -600,7 +600,7 @@ fn inspect(path: &Path) -> anyhow::Result<Summary> {
                 "scene {:?}, format version {}\n\
                  {} vertices, {} triangles, {} materials, {} textures\n\
                  {:?}: {} clusters, {} tiles of 4 images at {r}x{r}, sampled at {s}x{s}\n\
-                 error near the visibility boundary {:.4} rad, over all {:.4} rad\n",
+                 error of the visibility boundary {:.4} rad, of all distances {:.4} rad\n",
                 scene.name,
                 format::VERSION,
                 scene.vertices.len(),

@@ -17,6 +17,7 @@ pub mod refine;
 pub mod scene;
 pub mod scene_file;
 pub mod scene_input;
+pub mod seam;
 pub mod ssdf;
 pub mod tangent;
 pub mod visibility;

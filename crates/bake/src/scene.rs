@@ -29,7 +29,7 @@ use crate::{cluster, refine, ssdf, visibility};
 /// Vertices of a chunk, at most.
 const CHUNK_VERTICES: usize = 1024;
 /// What the SSDFs of all chunks at hand may take, bytes; copies that compression makes of
-/// them come to about four times as much.
+/// them come to about six times as much.
 const CHUNK_BUDGET_BYTES: usize = 96 << 20;
 /// Edges up to this part of the object's diagonal are not cut for their error: shadows of
 /// contacts have no finest scale.
@@ -382,9 +382,7 @@ impl<'a> Bake<'a> {
             failed: AtomicBool::new(false),
             error: Mutex::new(None),
         };
-        let texels = (self.options.basis_resolution as usize).pow(2);
-        let chunk_bytes = CHUNK_VERTICES * texels * size_of::<f32>();
-        let at_hand = (CHUNK_BUDGET_BYTES / chunk_bytes).clamp(1, rayon::current_num_threads());
+        let at_hand = self.chunks_at_hand();
         let bake_next = |chunk| hand_over(chunk, self.bake_chunk(&self.chunks[chunk])?);
         rayon::scope(|scope| {
             for _ in 0..at_hand {
@@ -406,6 +404,13 @@ impl<'a> Bake<'a> {
             return Err(Error::Visibility { vertices, texels }.into());
         }
         Ok(())
+    }
+
+    /// How many chunks are compressed at a time.
+    fn chunks_at_hand(&self) -> usize {
+        let texels = (self.options.basis_resolution as usize).pow(2);
+        let chunk_bytes = CHUNK_VERTICES * texels * size_of::<f32>();
+        (CHUNK_BUDGET_BYTES / chunk_bytes).clamp(1, rayon::current_num_threads())
     }
 
     /// The asset without its clusters, and what was done.

@@ -12,7 +12,7 @@ use anyhow::{Context as _, bail};
 use relight_bake::fingerprint::Fingerprint;
 use relight_bake::monitor::Monitor;
 use relight_bake::parts::{self, Identity, Parts};
-use relight_bake::{scene, scene_input};
+use relight_bake::{scene, scene_input, seam};
 use relight_format as format;
 use serde_json::json;
 
@@ -180,10 +180,12 @@ fn write(path: &Path, scene: format::Scene) -> anyhow::Result<Summary> {
     let bytes = format::write_scene(&scene)?;
     let tiles: u32 = scene.clusters.iter().map(|cluster| cluster.tiles).sum();
     let report = &scene.report;
+    let seams = seam::measure(&scene);
     let summary = Summary {
         text: format!(
             "{}: {} vertices, {} triangles, {} clusters, {} bytes ({:.0} per vertex)\n\
-             error near the visibility boundary {:.4} rad, over all {:.4} rad (root mean square)",
+             error of the visibility boundary {:.4} rad, jumps between clusters {:.4} rad (root \
+             mean square, as of a wall's edge)",
             path.display(),
             scene.vertices.len(),
             scene.triangles.len(),
@@ -191,7 +193,7 @@ fn write(path: &Path, scene: format::Scene) -> anyhow::Result<Summary> {
             bytes.len(),
             bytes.len() as f64 / scene.vertices.len().max(1) as f64,
             report.boundary_rms_error,
-            report.rms_error,
+            seams.rms,
         ),
         json: json!({
             "output": path,
@@ -202,6 +204,8 @@ fn write(path: &Path, scene: format::Scene) -> anyhow::Result<Summary> {
             "tiles": tiles,
             "boundary_rms_error": report.boundary_rms_error,
             "rms_error": report.rms_error,
+            "seam_rms": seams.rms,
+            "seam_largest": seams.largest,
             "warnings": report.warnings,
         }),
     };

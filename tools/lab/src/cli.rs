@@ -79,6 +79,27 @@ enum Experiment {
         #[arg(long)]
         out: PathBuf,
     },
+    /// Bytes of a scene against its errors, every representation: compression.csv, plots.
+    Compression {
+        /// Scene files with a camera.
+        #[arg(required = true)]
+        scenes: Vec<PathBuf>,
+        /// Baked environment.
+        #[arg(long)]
+        environment: PathBuf,
+        /// Folder for the table and the plots.
+        #[arg(long)]
+        out: PathBuf,
+        /// Width and height of the pictures that are compared.
+        #[arg(long, default_value = "400x300", value_parser = parse_size)]
+        size: [u32; 2],
+        /// Truth samples per pixel.
+        #[arg(long, default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..))]
+        samples: u32,
+        /// Where to render.
+        #[arg(long, value_enum, default_value = "auto")]
+        device: DeviceName,
+    },
 }
 
 #[derive(Args)]
@@ -390,17 +411,24 @@ fn run_compare(arguments: &Compare) -> anyhow::Result<Value> {
     Ok(serde_json::to_value(compare::compare(&candidate, &truth)?)?)
 }
 
-fn run_demo(arguments: &Demo, json: bool) -> anyhow::Result<Value> {
-    let bar = ProgressBar::new(1000).with_style(
+/// Progress of stages that follow one another.
+fn stage_bar() -> ProgressBar {
+    ProgressBar::new(1000).with_style(
         ProgressStyle::with_template("{msg:<28} {bar:40} {percent:>3} %")
             .expect("a valid template"),
-    );
-    let report = |progress: Progress| {
-        if bar.message() != progress.stage {
-            bar.set_message(progress.stage);
-        }
-        bar.set_position((progress.fraction * 1000.0) as u64);
-    };
+    )
+}
+
+fn show_stage(bar: &ProgressBar, progress: Progress) {
+    if bar.message() != progress.stage {
+        bar.set_message(progress.stage);
+    }
+    bar.set_position((progress.fraction * 1000.0) as u64);
+}
+
+fn run_demo(arguments: &Demo, json: bool) -> anyhow::Result<Value> {
+    let bar = stage_bar();
+    let report = |progress| show_stage(&bar, progress);
     let stop = std::sync::atomic::AtomicBool::new(false);
     let options = demo::Options {
         folder: arguments.out.clone(),
@@ -423,7 +451,7 @@ fn run_demo(arguments: &Demo, json: bool) -> anyhow::Result<Value> {
         return Ok(serde_json::to_value(report)?);
     }
     println!(
-        "{} vertices in {} bytes, SSDF error near the visibility boundary {:.4} rad, \
+        "{} vertices in {} bytes, error of the visibility boundary {:.4} rad, \
          environment relative L2 error {:.4}\nrendered on {}\n",
         report.vertices,
         report.bytes,
@@ -469,6 +497,56 @@ fn run_experiment(experiment: &Experiment, json: bool) -> anyhow::Result<Value> 
                 );
             }
             Ok(json!({ "table": table }))
+        }
+        Experiment::Compression {
+            scenes,
+            environment,
+            out,
+            size,
+            samples,
+            device,
+        } => {
+            let bar = stage_bar();
+            let settings = experiments::compression::Settings {
+                folder: out.clone(),
+                scenes: scenes.clone(),
+                size: *size,
+                samples: *samples,
+                device: (*device).into(),
+                bake: relight_bake::scene::Options::standard(),
+            };
+            let rows = experiments::compression::run(
+                &settings,
+                &read_lights(environment)?,
+                Monitor {
+                    report: &|progress| show_stage(&bar, progress),
+                    stop: &std::sync::atomic::AtomicBool::new(false),
+                },
+            );
+            bar.finish_and_clear();
+            let rows = rows?;
+            if json {
+                return Ok(json!({ "rows": rows }));
+            }
+            println!(
+                "{:<14} {:<28} {:>7} {:>9} {:>6} {:>6} {:>8} {:>8} {:>8}",
+                "scene", "", "setting", "bytes", "/vert.", "tiles", "seam", "diffuse", "specular"
+            );
+            for row in rows {
+                println!(
+                    "{:<14} {:<28} {:>7} {:>9} {:>6.1} {:>6.2} {:>8.4} {:>6.2} % {:>6.2} %",
+                    row.scene,
+                    row.curve,
+                    row.setting,
+                    row.bytes,
+                    row.bytes_per_vertex,
+                    row.tiles_per_sample,
+                    row.seam_rms,
+                    100.0 * row.diffuse,
+                    100.0 * row.specular,
+                );
+            }
+            Ok(json!({ "table": out.join("compression.csv") }))
         }
     }
 }

@@ -61,7 +61,7 @@ pub struct Report {
     pub vertices: usize,
     /// Bytes of the scene asset.
     pub bytes: usize,
-    /// Root mean square SSDF error near the visibility boundary, radians.
+    /// Root mean square error of the visibility boundary, radians.
     pub boundary_rms_error: f32,
     /// Relative L2 error of the environment's lobes.
     pub environment_relative_l2: f32,

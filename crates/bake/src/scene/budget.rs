@@ -1,22 +1,29 @@
 //! At what rate errors are bought with bytes, so that a scene ends at the error or the size
 //! that was asked for. A few chunks from all over the scene tell.
 
+use nalgebra::DMatrix;
 use rayon::prelude::*;
 use relight_format as format;
 
 use super::{Bake, Cluster, Counters, Error, assemble};
+use crate::cluster;
 use crate::compress::{ErrorSums, Samples};
 
 /// Chunks that are tried.
-const CHUNKS: usize = 12;
+const CHUNKS: usize = 10;
 /// Trials at most; each compresses the chunks once.
-const TRIALS: usize = 4;
+const TRIALS: usize = 5;
 /// How close a trial must come, as a factor.
 const CLOSE: f32 = 1.05;
 /// What the estimated size of a whole scene may miss, as a part of it.
 const SIZE_MARGIN: f32 = 0.07;
 /// First trial of a size, radians.
 const FIRST_ERROR: f32 = 0.008;
+/// Aims beyond these change nothing, radians.
+const LEAST_AIM: f32 = 1e-5;
+const LARGEST_AIM: f32 = 0.5;
+/// Largest change of the aim's logarithm from one trial to the next.
+const MAX_STEP: f32 = 2.0;
 /// How errors and sizes go with the error aimed at, as exponents, until two trials tell.
 const ERROR_EXPONENT: f32 = 0.5;
 const SIZE_EXPONENT: f32 = -0.7;
@@ -25,7 +32,7 @@ const SIZE_EXPONENT: f32 = -0.7;
 struct Trial {
     triangles: Vec<u32>,
     vertices: Vec<u32>,
-    samples: Samples,
+    ssdfs: DMatrix<f32>,
 }
 
 impl Bake<'_> {
@@ -37,18 +44,20 @@ impl Bake<'_> {
         let chosen = (0..count).map(|i| (2 * i + 1) * self.chunks.len() / (2 * count));
         let mut trials = Vec::new();
         for chunk in chosen {
-            let (vertices, samples) = self.samples(&self.chunks[chunk])?;
+            let vertices = cluster::vertices_of(&self.chunks[chunk], &self.triangles);
             trials.push(Trial {
                 triangles: self.chunks[chunk].clone(),
+                ssdfs: self.ssdfs(&vertices)?,
                 vertices,
-                samples,
             });
         }
         let tried: usize = trials.iter().map(|trial| trial.triangles.len()).sum();
         let share = tried as f32 / self.triangles.len().max(1) as f32;
         let fixed = format::write_scene(&self.head).map_or(0, |bytes| bytes.len()) as f32;
-        // Logarithms of the aim and of how far what it gave is from the target.
-        let mut aim = (size.map_or(self.options.max_error, |_| FIRST_ERROR)).ln();
+        let expected = size.map_or(ERROR_EXPONENT, |_| SIZE_EXPONENT);
+        // Logarithms of aims and of how far what they gave is from the target.
+        let first = size.map_or(self.options.max_error, |_| FIRST_ERROR);
+        let mut aim = first.clamp(LEAST_AIM, LARGEST_AIM).ln();
         let mut found: Vec<[f32; 2]> = Vec::new();
         for _ in 0..TRIALS {
             let (error, bytes) = self.try_aim(&trials, aim.exp())?;
@@ -61,44 +70,44 @@ impl Bake<'_> {
             if miss.abs() < CLOSE.ln() {
                 break;
             }
-            let expected = if size.is_some() {
-                SIZE_EXPONENT
-            } else {
-                ERROR_EXPONENT
-            };
-            let exponent = match found[..] {
-                [.., [a, first], [b, second]] => {
-                    let slope = (second - first) / (b - a);
-                    // Steps of tiles and splits may hide the slope between two trials.
-                    if slope * expected > 0.0 {
-                        slope.abs().clamp(0.2, 2.0) * expected.signum()
-                    } else {
-                        expected
-                    }
-                }
-                _ => expected,
-            };
-            aim = (aim - miss / exponent).clamp(1e-5f32.ln(), 0.5f32.ln());
+            let next = next_aim(&found, expected).clamp(LEAST_AIM.ln(), LARGEST_AIM.ln());
+            if next == aim {
+                break;
+            }
+            aim = next;
         }
+        // The one that comes closest from below, else the one that misses least.
+        let within = |miss: f32| miss < CLOSE.ln();
+        found.sort_unstable_by(|[_, a], [_, b]| {
+            (within(*b).cmp(&within(*a))).then(a.abs().total_cmp(&b.abs()))
+        });
+        let aim = found
+            .first()
+            .map_or(self.options.max_error, |[aim, _]| aim.exp());
         self.counters = Counters::default();
-        Ok(aim.exp())
+        Ok(aim)
     }
 
     /// Root mean square error of the trial chunks, radians, and the bytes of a file of them.
     fn try_aim(&self, trials: &[Trial], aim: f32) -> Result<(f32, f32), Error> {
-        let compressed = (trials.par_iter())
-            .map(|trial| {
-                let mut clusters = Vec::new();
-                self.compress_clusters(
-                    &trial.triangles,
-                    &trial.vertices,
-                    &trial.samples,
-                    aim,
-                    &mut clusters,
-                )?;
-                Ok(clusters)
-            })
-            .collect::<Result<Vec<Vec<Cluster>>, Error>>()?;
+        let compress = |trial: &Trial| {
+            let Trial {
+                triangles,
+                vertices,
+                ssdfs,
+            } = trial;
+            let normals = self.normals(triangles, vertices);
+            let samples = Samples::new(ssdfs.clone(), &normals, &self.weighting);
+            let mut clusters = Vec::new();
+            self.compress_clusters(triangles, vertices, &samples, aim, &mut clusters)?;
+            Ok(clusters)
+        };
+        let mut compressed: Vec<Vec<Cluster>> = Vec::new();
+        // As many at a time as the bake itself has at hand.
+        for batch in trials.chunks(self.chunks_at_hand()) {
+            let clusters = batch.par_iter().map(compress);
+            compressed.extend(clusters.collect::<Result<Vec<_>, Error>>()?);
+        }
         let mut error = ErrorSums::default();
         for cluster in compressed.iter().flatten() {
             error.add(&cluster.compressed.error);
@@ -107,5 +116,64 @@ impl Bake<'_> {
         let scene = assemble(self.head.clone(), chunks)?;
         let bytes = format::write_scene(&scene).map_or(0, |bytes| bytes.len());
         Ok((error.boundary_rms(), bytes as f32))
+    }
+}
+
+/// Where to try next, after aims and misses that go with them by about the exponent
+/// `expected`.
+fn next_aim(found: &[[f32; 2]], expected: f32) -> f32 {
+    let exponent = match found {
+        [.., [a, first], [b, second]] if (second - first) / (b - a) * expected > 0.0 => {
+            // Steps of tiles and splits may hide the slope between two trials.
+            ((second - first) / (b - a)).abs().clamp(0.2, 2.0) * expected.signum()
+        }
+        _ => expected,
+    };
+    let Some([last, miss]) = found.last() else {
+        return 0.0;
+    };
+    let next = (last - miss / exponent).clamp(last - MAX_STEP, last + MAX_STEP);
+    // Between the trials on both sides of the target.
+    let side = |wanted: bool| {
+        (found.iter())
+            .filter(move |[_, miss]| (miss * expected.signum() < 0.0) == wanted)
+            .map(|[aim, _]| *aim)
+    };
+    let low = side(true).fold(f32::NEG_INFINITY, f32::max);
+    let high = side(false).fold(f32::INFINITY, f32::min);
+    if low < next && next < high {
+        next
+    } else {
+        0.5 * (low + high)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Looks for the aim that gives 0 with at most `TRIALS` trials.
+    fn search(expected: f32, miss: impl Fn(f32) -> f32) -> f32 {
+        let mut found = vec![[0.0, miss(0.0)]];
+        while found.len() < TRIALS {
+            let aim = next_aim(&found, expected);
+            found.push([aim, miss(aim)]);
+        }
+        found
+            .into_iter()
+            .map(|[_, miss]| miss.abs())
+            .fold(f32::INFINITY, f32::min)
+    }
+
+    #[test]
+    fn aims_are_found_along_smooth_and_stepped_curves() {
+        for offset in [-1.5, -0.4, 0.3, 1.2] {
+            for slope in [0.25, 0.5, 1.0] {
+                assert!(search(0.5, |aim| slope * aim + offset) < 0.05);
+                assert!(search(-0.7, |aim| -slope * aim + offset) < 0.05);
+            }
+            let stepped = |aim: f32| 0.2 * ((0.5 * aim + offset) / 0.2).round() + 0.07;
+            assert!(search(0.5, stepped) < 0.15, "{offset}");
+        }
     }
 }

@@ -1,0 +1,283 @@
+//! Bytes against errors: every representation of visibility on the same scenes.
+//!
+//! Each is baked, written and read; a diffuse and a glossy material everywhere are rendered
+//! with it and compared with ray-traced truth of the same lights and lobes.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::Context as _;
+use glam::Quat;
+use relight_bake::import::plain_material;
+use relight_bake::monitor::Monitor;
+use relight_bake::scene::Options;
+use relight_bake::{scene, scene_input, seam};
+use relight_format::{self as format, Limits, Representation, Specular, Surface};
+use relight_runtime::Frame;
+use relight_shading::camera::View;
+use relight_shading::polar::PolarOptions;
+use relight_shading::shade::Method;
+use relight_shading::spherical_gaussian::SphericalGaussian;
+use serde::Serialize;
+
+use crate::compare::compare;
+use crate::plot::{self, Curve};
+use crate::render::{Device, Renderer};
+use crate::truth::{self, Filter, Geometry, lobes};
+
+/// What to measure.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// Folder for tables and plots.
+    pub folder: PathBuf,
+    /// Scene files or meshes.
+    pub scenes: Vec<PathBuf>,
+    /// Picture size, pixels.
+    pub size: [u32; 2],
+    /// Truth samples per pixel.
+    pub samples: u32,
+    /// Where to render.
+    pub device: Device,
+    /// Start of every bake.
+    pub bake: Options,
+}
+
+/// One representation of one scene.
+#[derive(Debug, Serialize)]
+pub struct Row {
+    /// Name of the scene.
+    pub scene: String,
+    /// Name of the curve.
+    pub curve: String,
+    /// Error aimed at, radians, or the rank of a global basis.
+    pub setting: f64,
+    /// Vertices before clusters share any.
+    pub vertices: usize,
+    /// Bytes of the file.
+    pub bytes: usize,
+    /// Bytes of the file per vertex.
+    pub bytes_per_vertex: f64,
+    /// Fetches of four basis texels that an SSDF sample takes, mean over vertices.
+    pub tiles_per_sample: f64,
+    /// Root mean square error of the visibility boundary, radians.
+    pub boundary_rms_error: f32,
+    /// Root mean square jump at vertices that clusters share, radians.
+    pub seam_rms: f32,
+    /// Relative RMSE of a diffuse material, noise of the truth removed.
+    pub diffuse: f64,
+    /// Relative RMSE of a glossy material, noise of the truth removed.
+    pub specular: f64,
+    /// Wall-clock seconds of the bake.
+    pub seconds: f64,
+}
+
+/// Curves and their points: name and bake options.
+fn curves(start: &Options) -> Vec<(&'static str, f64, Options)> {
+    let mut all = Vec::new();
+    for max_error in [0.028, 0.014, 0.007, 0.0035] {
+        let options = Options {
+            max_error,
+            ..start.clone()
+        };
+        for (name, basis_resolution, max_tiles) in [
+            ("clusters, 64x64, to 4 tiles", 64, 4),
+            ("clusters, 64x64, to 8 tiles", 64, 8),
+            ("clusters, 32x32, to 4 tiles", 32, 4),
+        ] {
+            let options = Options {
+                basis_resolution,
+                max_tiles,
+                ..options.clone()
+            };
+            all.push((name, f64::from(max_error), options));
+        }
+    }
+    for rank in [10, 24, 31] {
+        let options = Options {
+            representation: Representation::GlobalPca,
+            global_rank: rank,
+            ..start.clone()
+        };
+        all.push(("global components", f64::from(rank), options));
+    }
+    all
+}
+
+/// Runs everything; writes `compression.csv` and a plot per scene into the folder after
+/// every scene.
+pub fn run(
+    settings: &Settings,
+    lights: &[SphericalGaussian],
+    monitor: Monitor,
+) -> anyhow::Result<Vec<Row>> {
+    std::fs::create_dir_all(&settings.folder)
+        .with_context(|| settings.folder.display().to_string())?;
+    let mut renderer = Renderer::open(settings.device)?;
+    let mut rows = Vec::new();
+    for path in &settings.scenes {
+        let first = rows.len();
+        measure(path, settings, lights, &mut renderer, &mut rows, monitor)?;
+        write_table(&settings.folder.join("compression.csv"), &rows)?;
+        write_plots(&settings.folder, &rows[first..])?;
+    }
+    Ok(rows)
+}
+
+fn measure(
+    path: &Path,
+    settings: &Settings,
+    lights: &[SphericalGaussian],
+    renderer: &mut Renderer,
+    rows: &mut Vec<Row>,
+    monitor: Monitor,
+) -> anyhow::Result<()> {
+    let surfaces = [
+        (0.5, Specular::None),
+        (
+            0.0,
+            Specular::Ggx {
+                f0: [0.5; 3],
+                alpha: [0.25; 2],
+            },
+        ),
+    ]
+    .map(|(diffuse, specular)| Surface::Layered {
+        diffuse: [diffuse; 3],
+        specular,
+    });
+    let mut truths = Vec::new();
+    for (curve, setting, options) in curves(&settings.bake) {
+        let start = Instant::now();
+        let input = scene_input::load(path)?;
+        let (baked, _) =
+            scene::bake(input, &options, monitor).with_context(|| path.display().to_string())?;
+        let seconds = start.elapsed().as_secs_f64();
+        let bytes = format::write_scene(&baked)?;
+        let mut scene = format::read_scene(&bytes, &Limits::default())?;
+        let camera = scene.camera.with_context(|| {
+            format!(
+                "{}: expected a scene file with a camera, found none",
+                path.display()
+            )
+        })?;
+        let seams = seam::measure(&scene);
+        let mut errors = Vec::new();
+        for (index, surface) in surfaces.iter().enumerate() {
+            for material in &mut scene.materials {
+                *material = plain_material("plain", surface.clone());
+            }
+            if truths.len() == index {
+                truths.push(trace(&scene, &camera, lights, settings, monitor)?);
+            }
+            let frame = Frame {
+                camera,
+                lights,
+                rotation: Quat::IDENTITY,
+                method: Method::Polar(PolarOptions::default()),
+                exposure: 1.0,
+            };
+            let image = renderer.render(&scene, &frame, settings.size)?;
+            let found = compare(&image, &truths[index])?;
+            errors.push(found.relative_rmse_corrected.unwrap_or(found.relative_rmse));
+        }
+        let own = scene.vertices.len() - usize::try_from(seams.pairs)?;
+        let fetches: f64 = (scene.clusters.iter())
+            .map(|cluster| f64::from(cluster.tiles) * f64::from(cluster.vertex_count))
+            .sum();
+        rows.push(Row {
+            scene: scene.name.clone(),
+            curve: curve.to_owned(),
+            setting,
+            vertices: own,
+            bytes: bytes.len(),
+            bytes_per_vertex: bytes.len() as f64 / own as f64,
+            tiles_per_sample: fetches / scene.vertices.len() as f64,
+            boundary_rms_error: scene.report.boundary_rms_error,
+            seam_rms: seams.rms,
+            diffuse: errors[0],
+            specular: errors[1],
+            seconds,
+        });
+    }
+    Ok(())
+}
+
+fn trace(
+    scene: &format::Scene,
+    camera: &format::Camera,
+    lights: &[SphericalGaussian],
+    settings: &Settings,
+    monitor: Monitor,
+) -> anyhow::Result<crate::image_file::Image> {
+    let [width, height] = settings.size;
+    monitor.step("trace truth", 0.0)?;
+    let image = lobes::render(
+        &Geometry::new(scene, View::new(camera, width, height, 1.0)),
+        lights,
+        settings.size,
+        &truth::Options {
+            samples: settings.samples,
+            filter: Filter::Center,
+            seed: 0,
+        },
+        &|| (),
+    );
+    monitor.step("trace truth", 1.0)?;
+    Ok(image)
+}
+
+fn write_table(path: &Path, rows: &[Row]) -> anyhow::Result<()> {
+    let mut text = "scene,curve,setting,vertices,bytes,bytes_per_vertex,tiles_per_sample,\
+                    boundary_rms_error,seam_rms,diffuse,specular,seconds\n"
+        .to_owned();
+    for row in rows {
+        text += &format!(
+            "{},\"{}\",{},{},{},{:.1},{:.2},{:.5},{:.5},{:.5},{:.5},{:.1}\n",
+            row.scene,
+            row.curve,
+            row.setting,
+            row.vertices,
+            row.bytes,
+            row.bytes_per_vertex,
+            row.tiles_per_sample,
+            row.boundary_rms_error,
+            row.seam_rms,
+            row.diffuse,
+            row.specular,
+            row.seconds,
+        );
+    }
+    relight_format::write_file(path, text.as_bytes())?;
+    Ok(())
+}
+
+fn write_plots(folder: &Path, rows: &[Row]) -> anyhow::Result<()> {
+    let mut names: Vec<&str> = rows.iter().map(|row| row.curve.as_str()).collect();
+    names.sort_unstable();
+    names.dedup();
+    let Some(first) = rows.first() else {
+        return Ok(());
+    };
+    type Figure = fn(&Row) -> f64;
+    let figures: [(&str, Figure); 2] = [
+        ("diffuse", |row| row.diffuse),
+        ("specular", |row| row.specular),
+    ];
+    for (figure, value) in figures {
+        let curves: Vec<Curve> = (names.iter())
+            .map(|name| Curve {
+                name: (*name).to_owned(),
+                points: (rows.iter().filter(|row| row.curve == *name))
+                    .map(|row| [row.bytes_per_vertex, 100.0 * value(row)])
+                    .collect(),
+            })
+            .collect();
+        plot::write(
+            &folder.join(format!("compression-{}-{figure}.svg", first.scene)),
+            &format!("{}: {figure}", first.scene),
+            ["bytes per vertex", "relative RMSE, %"],
+            &curves,
+        )?;
+    }
+    Ok(())
+}

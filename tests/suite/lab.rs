@@ -186,7 +186,7 @@ fn compression() -> Outcome {
     std::fs::write(
         path("scene.toml"),
         "mesh = 'scene.obj'\n[camera]\nposition = [0, 4, 6]\ntarget = [0, 0.8, 0]\n\
-         fov_y_degrees = 45\n",
+         fov_y_degrees = 45\n[refinement]\nmax_edge = 10\n",
     )?;
     let environment = Environment {
         report: EnvironmentReport::default(),

@@ -91,6 +91,7 @@ fn measure(subject: &Subject, rounds: usize, threads: usize) -> Value {
         name,
         soup,
         origins,
+        ..
     } = subject;
     let directions = Directions::new(RESOLUTION);
     let caster = RayCaster::new(soup);

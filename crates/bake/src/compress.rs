@@ -126,6 +126,7 @@ impl Samples {
     }
 
     /// Those of some vertices.
+    #[must_use]
     pub fn select(&self, columns: &[usize]) -> Self {
         Self {
             ssdfs: self.ssdfs.select_columns(columns),

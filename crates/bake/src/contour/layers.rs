@@ -301,12 +301,11 @@ impl<'a, I: Iterator<Item = &'a Batch>> WithSimd for Count<'_, I> {
                         layers.add_segment(a, b, step);
                     }
                 };
-                match edges.segment(lane) {
-                    Some([a, b]) => add(a, b),
-                    None => {
-                        let [from, to] = edges.ends(lane);
-                        for_pieces(from, to, half, add);
-                    }
+                if let Some([a, b]) = edges.segment(lane) {
+                    add(a, b);
+                } else {
+                    let [from, to] = edges.ends(lane);
+                    for_pieces(from, to, half, add);
                 }
             }
         }

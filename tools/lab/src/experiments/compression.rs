@@ -251,6 +251,9 @@ fn write_table(path: &Path, rows: &[Row]) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// A figure of a row.
+type Figure = fn(&Row) -> f64;
+
 fn write_plots(folder: &Path, rows: &[Row]) -> anyhow::Result<()> {
     let mut names: Vec<&str> = rows.iter().map(|row| row.curve.as_str()).collect();
     names.sort_unstable();
@@ -258,7 +261,6 @@ fn write_plots(folder: &Path, rows: &[Row]) -> anyhow::Result<()> {
     let Some(first) = rows.first() else {
         return Ok(());
     };
-    type Figure = fn(&Row) -> f64;
     let figures: [(&str, Figure); 2] = [
         ("diffuse", |row| row.diffuse),
         ("specular", |row| row.specular),

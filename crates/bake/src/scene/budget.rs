@@ -9,7 +9,7 @@ use super::{Bake, Cluster, Counters, Error, assemble};
 use crate::cluster;
 use crate::compress::{ErrorSums, Samples};
 
-/// Chunks that are tried.
+/// Chunks that are tried, at most.
 const CHUNKS: usize = 10;
 /// Trials at most; each compresses the chunks once.
 const TRIALS: usize = 5;
@@ -40,7 +40,13 @@ impl Bake<'_> {
     pub(super) fn choose_aim(&mut self) -> Result<f32, Error> {
         let size = self.options.max_bytes.map(|bytes| bytes as f32);
         let target = size.map_or(self.options.max_error, |bytes| bytes / (1.0 + SIZE_MARGIN));
-        let count = self.chunks.len().min(CHUNKS);
+        // A size is a promise; an error may be missed by a little in small scenes, which
+        // trials would cost more than the bake.
+        let most = match size {
+            Some(_) => CHUNKS,
+            None => (self.chunks.len() / 4).clamp(CHUNKS / 2, CHUNKS),
+        };
+        let count = self.chunks.len().min(most);
         let chosen = (0..count).map(|i| (2 * i + 1) * self.chunks.len() / (2 * count));
         let mut trials = Vec::new();
         for chunk in chosen {

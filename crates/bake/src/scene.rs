@@ -64,11 +64,13 @@ pub struct Options {
     /// Clustered: tiles of four images per cluster, at most. The GPU's cost of a sample is
     /// proportional to the tiles.
     pub max_tiles: u32,
-    /// Clustered: root mean square error of the visibility boundary, radians
-    /// ([`ErrorSums::boundary_rms`]). Clusters gain tiles and split as long as the bytes are
-    /// worth it, at one rate for all: fine detail ends above it, the rest below.
-    pub max_error: f32,
-    /// Clustered: bytes of the asset, in place of `max_error`.
+    /// Clustered: at what rate clusters buy accuracy with bytes, as the error, radians, that
+    /// one of ordinary detail ends near. Finer detail ends above it, the rest below.
+    pub aim: f32,
+    /// Clustered: in place of `aim`, the error that the scene as a whole shall have, radians
+    /// ([`ErrorSums::boundary_rms`]).
+    pub max_error: Option<f32>,
+    /// Clustered: in place of `aim`, the bytes that the asset may have.
     pub max_bytes: Option<u64>,
     /// Global: components besides the mean.
     pub global_rank: u32,
@@ -89,7 +91,7 @@ impl Options {
         Self {
             sample_resolution: 64,
             max_tiles: 2,
-            max_error: 0.02,
+            aim: 0.02,
             max_edge: 0.08,
             refine_error: f32::INFINITY,
             ..Self::standard()
@@ -104,7 +106,8 @@ impl Options {
             distance_clamp: 0.5,
             representation: Representation::ClusteredPca,
             max_tiles: 4,
-            max_error: 0.007,
+            aim: 0.005,
+            max_error: None,
             max_bytes: None,
             global_rank: 24,
             max_edge: 0.04,
@@ -116,7 +119,7 @@ impl Options {
     /// Small errors at several times the size.
     pub fn high() -> Self {
         Self {
-            max_error: 0.003,
+            aim: 0.0025,
             max_tiles: 6,
             max_edge: 0.02,
             ..Self::standard()
@@ -315,7 +318,7 @@ impl<'a> Bake<'a> {
         let transform = ssdf::Transform::new(&directions, options.basis_resolution);
         stages.push(("build bvh", clock.elapsed()));
         let mut bake = Self {
-            aim: options.max_error,
+            aim: options.aim,
             options: options.clone(),
             monitor,
             fingerprint,
@@ -333,7 +336,8 @@ impl<'a> Bake<'a> {
             stages,
             counters: Counters::default(),
         };
-        if options.representation == Representation::ClusteredPca {
+        let asked = options.max_error.is_some() || options.max_bytes.is_some();
+        if asked && options.representation == Representation::ClusteredPca {
             clock = Instant::now();
             bake.aim = bake.choose_aim()?;
             bake.stages.push(("budget", clock.elapsed()));
@@ -573,7 +577,8 @@ fn check(options: &Options) -> Result<(), Error> {
     }
     let positive = [
         options.distance_clamp,
-        options.max_error,
+        options.aim,
+        options.max_error.unwrap_or(options.aim),
         options.max_edge,
         options.refine_error,
     ];
@@ -617,8 +622,7 @@ impl Bake<'_> {
         if self.options.representation == Representation::GlobalPca {
             let rank = self.options.global_rank as usize;
             let basis = compress::analyse(&samples, rank);
-            let max_error = self.options.max_error;
-            let compressed = compress::encode(&samples.fitted(), &basis.images, max_error);
+            let compressed = compress::encode(&samples.fitted(), &basis.images, self.aim);
             finished.push(self.cluster(triangles, &vertices, compressed));
         } else {
             self.compress_clusters(triangles, &vertices, &samples, self.aim, &mut finished)?;

@@ -108,7 +108,7 @@ mod tests {
         let options = Options {
             sample_resolution: 32,
             basis_resolution: 32,
-            max_error: 0.01,
+            aim: 0.01,
             ..Options::standard()
         };
         let input = scene_input::load(&path).unwrap();

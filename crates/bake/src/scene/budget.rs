@@ -36,10 +36,11 @@ struct Trial {
 }
 
 impl Bake<'_> {
-    /// The error to aim at in every cluster, radians.
+    /// The aim that gives what [`super::Options`] ask for.
     pub(super) fn choose_aim(&mut self) -> Result<f32, Error> {
         let size = self.options.max_bytes.map(|bytes| bytes as f32);
-        let target = size.map_or(self.options.max_error, |bytes| bytes / (1.0 + SIZE_MARGIN));
+        let error = self.options.max_error.unwrap_or(FIRST_ERROR);
+        let target = size.map_or(error, |bytes| bytes / (1.0 + SIZE_MARGIN));
         // A size is a promise; an error may be missed by a little in small scenes, which
         // trials would cost more than the bake.
         let most = match size {
@@ -62,8 +63,7 @@ impl Bake<'_> {
         let fixed = format::write_scene(&self.head).map_or(0, |bytes| bytes.len()) as f32;
         let expected = size.map_or(ERROR_EXPONENT, |_| SIZE_EXPONENT);
         // Logarithms of aims and of how far what they gave is from the target.
-        let first = size.map_or(self.options.max_error, |_| FIRST_ERROR);
-        let mut aim = first.clamp(LEAST_AIM, LARGEST_AIM).ln();
+        let mut aim = error.clamp(LEAST_AIM, LARGEST_AIM).ln();
         let mut found: Vec<[f32; 2]> = Vec::new();
         for _ in 0..TRIALS {
             let (error, bytes) = self.try_aim(&trials, aim.exp())?;
@@ -87,9 +87,7 @@ impl Bake<'_> {
         found.sort_unstable_by(|[_, a], [_, b]| {
             (within(*b).cmp(&within(*a))).then(a.abs().total_cmp(&b.abs()))
         });
-        let aim = found
-            .first()
-            .map_or(self.options.max_error, |[aim, _]| aim.exp());
+        let aim = found.first().map_or(self.options.aim, |[aim, _]| aim.exp());
         self.counters = Counters::default();
         Ok(aim)
     }

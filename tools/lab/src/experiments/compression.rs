@@ -49,7 +49,7 @@ pub struct Row {
     pub scene: String,
     /// Name of the curve.
     pub curve: String,
-    /// Error aimed at, radians, or the rank of a global basis.
+    /// The aim of [`Options`], radians, or the rank of a global basis.
     pub setting: f64,
     /// Vertices before clusters share any.
     pub vertices: usize,
@@ -74,9 +74,9 @@ pub struct Row {
 /// Curves and their points: name and bake options.
 fn curves(start: &Options) -> Vec<(&'static str, f64, Options)> {
     let mut all = Vec::new();
-    for max_error in [0.028, 0.014, 0.007, 0.0035] {
+    for aim in [0.02, 0.01, 0.005, 0.0025] {
         let options = Options {
-            max_error,
+            aim,
             ..start.clone()
         };
         for (name, basis_resolution, max_tiles) in [
@@ -89,7 +89,7 @@ fn curves(start: &Options) -> Vec<(&'static str, f64, Options)> {
                 max_tiles,
                 ..options.clone()
             };
-            all.push((name, f64::from(max_error), options));
+            all.push((name, f64::from(aim), options));
         }
     }
     for rank in [10, 24, 31] {

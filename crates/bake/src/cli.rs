@@ -123,7 +123,7 @@ pub(crate) struct SceneArguments {
     rank: Option<u32>,
     /// Clustered representation: root mean square error of the visibility boundary: the
     /// angle by which a wall's edge would be off [default: as the preset's rate of bytes for
-    /// accuracy has it, 0.005 to 0.01 at standard].
+    /// accuracy has it, 0.006 to 0.011 at standard].
     #[arg(long, value_name = "RADIANS")]
     max_error: Option<f32>,
     /// Clustered representation: size of the asset, textures included; the least error that

@@ -299,30 +299,12 @@ pub fn reweight(fitted: &Fitted, basis: &Basis, channels: usize) -> Images {
     let vertices = fitted.weights.ncols();
     let mut values = basis.images.values.columns(0, channels).into_owned();
     let mut coefficients = DMatrix::zeros(channels, vertices);
-    let pairs = channels * (channels + 1) / 2;
     let (weights, weighted) = (fitted.weights.transpose(), fitted.weighted.transpose());
     for _ in 0..ROUNDS {
-        let normal_equations = fitted.systems(&values);
-        let systems = normal_equations.column_iter();
-        for (mut out, system) in coefficients.column_iter_mut().zip(systems) {
-            out.copy_from(&solve(system.as_slice(), channels));
-        }
-        let mut products = DMatrix::zeros(pairs, vertices);
-        for (mut products, factors) in products.column_iter_mut().zip(coefficients.column_iter()) {
-            let pair = |j: usize| (0..=j).map(move |i| (i, j));
-            for (product, (i, j)) in products.iter_mut().zip((0..channels).flat_map(pair)) {
-                *product = factors[i] * factors[j];
-            }
-        }
-        let mut systems = DMatrix::zeros(pairs + channels, fitted.texels.len());
-        systems
-            .rows_mut(0, pairs)
-            .copy_from(&(&products * &weights));
-        systems
-            .rows_mut(pairs, channels)
-            .copy_from(&(&coefficients * &weighted));
-        for (texel, system) in fitted.texels.iter().zip(systems.column_iter()) {
-            let image = solve(system.as_slice(), channels);
+        coefficients = solve_each(&fitted.systems(&values), channels);
+        let systems = normal_equations(&coefficients, &weights, &weighted);
+        let images = solve_each(&systems, channels);
+        for (texel, image) in fitted.texels.iter().zip(images.column_iter()) {
             values.row_mut(*texel).copy_from(&image.transpose());
         }
     }
@@ -335,30 +317,10 @@ pub fn reweight(fitted: &Fitted, basis: &Basis, channels: usize) -> Images {
 }
 
 impl Fitted<'_> {
-    /// Normal equations of every vertex for its coefficients of images: the upper triangle
-    /// of the matrix by columns, then the right side. One column per vertex.
+    /// Normal equations of every vertex for its coefficients of images.
     fn systems(&self, images: &DMatrix<f32>) -> DMatrix<f32> {
-        let channels = images.ncols();
-        let vertices = self.weights.ncols();
-        let images = images.select_rows(&self.texels);
-        // Products of images: a normal matrix is their weighted sum.
-        let pairs = channels * (channels + 1) / 2;
-        let mut products = DMatrix::zeros(self.texels.len(), pairs);
-        let pair = |j: usize| (0..=j).map(move |i| (i, j));
-        for (mut product, (i, j)) in (products.column_iter_mut()).zip((0..channels).flat_map(pair))
-        {
-            product.copy_from(&images.column(i).component_mul(&images.column(j)));
-        }
-        // Products with an explicit transpose run at the speed of a blocked kernel.
-        let (products, images) = (products.transpose(), images.transpose());
-        let mut systems = DMatrix::zeros(pairs + channels, vertices);
-        systems
-            .rows_mut(0, pairs)
-            .copy_from(&(products * &self.weights));
-        systems
-            .rows_mut(pairs, channels)
-            .copy_from(&(images * &self.weighted));
-        systems
+        let factors = images.select_rows(&self.texels).transpose();
+        normal_equations(&factors, &self.weights, &self.weighted)
     }
 
     /// Fits the texels left out to coefficients, without weights.
@@ -381,6 +343,32 @@ impl Fitted<'_> {
     }
 }
 
+/// Normal equations for factors of `factors`, one column per equation, with `weights` and
+/// right sides `weighted`, one row per equation. One column per system: the upper triangle
+/// of its matrix by columns, then its right side.
+fn normal_equations(
+    factors: &DMatrix<f32>,
+    weights: &DMatrix<f32>,
+    weighted: &DMatrix<f32>,
+) -> DMatrix<f32> {
+    let channels = factors.nrows();
+    let pairs = channels * (channels + 1) / 2;
+    // A normal matrix is a weighted sum of products of factors.
+    let mut products = DMatrix::zeros(pairs, factors.ncols());
+    for (mut products, factors) in products.column_iter_mut().zip(factors.column_iter()) {
+        let pair = |j: usize| (0..=j).map(move |i| (i, j));
+        for (product, (i, j)) in products.iter_mut().zip((0..channels).flat_map(pair)) {
+            *product = factors[i] * factors[j];
+        }
+    }
+    let mut systems = DMatrix::zeros(pairs + channels, weights.ncols());
+    systems.rows_mut(0, pairs).copy_from(&(products * weights));
+    systems
+        .rows_mut(pairs, channels)
+        .copy_from(&(factors * weighted));
+    systems
+}
+
 /// SSDFs whose errors are summed in one product of matrices.
 const BLOCK_VERTICES: usize = 512;
 /// Sums that are formed side by side.
@@ -397,10 +385,7 @@ pub fn encode(fitted: &Fitted, images: &Images, max_error: f32) -> Compressed {
     let quantised = quantise(images, max_error * BASIS_ROUNDING / cost.sqrt());
     let decoded = quantised.map(|value: i8| f32::from(value) / 127.0);
     let systems = fitted.systems(&decoded);
-    let mut coefficients = DMatrix::zeros(channels, vertices);
-    for (mut out, system) in coefficients.column_iter_mut().zip(systems.column_iter()) {
-        out.copy_from(&solve(system.as_slice(), channels));
-    }
+    let coefficients = solve_each(&systems, channels);
     // What an error of one in every coefficient costs: the traces of the normal matrices.
     let diagonal = (0..channels).map(|channel| channel * (channel + 3) / 2);
     let trace = diagonal.map(|row| systems.row(row).sum()).sum::<f32>() / vertices as f32;
@@ -500,6 +485,15 @@ fn quantise(images: &Images, rounding: f32) -> DMatrix<i8> {
         }
     }
     quantised
+}
+
+/// Solves packed systems, one per column.
+fn solve_each(systems: &DMatrix<f32>, channels: usize) -> DMatrix<f32> {
+    let mut solutions = DMatrix::zeros(channels, systems.ncols());
+    for (mut solution, system) in solutions.column_iter_mut().zip(systems.column_iter()) {
+        solution.copy_from(&solve(system.as_slice(), channels));
+    }
+    solutions
 }
 
 /// Solves a packed system.

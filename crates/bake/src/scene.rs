@@ -34,15 +34,15 @@ const CHUNK_BUDGET_BYTES: usize = 96 << 20;
 /// Edges up to this part of the object's diagonal are not cut for their error: shadows of
 /// contacts have no finest scale.
 const RELATIVE_MIN_EDGE: f32 = 0.004;
-/// Sine of the angle by which normal maps are taken to turn normals: few texels of real
-/// ones turn them further.
+/// Sine of the angle by which normal maps are taken to turn normals; texels that turn them
+/// further only see larger errors.
 const NORMAL_MAP_TILT: f32 = 0.35;
 /// What the error aimed at, squared, is worth in bytes per vertex.
 const BYTES_PER_ERROR: f32 = 30.0;
-/// Bytes that a texel of a basis image and a coefficient take in a file, measured.
+/// Bytes that a texel of a basis image and a coefficient take in a file, about.
 const BASIS_BYTES: f32 = 0.4;
 const COEFFICIENT_BYTES: f32 = 1.5;
-/// Part of a cluster's squared error that a split takes away, at most; measured 0.6.
+/// Part of a cluster's squared error that a split is taken to take away at most.
 const SPLIT_GAIN: f32 = 0.75;
 /// A cluster of fewer vertices is not split further: its basis would outweigh it.
 const MIN_CLUSTER_VERTICES: usize = 96;
@@ -148,6 +148,9 @@ pub enum Error {
     /// Asked to stop.
     #[error(transparent)]
     Interrupted(#[from] Interrupted),
+    /// The scene does not fit into an asset.
+    #[error(transparent)]
+    Format(#[from] format::Error),
     /// The options contradict each other or the scene.
     #[error("{place}: expected {expected}, found {found}")]
     Options {
@@ -625,7 +628,8 @@ impl Bake<'_> {
             let compressed = compress::encode(&samples.fitted(), &basis.images, self.aim);
             finished.push(self.cluster(triangles, &vertices, compressed));
         } else {
-            self.compress_clusters(triangles, &vertices, &samples, self.aim, &mut finished)?;
+            let search = (self.aim, self.options.max_tiles);
+            self.compress_clusters(triangles, &vertices, &samples, search, &mut finished)?;
         }
         add_time(&self.counters.compress_nanoseconds, start);
         self.counters.compressed.fetch_add(count, Ordering::Relaxed);
@@ -638,10 +642,15 @@ impl Bake<'_> {
         let vertices = cluster::vertices_of(triangles, &self.triangles);
         let ssdfs = self.ssdfs(&vertices)?;
         let start = Instant::now();
-        let normals = self.normals(triangles, &vertices);
-        let samples = Samples::new(ssdfs, &normals, &self.weighting);
+        let samples = self.weighed(triangles, &vertices, ssdfs);
         add_time(&self.counters.compress_nanoseconds, start);
         Ok((vertices, samples))
+    }
+
+    /// SSDFs of `vertices`, which `triangles` use, with their weights.
+    fn weighed(&self, triangles: &[u32], vertices: &[u32], ssdfs: DMatrix<f32>) -> Samples {
+        let normals = self.normals(triangles, vertices);
+        Samples::new(ssdfs, &normals, &self.weighting)
     }
 
     /// Shading normals of `vertices`, which `triangles` use.
@@ -739,13 +748,13 @@ impl Bake<'_> {
 
     /// Tiles, and splits along the leading principal component, where vertices that see
     /// alike stay together, as long as they lower the sum of bytes and of what errors are
-    /// worth in bytes. Returns that sum.
+    /// worth in bytes. Returns that sum. `tiles` is where the search begins.
     fn compress_clusters(
         &self,
         triangles: &[u32],
         vertices: &[u32],
         samples: &Samples,
-        aim: f32,
+        (aim, tiles): (f32, u32),
         finished: &mut Vec<Cluster>,
     ) -> Result<f32, Interrupted> {
         self.report()?;
@@ -760,23 +769,14 @@ impl Bake<'_> {
             let error = compressed.error.boundary_rms() / aim;
             count * BYTES_PER_ERROR * error * error
         };
-        let mut best: Option<(f32, Compressed)> = None;
-        for channels in (0..basis.images.values.ncols()).step_by(CHANNELS_PER_TILE) {
-            let images = compress::reweight(&fitted, &basis, channels + CHANNELS_PER_TILE);
+        let with_tiles = |tiles: u32| {
+            let images = compress::reweight(&fitted, &basis, tiles as usize * CHANNELS_PER_TILE);
             let compressed = compress::encode(&fitted, &images, aim);
             let cost = compressed.tiles as f32 * tile_bytes + worth(&compressed);
-            // Another tile could not pay any more.
-            let enough = worth(&compressed) < tile_bytes;
-            if best.as_ref().is_none_or(|(least, _)| cost < *least) {
-                best = Some((cost, compressed));
-            }
-            if enough {
-                break;
-            }
-        }
-        let Some((cost, compressed)) = best else {
-            return Ok(0.0);
+            (cost, compressed)
         };
+        let most = (basis.images.values.ncols().div_ceil(CHANNELS_PER_TILE) as u32).max(1);
+        let (cost, compressed) = cheapest(tiles.min(most), most, with_tiles);
         let split_bytes = compressed.tiles as f32 * texels * 4.0 * BASIS_BYTES;
         let hopeless = SPLIT_GAIN * worth(&compressed) < split_bytes;
         if hopeless || vertices.len() < MIN_CLUSTER_VERTICES || triangles.len() < 2 {
@@ -805,7 +805,8 @@ impl Bake<'_> {
                 .filter_map(|vertex| vertices.binary_search(vertex).ok())
                 .collect();
             let subset = samples.select(&columns);
-            split_cost += self.compress_clusters(&group, &members, &subset, aim, finished)?;
+            let search = (aim, compressed.tiles);
+            split_cost += self.compress_clusters(&group, &members, &subset, search, finished)?;
         }
         if split_cost < cost {
             return Ok(split_cost);
@@ -834,6 +835,30 @@ impl Bake<'_> {
             compressed,
         }
     }
+}
+
+/// The number of tiles in `1..=most` at which costs stop falling, on the way from `start`;
+/// each costs a fit. Costs rise on both sides of the least, but for noise.
+fn cheapest(
+    start: u32,
+    most: u32,
+    with_tiles: impl Fn(u32) -> (f32, Compressed),
+) -> (f32, Compressed) {
+    let first = with_tiles(start);
+    let walk = |tiles: &mut dyn Iterator<Item = u32>| {
+        let mut best: Option<(f32, Compressed)> = None;
+        for tiles in tiles {
+            let next = with_tiles(tiles);
+            if next.0 >= best.as_ref().unwrap_or(&first).0 {
+                break;
+            }
+            best = Some(next);
+        }
+        best
+    };
+    let fewer = walk(&mut (1..start).rev());
+    let best = fewer.or_else(|| walk(&mut (start + 1..=most)));
+    best.unwrap_or(first)
 }
 
 fn add_time(counter: &AtomicU64, start: Instant) {

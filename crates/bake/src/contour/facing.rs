@@ -280,50 +280,59 @@ impl<T: Copy> Edges<T> {
         number: impl Fn(T) -> u32,
         candidates: &mut Candidates,
     ) {
-        let mut found = [0; CHUNK];
-        let vertices = self.vertices[range.clone()].chunks(CHUNK);
-        for (triangles, vertices) in self.triangles[range].chunks(CHUNK).zip(vertices) {
-            // Collected without a branch, which would often be guessed wrong.
-            let mut count = 0;
-            for (index, pair) in triangles.iter().enumerate() {
-                found[count % CHUNK] = index as u8;
-                let [a, b] = pair.map(&side);
-                count += usize::from((a ^ b) | (a & EITHER) != 0);
+        let (triangles, vertices) = (&self.triangles[range.clone()], &self.vertices[range]);
+        let differ = |pair: [T; 2]| {
+            let [a, b] = pair.map(&side);
+            (a ^ b) | (a & EITHER) != 0
+        };
+        for_each_where(triangles, vertices, differ, |triangles, vertices| {
+            let sides = triangles.map(&side);
+            if sides.contains(&EITHER) {
+                candidates.edges.triangles.push(triangles.map(|triangle| {
+                    known_number(side(triangle)).unwrap_or_else(|| number(triangle))
+                }));
+                candidates.edges.vertices.push(vertices);
+            } else {
+                candidates.sure.push(Contour {
+                    vertices,
+                    step: step(sides[0]),
+                });
             }
-            for &index in &found[..count] {
-                let (triangles, vertices) =
-                    (triangles[usize::from(index)], vertices[usize::from(index)]);
-                let sides = triangles.map(&side);
-                if sides.contains(&EITHER) {
-                    candidates.edges.triangles.push(triangles.map(|triangle| {
-                        known_number(side(triangle)).unwrap_or_else(|| number(triangle))
-                    }));
-                    candidates.edges.vertices.push(vertices);
-                } else {
-                    candidates.sure.push(Contour {
-                        vertices,
-                        step: step(sides[0]),
-                    });
-                }
-            }
-        }
+        });
     }
 
     /// Appends the edges of which one triangle faces the eye and one does not.
     #[inline(always)]
     pub(super) fn find(&self, face: impl Fn(T) -> u8, contours: &mut Vec<Contour>) {
-        let mut found = [0; CHUNK];
-        let vertices = self.vertices.chunks(CHUNK);
-        for (triangles, vertices) in self.triangles.chunks(CHUNK).zip(vertices) {
-            let mut count = 0;
-            for (index, pair) in triangles.iter().enumerate() {
-                found[count % CHUNK] = index as u8;
-                count += usize::from(face(pair[0]) ^ face(pair[1]));
-            }
-            contours.extend(found[..count].iter().map(|&index| Contour {
-                vertices: vertices[usize::from(index)],
-                step: step(face(triangles[usize::from(index)][0])),
-            }));
+        let differ = |[a, b]: [T; 2]| face(a) ^ face(b) != 0;
+        let add = |triangles: [T; 2], vertices| {
+            contours.push(Contour {
+                vertices,
+                step: step(face(triangles[0])),
+            });
+        };
+        for_each_where(&self.triangles, &self.vertices, differ, add);
+    }
+}
+
+/// Calls `take` with every edge of which `wanted` is true of its triangles.
+#[inline(always)]
+fn for_each_where<T: Copy>(
+    triangles: &[[T; 2]],
+    vertices: &[[u32; 2]],
+    wanted: impl Fn([T; 2]) -> bool,
+    mut take: impl FnMut([T; 2], [u32; 2]),
+) {
+    let mut found = [0; CHUNK];
+    for (triangles, vertices) in triangles.chunks(CHUNK).zip(vertices.chunks(CHUNK)) {
+        // Collected without a branch, which would often be guessed wrong.
+        let mut count = 0;
+        for (index, pair) in triangles.iter().enumerate() {
+            found[count % CHUNK] = index as u8;
+            count += usize::from(wanted(*pair));
+        }
+        for &index in &found[..count] {
+            take(triangles[usize::from(index)], vertices[usize::from(index)]);
         }
     }
 }

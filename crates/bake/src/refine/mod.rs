@@ -71,13 +71,8 @@ fn cut(a: Vec3, b: Vec3, bound: f32) -> Option<Vec3> {
 /// cutting them adds vertices.
 fn long_edges(mesh: &Mesh, max_edge: f32) -> Vec<f32> {
     let position = |index: u32| Vec3::from(mesh.vertices[index as usize].position);
-    let mut edges: Vec<[u32; 2]> = mesh
-        .triangles
-        .iter()
-        .flat_map(|triangle| {
-            let [a, b, c] = triangle.vertices;
-            [[a, b], [b, c], [c, a]]
-        })
+    let mut edges: Vec<[u32; 2]> = (mesh.triangles.iter())
+        .flat_map(|triangle| sides(triangle.vertices))
         .filter(|&[a, b]| cut(position(a), position(b), max_edge).is_some())
         .map(|[a, b]| [a.min(b), a.max(b)])
         .collect();
@@ -89,6 +84,10 @@ fn long_edges(mesh: &Mesh, max_edge: f32) -> Vec<f32> {
         .collect();
     lengths.sort_unstable_by(|a, b| b.total_cmp(a));
     lengths
+}
+
+fn sides<T: Copy>([a, b, c]: [T; 3]) -> [[T; 2]; 3] {
+    [[a, b], [b, c], [c, a]]
 }
 
 /// One round: cuts edges where `cut`, which does not depend on the order of the ends, says.

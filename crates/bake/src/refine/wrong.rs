@@ -8,7 +8,7 @@ use std::collections::{HashMap, HashSet};
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::{Key, cut, divide, key};
+use super::{Key, cut, divide, key, sides};
 use crate::cluster;
 use crate::compress::{Normal, Weighting};
 use crate::contour::{ContourMesh, GROUP, Scratch};
@@ -139,8 +139,7 @@ fn position(mesh: &Mesh, vertex: u32) -> Vec3 {
 fn edges(mesh: &Mesh) -> Vec<Edge> {
     let mut sides: Vec<([u32; 2], usize)> = (mesh.triangles.iter().enumerate())
         .flat_map(|(index, triangle)| {
-            let [a, b, c] = triangle.vertices;
-            [[a, b], [b, c], [c, a]].map(|[a, b]| ([a.min(b), a.max(b)], index))
+            sides(triangle.vertices).map(|[a, b]| ([a.min(b), a.max(b)], index))
         })
         .collect();
     sides.par_sort_unstable();
@@ -375,10 +374,7 @@ mod tests {
         let mesh = refine(wall(), bound(0.05), SILENT).unwrap();
         let at = |vertex: u32| position(&mesh, vertex);
         let sides: Vec<[Vec3; 2]> = (mesh.triangles.iter())
-            .flat_map(|t| {
-                let [a, b, c] = t.vertices.map(at);
-                [[a, b], [b, c], [c, a]]
-            })
+            .flat_map(|triangle| crate::refine::sides(triangle.vertices.map(at)))
             .collect();
         let keys: HashSet<Key> = sides.iter().map(|&[a, b]| key(a, b)).collect();
         for [a, b] in sides {

@@ -7,7 +7,7 @@ use relight_format as format;
 
 use super::{Bake, Cluster, Counters, Error, assemble};
 use crate::cluster;
-use crate::compress::{ErrorSums, Samples};
+use crate::compress::ErrorSums;
 
 /// Chunks that are tried, at most.
 const CHUNKS: usize = 10;
@@ -15,8 +15,9 @@ const CHUNKS: usize = 10;
 const TRIALS: usize = 5;
 /// How close a trial must come, as a factor.
 const CLOSE: f32 = 1.05;
-/// What the estimated size of a whole scene may miss, as a part of it.
-const SIZE_MARGIN: f32 = 0.07;
+/// Standard errors by which the estimated size of a whole scene stays below the one asked
+/// for.
+const SURE: f32 = 2.0;
 /// First trial of a size, radians.
 const FIRST_ERROR: f32 = 0.008;
 /// Aims beyond these change nothing, radians.
@@ -40,7 +41,7 @@ impl Bake<'_> {
     pub(super) fn choose_aim(&mut self) -> Result<f32, Error> {
         let size = self.options.max_bytes.map(|bytes| bytes as f32);
         let error = self.options.max_error.unwrap_or(FIRST_ERROR);
-        let target = size.map_or(error, |bytes| bytes / (1.0 + SIZE_MARGIN));
+        let target = size.map_or(error, |bytes| bytes / CLOSE);
         // A size is a promise; an error may be missed by a little in small scenes, which
         // trials would cost more than the bake.
         let most = match size {
@@ -58,16 +59,24 @@ impl Bake<'_> {
                 vertices,
             });
         }
-        let tried: usize = trials.iter().map(|trial| trial.triangles.len()).sum();
-        let share = tried as f32 / self.triangles.len().max(1) as f32;
-        let fixed = format::write_scene(&self.head).map_or(0, |bytes| bytes.len()) as f32;
+        let tried: Vec<usize> = trials.iter().map(|trial| trial.triangles.len()).collect();
+        let sizes = size.map(|_| Sizes::new(&self.head)).transpose()?;
         let expected = size.map_or(ERROR_EXPONENT, |_| SIZE_EXPONENT);
         // Logarithms of aims and of how far what they gave is from the target.
         let mut aim = error.clamp(LEAST_AIM, LARGEST_AIM).ln();
         let mut found: Vec<[f32; 2]> = Vec::new();
         for _ in 0..TRIALS {
-            let (error, bytes) = self.try_aim(&trials, aim.exp())?;
-            let reached = size.map_or(error, |_| fixed + (bytes - fixed).max(0.0) / share);
+            let compressed = self.try_aim(&trials, aim.exp())?;
+            let reached = match &sizes {
+                Some(sizes) => {
+                    let bytes: Result<Vec<f32>, Error> = compressed
+                        .into_iter()
+                        .map(|chunk| sizes.of(chunk))
+                        .collect();
+                    sizes.fixed + at_most(&bytes?, &tried, self.triangles.len())
+                }
+                None => error_of(&compressed),
+            };
             let miss = (reached / target).ln();
             if !miss.is_finite() {
                 break;
@@ -92,18 +101,18 @@ impl Bake<'_> {
         Ok(aim)
     }
 
-    /// Root mean square error of the trial chunks, radians, and the bytes of a file of them.
-    fn try_aim(&self, trials: &[Trial], aim: f32) -> Result<(f32, f32), Error> {
+    /// The clusters that the trial chunks become.
+    fn try_aim(&self, trials: &[Trial], aim: f32) -> Result<Vec<Vec<Cluster>>, Error> {
         let compress = |trial: &Trial| {
             let Trial {
                 triangles,
                 vertices,
                 ssdfs,
             } = trial;
-            let normals = self.normals(triangles, vertices);
-            let samples = Samples::new(ssdfs.clone(), &normals, &self.weighting);
+            let samples = self.weighed(triangles, vertices, ssdfs.clone());
             let mut clusters = Vec::new();
-            self.compress_clusters(triangles, vertices, &samples, aim, &mut clusters)?;
+            let search = (aim, self.options.max_tiles);
+            self.compress_clusters(triangles, vertices, &samples, search, &mut clusters)?;
             Ok(clusters)
         };
         let mut compressed: Vec<Vec<Cluster>> = Vec::new();
@@ -112,14 +121,61 @@ impl Bake<'_> {
             let clusters = batch.par_iter().map(compress);
             compressed.extend(clusters.collect::<Result<Vec<_>, Error>>()?);
         }
-        let mut error = ErrorSums::default();
-        for cluster in compressed.iter().flatten() {
-            error.add(&cluster.compressed.error);
+        Ok(compressed)
+    }
+}
+
+/// Root mean square error, radians.
+fn error_of(chunks: &[Vec<Cluster>]) -> f32 {
+    let mut error = ErrorSums::default();
+    for cluster in chunks.iter().flatten() {
+        error.add(&cluster.compressed.error);
+    }
+    error.boundary_rms()
+}
+
+/// Bytes that a scene of `all` triangles hardly exceeds if chunks of it, of so many `triangles`,
+/// have so many `bytes`: the estimate from their ratio and [`SURE`] standard errors of it
+/// (Cochran 1977, section 6.3).
+fn at_most(bytes: &[f32], triangles: &[usize], all: usize) -> f32 {
+    let count = bytes.len() as f32;
+    let tried = triangles.iter().sum::<usize>() as f32;
+    let share = tried / all.max(1) as f32;
+    let ratio = bytes.iter().sum::<f32>() / tried;
+    let squares: f32 = (bytes.iter().zip(triangles))
+        .map(|(bytes, triangles)| (bytes - ratio * *triangles as f32).powi(2))
+        .sum();
+    let variance = (1.0 - share).max(0.0) * count * squares / (count - 1.0).max(1.0);
+    (ratio * tried + SURE * variance.sqrt()) / share
+}
+
+/// What clusters add to a file.
+struct Sizes {
+    /// Bytes of the asset without its clusters.
+    fixed: f32,
+    /// The asset without its clusters and without its textures, which take long to write.
+    bare: format::Scene,
+    bare_bytes: f32,
+}
+
+impl Sizes {
+    fn new(head: &format::Scene) -> Result<Self, Error> {
+        let mut bare = head.clone();
+        for texture in &mut bare.textures {
+            (texture.width, texture.height) = (1, 1);
+            texture.texels.truncate(4);
         }
-        let chunks = compressed.into_iter().map(Ok::<_, Error>);
-        let scene = assemble(self.head.clone(), chunks)?;
-        let bytes = format::write_scene(&scene).map_or(0, |bytes| bytes.len());
-        Ok((error.boundary_rms(), bytes as f32))
+        Ok(Self {
+            fixed: format::write_scene(head)?.len() as f32,
+            bare_bytes: format::write_scene(&bare)?.len() as f32,
+            bare,
+        })
+    }
+
+    /// Bytes that the clusters of a chunk add.
+    fn of(&self, chunk: Vec<Cluster>) -> Result<f32, Error> {
+        let scene = assemble(self.bare.clone(), [Ok::<_, Error>(chunk)])?;
+        Ok(format::write_scene(&scene)?.len() as f32 - self.bare_bytes)
     }
 }
 
@@ -167,6 +223,18 @@ mod tests {
             .into_iter()
             .map(|[_, miss]| miss.abs())
             .fold(f32::INFINITY, f32::min)
+    }
+
+    #[test]
+    fn sizes_are_told_from_chunks_and_their_spread() {
+        assert_eq!(at_most(&[10.0, 20.0], &[1, 2], 3), 30.0);
+        assert_eq!(at_most(&[10.0, 20.0], &[1, 2], 30), 300.0);
+        // Two chunks of four, whose bytes have a variance of 8: their sum is off by √(½ · 2 · 8).
+        let bound = at_most(&[8.0, 12.0], &[5, 5], 20);
+        assert!(
+            (bound - (40.0 + SURE * 4.0 * 2.0f32.sqrt())).abs() < 1e-3,
+            "{bound}"
+        );
     }
 
     #[test]

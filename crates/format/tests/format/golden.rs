@@ -75,6 +75,19 @@ fn materials_of_version_1() {
     );
 }
 
+fn texture(
+    [width, height]: [u32; 2],
+    encoding: TextureEncoding,
+    texels: std::ops::Range<u8>,
+) -> Texture {
+    Texture {
+        width,
+        height,
+        encoding,
+        texels: texels.collect(),
+    }
+}
+
 /// What scenes of this version did not have at first: layers, both blends, every texture.
 fn material() -> MaterialAsset {
     let slot = |texture| {
@@ -133,18 +146,8 @@ fn material() -> MaterialAsset {
             anisotropy_texture: None,
         },
         textures: vec![
-            Texture {
-                width: 2,
-                height: 1,
-                encoding: TextureEncoding::Srgb,
-                texels: (0..8).collect(),
-            },
-            Texture {
-                width: 1,
-                height: 1,
-                encoding: TextureEncoding::Linear,
-                texels: (100..104).collect(),
-            },
+            texture([2, 1], TextureEncoding::Srgb, 0..8),
+            texture([1, 1], TextureEncoding::Linear, 100..104),
         ],
     }
 }
@@ -203,18 +206,8 @@ fn scene() -> Scene {
         }),
         materials: materials(),
         textures: vec![
-            Texture {
-                width: 2,
-                height: 1,
-                encoding: TextureEncoding::Srgb,
-                texels: (0..8).collect(),
-            },
-            Texture {
-                width: 1,
-                height: 3,
-                encoding: TextureEncoding::Linear,
-                texels: (100..112).collect(),
-            },
+            texture([2, 1], TextureEncoding::Srgb, 0..8),
+            texture([1, 3], TextureEncoding::Linear, 100..112),
         ],
         report: BakeReport {
             source_vertices: 8,

@@ -53,7 +53,7 @@ pub struct Row {
     pub setting: f64,
     /// Vertices before clusters share any.
     pub vertices: usize,
-    /// Bytes of the file.
+    /// Bytes of the file without textures.
     pub bytes: usize,
     /// Bytes of the file per vertex.
     pub bytes_per_vertex: f64,
@@ -149,9 +149,12 @@ fn measure(
     for (curve, setting, options) in curves(&settings.bake) {
         let start = Instant::now();
         let input = scene_input::load(path)?;
-        let (baked, _) =
+        let (mut baked, _) =
             scene::bake(input, &options, monitor).with_context(|| path.display().to_string())?;
         let seconds = start.elapsed().as_secs_f64();
+        // Bytes are those of visibility and geometry.
+        baked.textures.clear();
+        put_on(&mut baked, &surfaces[0]);
         let bytes = format::write_scene(&baked)?;
         let mut scene = format::read_scene(&bytes, &Limits::default())?;
         let camera = scene.camera.with_context(|| {
@@ -163,9 +166,7 @@ fn measure(
         let seams = seam::measure(&scene);
         let mut errors = Vec::new();
         for (index, surface) in surfaces.iter().enumerate() {
-            for material in &mut scene.materials {
-                *material = plain_material("plain", surface.clone());
-            }
+            put_on(&mut scene, surface);
             if truths.len() == index {
                 truths.push(trace(&scene, &camera, lights, settings, monitor)?);
             }
@@ -200,6 +201,13 @@ fn measure(
         });
     }
     Ok(())
+}
+
+/// Gives everything the same surface.
+fn put_on(scene: &mut format::Scene, surface: &Surface) {
+    for material in &mut scene.materials {
+        *material = plain_material("plain", surface.clone());
+    }
 }
 
 fn trace(

@@ -98,6 +98,8 @@ fn matches_twin(mesh: &Path) -> Outcome {
             camera: framing(low, high),
             lights: &lights,
             rotation: Quat::from_rotation_y(0.4),
+            reflections: None,
+            local_lights: &[],
             method,
             exposure: 1.0,
         };

@@ -130,12 +130,14 @@ fn render_and_truth() -> Outcome {
         reserved: 0.0,
     };
     let environment = Environment {
+        prefiltered: Default::default(),
         report: EnvironmentReport::default(),
         lobes: vec![
             lobe(Vec3::new(0.8, 1.0, 0.3), 60.0, [8.0, 5.0, 2.0]),
             lobe(Vec3::new(-0.9, 0.7, 0.5), 20.0, [1.0, 2.0, 4.0]),
             lobe(Vec3::Y, 1.5, [0.3, 0.3, 0.4]),
         ],
+        ..Environment::default()
     };
     write(
         &path("scene.relight"),

@@ -117,6 +117,7 @@ fn full_agrees(data: &Path, name: &str, material: &str) -> Outcome {
         &Geometry::new(&scene, view),
         &full::tables(&input)?,
         &full::EnvironmentSampler::new(&environment, 0.0),
+        &[],
         size,
         &Options {
             samples: 16,

@@ -178,10 +178,14 @@ struct EnvironmentArguments {
     /// Asset to write.
     #[arg(short, long, value_name = "OUT.relight")]
     output: PathBuf,
-    /// Spherical Gaussians to fit.
-    #[arg(long, default_value_t = 32, value_name = "N")]
-    lobes: usize,
-    /// Also write the original, the fit and their difference as PNG into this folder.
+    /// Spherical Gaussians to fit; with --max-error, at most. Default 32, with --max-error 256.
+    #[arg(long, value_name = "N")]
+    lobes: Option<usize>,
+    /// Add lobes until the relative L2 error is at most this; fail where that takes too many.
+    #[arg(long, value_name = "E")]
+    max_error: Option<f32>,
+    /// Also write the original, the fit and their difference (PNG) and the error over the number
+    /// of lobes (CSV, SVG) into this folder.
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
 }
@@ -389,25 +393,37 @@ fn bake_environment(arguments: &EnvironmentArguments, monitor: Monitor) -> anyho
     check_output(&arguments.output)?;
     let start = Instant::now();
     let options = environment::FitOptions {
-        lobes: arguments.lobes,
+        lobes: arguments.lobes.unwrap_or(match arguments.max_error {
+            Some(_) => 256,
+            None => environment::FitOptions::default().lobes,
+        }),
+        max_error: arguments.max_error,
     };
-    let environment = environment::bake(&arguments.input, &options, monitor)?;
-    let image = hdr::load(&arguments.input)?;
-    let irradiance_error = environment::irradiance_error(&image, &environment.lobes);
+    let environment::Fitted { environment, curve } =
+        environment::bake(&arguments.input, &options, monitor).map_err(|error| match error {
+            // It names the file itself.
+            environment::Error::Image(_) => error.into(),
+            error => anyhow::Error::new(error).context(arguments.input.display().to_string()),
+        })?;
+    let irradiance_error = curve.last().map_or(0.0, |last| last.irradiance_error);
     let bytes = format::write_environment(&environment)?;
     write_checked(&arguments.output, &bytes, |bytes| {
         let read = format::read_environment(bytes, &format::Limits::default());
         read.map(|read| read == environment)
     })?;
     if let Some(folder) = &arguments.report {
+        let image = hdr::load(&arguments.input)?;
         let pictures = environment::report::pictures(&image, &environment.lobes)?;
         std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
         let files = [
             ("original.png", pictures.original),
             ("fit.png", pictures.fit),
             ("difference.png", pictures.difference),
+            ("curve.csv", environment::report::curve_csv(&curve).into()),
         ];
-        for (name, bytes) in files {
+        let plot = environment::report::curve_svg(&curve);
+        let plot = plot.map(|svg| ("curve.svg", svg.into_bytes()));
+        for (name, bytes) in files.into_iter().chain(plot) {
             format::write_file(&folder.join(name), &bytes)?;
         }
     }

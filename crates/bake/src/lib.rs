@@ -12,6 +12,7 @@ pub mod measured;
 pub mod monitor;
 pub mod parts;
 mod picture;
+pub mod plot;
 pub mod ray;
 pub mod refine;
 pub mod scene;

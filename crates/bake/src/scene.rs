@@ -509,6 +509,7 @@ fn fingerprint(input: &SceneInput, options: &Options) -> u128 {
         object_diagonal,
         camera,
         environment: _,
+        lights: _,
         refinement,
         measured: _,
         warnings,

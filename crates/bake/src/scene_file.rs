@@ -9,6 +9,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use relight_format as format;
+use relight_shading::local_light::{LocalLight, Spot};
 use serde::{Deserialize, Serialize};
 
 pub use crate::import::Error;
@@ -36,6 +37,10 @@ pub struct SceneFile {
     /// The view that tools start from.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub camera: Option<Camera>,
+    /// Lights inside the scene. Baking does not read them: they may move from frame to frame.
+    /// Tools use them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub lights: Vec<Light>,
     /// How finely the mesh is divided before visibility is sampled at its vertices.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub refinement: Option<Refinement>,
@@ -294,6 +299,47 @@ fn up() -> [f32; 3] {
     [0.0, 1.0, 0.0]
 }
 
+/// A sphere that emits. With `direction` and both angles it is a spot.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Light {
+    /// Centre.
+    pub position: [f32; 3],
+    /// Radius, metres, greater than 0.
+    pub radius: f32,
+    /// Radiance of the surface, at least 0.
+    pub radiance: Color,
+    /// Where a spot shines.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub direction: Option<[f32; 3]>,
+    /// Angle from the direction up to which a spot is whole, degrees, at least 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub inner_degrees: Option<f32>,
+    /// Angle beyond which a spot is dark, degrees above the inner one and at most 90.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub outer_degrees: Option<f32>,
+}
+
+impl Light {
+    /// The light as it is drawn.
+    pub fn to_local_light(&self) -> LocalLight {
+        let angles = self.inner_degrees.zip(self.outer_degrees);
+        LocalLight {
+            position: self.position.into(),
+            radius: self.radius,
+            radiance: self.radiance.rgb().into(),
+            spot: self
+                .direction
+                .zip(angles)
+                .map(|(direction, (inner, outer))| Spot {
+                    direction: glam::Vec3::from(direction).normalize_or(glam::Vec3::NEG_Y),
+                    inner_angle: inner.to_radians(),
+                    outer_angle: outer.to_radians(),
+                }),
+        }
+    }
+}
+
 /// Bounds on the division of the mesh, ground included.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -327,6 +373,9 @@ pub fn load(path: &Path) -> Result<SceneFile, Error> {
     }
     if let Some(camera) = &scene.camera {
         checked.camera(camera)?;
+    }
+    for (index, light) in scene.lights.iter().enumerate() {
+        checked.light(&format!("lights[{index}]"), light)?;
     }
     if let Some(refinement) = &scene.refinement {
         if let Some(max_edge) = refinement.max_edge {
@@ -516,6 +565,36 @@ impl Checker<'_> {
             "one of roughness_texture and glossiness_texture",
             "both",
         )
+    }
+
+    fn light(&self, place: &str, light: &Light) -> Result<(), Error> {
+        self.finite(&format!("{place}.position"), &light.position)?;
+        self.positive(&format!("{place}.radius"), light.radius)?;
+        let radiance = light.radiance.rgb();
+        self.require(
+            radiance.iter().all(|x| *x >= 0.0 && x.is_finite()),
+            &format!("{place}.radiance"),
+            "numbers of at least 0",
+            radiance,
+        )?;
+        match (light.direction, light.inner_degrees, light.outer_degrees) {
+            (None, None, None) => Ok(()),
+            (Some(direction), Some(inner), Some(outer)) => {
+                self.nonzero(&format!("{place}.direction"), direction)?;
+                self.require(
+                    0.0 <= inner && inner < outer && outer <= 90.0,
+                    &format!("{place}.outer_degrees"),
+                    "0 <= inner_degrees < outer_degrees <= 90",
+                    (inner, outer),
+                )
+            }
+            parts => self.require(
+                false,
+                place,
+                "all of direction, inner_degrees and outer_degrees, or none",
+                parts,
+            ),
+        }
     }
 
     fn material(&self, place: &str, material: &MaterialOverride) -> Result<(), Error> {
@@ -713,6 +792,23 @@ mod tests {
                 "rotation_axis",
             ),
             ("mesh = 'a'\n[ground]\nwidth = 1", "width"),
+            (
+                "mesh = 'a'\n[[lights]]\nposition = [0, 1, 0]\nradius = 0\nradiance = 1",
+                "lights[0].radius",
+            ),
+            (
+                "mesh = 'a'\n[[lights]]\nposition = [0, 1, 0]\nradius = 1\nradiance = -1",
+                "lights[0].radiance",
+            ),
+            (
+                "mesh = 'a'\n[[lights]]\nposition = [0, 1, 0]\nradius = 1\nradiance = 1\ninner_degrees = 5",
+                "lights[0]",
+            ),
+            (
+                "mesh = 'a'\n[[lights]]\nposition = [0, 1, 0]\nradius = 1\nradiance = 1\n\
+                 direction = [0, -1, 0]\ninner_degrees = 5\nouter_degrees = 5",
+                "lights[0].outer_degrees",
+            ),
             ("mesh = 'a'\n[ground]\nspacing = -1", "ground.spacing"),
             (
                 "mesh = 'a'\n[ground]\nmaterial = { model = 'diffuse', diffuse = 2 }",

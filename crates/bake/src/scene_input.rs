@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use glam::{Quat, Vec3};
 use relight_format as format;
+use relight_shading::local_light::LocalLight;
 
 use crate::ground;
 use crate::import::{self, Error, Mesh};
@@ -25,6 +26,8 @@ pub struct SceneInput {
     pub camera: Option<format::Camera>,
     /// The environment of the scene file, if any, relative to the working directory.
     pub environment: Option<PathBuf>,
+    /// Lights of the scene file.
+    pub lights: Vec<LocalLight>,
     /// Refinement asked for by the scene file, if any.
     pub refinement: Option<scene_file::Refinement>,
     /// Measured BRDFs: index into the mesh's materials and path of the table, relative to
@@ -53,6 +56,7 @@ pub fn load(path: &Path) -> Result<SceneInput, Error> {
             mesh,
             camera: None,
             environment: None,
+            lights: Vec::new(),
             refinement: None,
             measured: Vec::new(),
         });
@@ -92,6 +96,11 @@ pub fn load(path: &Path) -> Result<SceneInput, Error> {
         mesh,
         camera: file.camera.as_ref().and_then(scene_file::Camera::to_format),
         environment: file.environment.map(|environment| folder.join(environment)),
+        lights: file
+            .lights
+            .iter()
+            .map(scene_file::Light::to_local_light)
+            .collect(),
         refinement: file.refinement,
         measured,
     })

@@ -67,6 +67,8 @@ pub enum SectionKind {
     Texels = 7,
     /// [`crate::Lobe`] array.
     Lobes = 8,
+    /// Texels of a [`crate::Prefiltered`].
+    Prefiltered = 9,
 }
 
 impl SectionKind {
@@ -80,6 +82,7 @@ impl SectionKind {
             Self::Basis,
             Self::Texels,
             Self::Lobes,
+            Self::Prefiltered,
         ]
         .into_iter()
         .find(|kind| *kind as u32 == value)

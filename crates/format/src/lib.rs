@@ -19,7 +19,10 @@ mod prediction;
 mod scene;
 
 pub use container::{Kind, Limits, MAGIC, SectionInfo, SectionKind, VERSION, inspect, write_file};
-pub use environment::{Environment, EnvironmentReport, Lobe, read_environment, write_environment};
+pub use environment::{
+    Environment, EnvironmentReport, Lobe, MAX_PREFILTERED_LEVELS, Prefiltered, read_environment,
+    write_environment,
+};
 pub use error::{Error, Issue};
 pub use material::{
     Blend, Camera, FieldOfView, FittedLobe, Layer, MAX_FITTED_LOBES, MAX_LAYERS, MAX_REFLECTIONS,

@@ -43,6 +43,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         camera: scene.camera.ok_or("the scene has no camera")?,
         lights: &lights,
         rotation: glam::Quat::from_rotation_y(0.5),
+        reflections: None,
+        local_lights: &[],
         method: Method::Polar(PolarOptions::default()),
         exposure: 1.0,
     };

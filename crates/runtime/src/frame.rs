@@ -3,6 +3,9 @@
 use glam::{Mat3, Quat, Vec3};
 use relight_format::{Camera, Scene};
 use relight_shading::camera::View;
+use relight_shading::gpu::{self, LimitError};
+use relight_shading::local_light::LocalLight;
+use relight_shading::prefiltered::Prefiltered;
 use relight_shading::shade::Method;
 use relight_shading::spherical_gaussian::SphericalGaussian;
 
@@ -13,8 +16,13 @@ pub struct Frame<'a> {
     pub camera: Camera,
     /// Distant light, for instance the lobes of a [`relight_format::Environment`].
     pub lights: &'a [SphericalGaussian],
-    /// Turns the lights, world space.
+    /// The environment's image, which specular lobes then reflect in place of `lights`; those
+    /// say how much of it is visible.
+    pub reflections: Option<&'a Prefiltered>,
+    /// Turns the lights and the reflected image, world space.
     pub rotation: Quat,
+    /// Lights inside the scene, at most [`MAX_LOCAL_LIGHTS`](relight_shading::gpu::MAX_LOCAL_LIGHTS).
+    pub local_lights: &'a [LocalLight],
     /// How visible light is integrated.
     pub method: Method,
     /// Multiplies radiance before tone mapping; the linear output is not exposed.
@@ -31,9 +39,26 @@ impl Frame<'_> {
             .collect()
     }
 
+    pub(crate) fn packed_local_lights(&self) -> Vec<gpu::LocalLight> {
+        self.local_lights.iter().map(Into::into).collect()
+    }
+
+    /// World directions to those of the reflected image.
+    pub(crate) fn reflection_rotation(&self) -> Mat3 {
+        Mat3::from_quat(self.rotation).transpose()
+    }
+
     pub(crate) fn view(&self, width: u32, height: u32, near: f32) -> View {
         View::new(&self.camera, width, height, near)
     }
+}
+
+pub(crate) fn check_local_lights(count: usize) -> Result<(), LimitError> {
+    LimitError::check(
+        "number of local lights",
+        count as u64,
+        u64::from(gpu::MAX_LOCAL_LIGHTS),
+    )
 }
 
 /// Distance of the near plane, metres: a ten-thousandth of the scene's diagonal. Reversed
@@ -76,6 +101,8 @@ mod tests {
             },
             lights: &[light],
             rotation: Quat::from_rotation_y(std::f32::consts::FRAC_PI_2),
+            reflections: None,
+            local_lights: &[],
             method: Method::Ambient,
             exposure: 1.0,
         };

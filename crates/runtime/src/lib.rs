@@ -7,14 +7,17 @@
 //! #     device: &wgpu::Device, queue: &wgpu::Queue, target: &wgpu::TextureView,
 //! #     scene: &relight_format::Scene, environment: &relight_format::Environment,
 //! # ) -> Result<(), relight_runtime::Error> {
-//! use relight_runtime::{Frame, Method, Options, Renderer, wgpu};
+//! use relight_runtime::{Frame, Method, Options, Prefiltered, Renderer, wgpu};
 //!
 //! let mut renderer = Renderer::new(device, queue, Options::default())?;
 //! let uploaded = renderer.upload(scene)?;
 //! let lights: Vec<_> = environment.lobes.iter().map(Into::into).collect();
+//! let image = Prefiltered::new(&environment.prefiltered);
 //! let frame = Frame {
 //!     camera: scene.camera.expect("this scene brings a camera"),
 //!     lights: &lights,
+//!     reflections: image.as_ref(),
+//!     local_lights: &[],
 //!     rotation: glam::Quat::from_rotation_y(0.5),
 //!     method: Method::Polar(Default::default()),
 //!     exposure: 1.0,
@@ -40,8 +43,10 @@ mod upload;
 pub use error::Error;
 pub use frame::Frame;
 pub use image::Image;
-pub use relight_shading::gpu::LimitError;
+pub use relight_shading::gpu::{LimitError, MAX_LOCAL_LIGHTS};
+pub use relight_shading::local_light::{LocalLight, Spot};
 pub use relight_shading::polar::PolarOptions;
+pub use relight_shading::prefiltered::Prefiltered;
 pub use relight_shading::shade::Method;
 pub use relight_shading::spherical_gaussian::SphericalGaussian;
 pub use renderer::{Options, Renderer};

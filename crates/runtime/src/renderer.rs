@@ -1,11 +1,15 @@
 //! The passes of one frame: visibility buffer, shading, tone mapping.
 
+use std::sync::Arc;
+
 use relight_format::Scene;
 use relight_shading::gpu::{self, LimitError};
+use relight_shading::prefiltered::{self, Prefiltered};
 use relight_shading::shade::{self, Method};
 use relight_shading::wgsl::{Entry, source};
 use wgpu::util::DeviceExt as _;
 
+use crate::frame::check_local_lights;
 use crate::upload::{GpuScene, check_storage};
 use crate::{Error, Frame};
 
@@ -54,6 +58,8 @@ pub struct Renderer {
     shade_pipeline: wgpu::ComputePipeline,
     tonemap_pipeline: wgpu::RenderPipeline,
     tables: wgpu::Buffer,
+    /// The reflected image of the last frame, or one texel.
+    prefiltered: (Option<Arc<[u32]>>, wgpu::TextureView),
     images: Option<Images>,
 }
 
@@ -90,6 +96,7 @@ impl Renderer {
                 contents: bytemuck::cast_slice(&shade::gpu_tables()),
                 usage: wgpu::BufferUsages::STORAGE,
             }),
+            prefiltered: (None, prefiltered_texture(device, queue, &[0])),
             device: device.clone(),
             queue: queue.clone(),
             options,
@@ -126,6 +133,7 @@ impl Renderer {
             .max(1)
             .next_multiple_of(WORKGROUP);
         let bands = height.div_ceil(band);
+        self.upload_reflections(frame)?;
         let frame_group = self.frame_group(scene, frame, [width, height], band)?;
         if self
             .images
@@ -216,6 +224,32 @@ impl Renderer {
         .map_err(Error::Frame)
     }
 
+    /// Copies the reflected image to the GPU unless the last frame had the same.
+    fn upload_reflections(&mut self, frame: &Frame) -> Result<(), Error> {
+        let Some(image) = frame.reflections else {
+            return Ok(());
+        };
+        let (uploaded, view) = &mut self.prefiltered;
+        if uploaded
+            .as_ref()
+            .is_none_or(|texels| !Arc::ptr_eq(texels, image.texels()))
+        {
+            let rows = image
+                .texels()
+                .len()
+                .div_ceil(prefiltered::TEXTURE_WIDTH as usize);
+            LimitError::check(
+                "max_texture_dimension_2d",
+                rows as u64,
+                u64::from(self.device.limits().max_texture_dimension_2d),
+            )
+            .map_err(Error::Frame)?;
+            *view = prefiltered_texture(&self.device, &self.queue, image.texels());
+            *uploaded = Some(image.texels().clone());
+        }
+        Ok(())
+    }
+
     /// Uniforms and lights of one call, in buffers of its own, so that several calls may
     /// share one encoder.
     fn frame_group(
@@ -235,6 +269,15 @@ impl Renderer {
             }
         }
         uniform.light_count = frame.lights.len() as u32;
+        uniform.local_light_count = frame.local_lights.len() as u32;
+        uniform.prefiltered_levels = frame.reflections.map_or(0, Prefiltered::levels);
+        uniform.environment_rotation = frame
+            .reflection_rotation()
+            .to_cols_array_2d()
+            .map(|[x, y, z]| [x, y, z, 0.0]);
+        check_local_lights(frame.local_lights.len()).map_err(Error::Frame)?;
+        let mut local_lights = frame.packed_local_lights();
+        local_lights.resize(gpu::MAX_LOCAL_LIGHTS as usize, bytemuck::Zeroable::zeroed());
         let mut uniforms = Vec::new();
         for first_row in (0..height).step_by(band as usize) {
             uniform.first_row = first_row;
@@ -263,6 +306,13 @@ impl Renderer {
                 contents: &uniforms,
                 usage: wgpu::BufferUsages::UNIFORM,
             });
+        let local_lights = self
+            .device
+            .create_buffer_init(&wgpu::util::BufferInitDescriptor {
+                label: Some("relight local lights"),
+                contents: bytemuck::cast_slice(&local_lights),
+                usage: wgpu::BufferUsages::UNIFORM,
+            });
         let lights = self
             .device
             .create_buffer_init(&wgpu::util::BufferInitDescriptor {
@@ -289,6 +339,14 @@ impl Renderer {
                 wgpu::BindGroupEntry {
                     binding: 2,
                     resource: self.tables.as_entire_binding(),
+                },
+                wgpu::BindGroupEntry {
+                    binding: 3,
+                    resource: local_lights.as_entire_binding(),
+                },
+                wgpu::BindGroupEntry {
+                    binding: 4,
+                    resource: wgpu::BindingResource::TextureView(&self.prefiltered.1),
                 },
             ],
         }))
@@ -458,14 +516,59 @@ fn frame_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
         has_dynamic_offset: true,
         min_binding_size: None,
     };
+    let local_lights = wgpu::BindingType::Buffer {
+        ty: wgpu::BufferBindingType::Uniform,
+        has_dynamic_offset: false,
+        min_binding_size: None,
+    };
+    let prefiltered = wgpu::BindingType::Texture {
+        sample_type: wgpu::TextureSampleType::Uint,
+        view_dimension: wgpu::TextureViewDimension::D2,
+        multisampled: false,
+    };
     device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
         label: Some("relight frame"),
         entries: &[
             layout_entry(0, BOTH, uniform),
             layout_entry(1, wgpu::ShaderStages::COMPUTE, STORAGE),
             layout_entry(2, wgpu::ShaderStages::COMPUTE, STORAGE),
+            layout_entry(3, wgpu::ShaderStages::COMPUTE, local_lights),
+            layout_entry(4, wgpu::ShaderStages::COMPUTE, prefiltered),
         ],
     })
+}
+
+/// The texels of a prefiltered image, row after row; rgb9e5 is decoded by the shader, so that
+/// the CPU and every GPU see the same.
+fn prefiltered_texture(
+    device: &wgpu::Device,
+    queue: &wgpu::Queue,
+    texels: &[u32],
+) -> wgpu::TextureView {
+    let width = prefiltered::TEXTURE_WIDTH;
+    let rows = texels.len().div_ceil(width as usize);
+    let mut padded = texels.to_vec();
+    padded.resize(rows * width as usize, 0);
+    let texture = device.create_texture_with_data(
+        queue,
+        &wgpu::TextureDescriptor {
+            label: Some("relight prefiltered environment"),
+            size: wgpu::Extent3d {
+                width,
+                height: rows as u32,
+                depth_or_array_layers: 1,
+            },
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format: wgpu::TextureFormat::R32Uint,
+            usage: wgpu::TextureUsages::TEXTURE_BINDING,
+            view_formats: &[],
+        },
+        wgpu::util::TextureDataOrder::LayerMajor,
+        bytemuck::cast_slice(&padded),
+    );
+    texture.create_view(&wgpu::TextureViewDescriptor::default())
 }
 
 /// Group 1 of bindings.wgsl.

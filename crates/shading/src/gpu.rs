@@ -25,7 +25,7 @@ pub const MAX_ATLAS_LAYERS: u32 = 256;
 /// Largest side of the basis atlas in texels: WebGPU's default limit.
 pub const MAX_ATLAS_SIZE: u32 = 8192;
 
-/// What changes from frame to frame (uniform, 144 bytes).
+/// What changes from frame to frame (uniform, 208 bytes).
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct Frame {
@@ -53,6 +53,35 @@ pub struct Frame {
     pub basis_resolution: f32,
     /// Stored signed distances are clamped to ± this angle, radians.
     pub distance_clamp: f32,
+    /// World directions to those of the prefiltered image, column after column.
+    pub environment_rotation: [[f32; 4]; 3],
+    /// Levels of the prefiltered image; 0: reflections of lobes only.
+    pub prefiltered_levels: u32,
+    /// Number of local lights.
+    pub local_light_count: u32,
+    /// Zero.
+    pub reserved: [u32; 2],
+}
+
+/// Most local lights of a frame.
+pub const MAX_LOCAL_LIGHTS: u32 = 128;
+
+/// A sphere that emits (48 bytes).
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct LocalLight {
+    /// Centre, world space, metres.
+    pub position: [f32; 3],
+    /// Metres.
+    pub radius: f32,
+    /// Linear Rec.709 radiance of the surface.
+    pub radiance: [f32; 3],
+    /// Falloff of a spot is the square of `spot_scale * cosine + spot_offset`, from 0 to 1.
+    pub spot_scale: f32,
+    /// Unit vector along the spot.
+    pub direction: [f32; 3],
+    /// See `spot_scale`.
+    pub spot_offset: f32,
 }
 
 /// A distant spherical Gaussian light (32 bytes).
@@ -432,6 +461,14 @@ impl Frame {
             atlas_texel: [1.0 / atlas.width as f32, 1.0 / atlas.height as f32],
             basis_resolution: atlas.basis_resolution as f32,
             distance_clamp,
+            environment_rotation: [
+                [1.0, 0.0, 0.0, 0.0],
+                [0.0, 1.0, 0.0, 0.0],
+                [0.0, 0.0, 1.0, 0.0],
+            ],
+            prefiltered_levels: 0,
+            local_light_count: 0,
+            reserved: [0; 2],
         }
     }
 }
@@ -594,6 +631,21 @@ mod tests {
                 atlas_texel,
                 basis_resolution,
                 distance_clamp,
+                environment_rotation,
+                prefiltered_levels,
+                local_light_count,
+                reserved,
+            }
+        );
+        check_layout!(
+            module,
+            LocalLight {
+                position,
+                radius,
+                radiance,
+                spot_scale,
+                direction,
+                spot_offset,
             }
         );
         check_layout!(

@@ -3,9 +3,11 @@
 
 use std::f32::consts::FRAC_1_PI;
 
-use glam::Vec3;
+use glam::{Mat3, Vec3};
 
+use crate::gpu;
 use crate::polar::PolarOptions;
+use crate::prefiltered::Prefiltered;
 use crate::spherical_gaussian::SphericalGaussian;
 use crate::ssdf::SignedDistance;
 use crate::surface::SurfacePoint;
@@ -25,12 +27,42 @@ pub enum Method {
     Polar(PolarOptions),
 }
 
+/// The light of one frame.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Lighting<'a> {
+    /// Distant light.
+    pub lights: &'a [SphericalGaussian],
+    /// Lights inside the scene.
+    pub local: &'a [gpu::LocalLight],
+    /// What specular lobes reflect of the distance instead of `lights`; those then say how
+    /// much of it is visible.
+    pub reflections: Option<Reflections<'a>>,
+}
+
+/// A prefiltered image, turned.
+#[derive(Clone, Copy, Debug)]
+pub struct Reflections<'a> {
+    /// The image.
+    pub image: &'a Prefiltered,
+    /// World directions to those of the image.
+    pub rotation: Mat3,
+}
+
+impl Lighting<'_> {
+    /// All lights as they reach `point`.
+    fn at(&self, point: Vec3) -> impl Iterator<Item = SphericalGaussian> {
+        let local = self.local.iter().map(move |light| light.lobe(point));
+        self.lights.iter().copied().chain(local)
+    }
+}
+
 /// Calls `visit` with every product of a light and a reflection lobe at `point`: the
 /// radiance towards the eye is the sum over them of ∫ G(ω) max(n·ω, 0) V(ω) dω with n the
-/// shading normal. None where the eye is below the shading horizon.
+/// shading normal. None where the eye is below the shading horizon. Where there are
+/// reflections, products of distant light and specular lobes are left to them.
 pub fn product_lobes(
     point: &SurfacePoint,
-    lights: &[SphericalGaussian],
+    lighting: &Lighting,
     mut visit: impl FnMut(SphericalGaussian),
 ) {
     if point.normal.dot(point.view) <= 0.0 {
@@ -38,16 +70,18 @@ pub fn product_lobes(
     }
     let diffuse = point.appearance.diffuse * FRAC_1_PI;
     if diffuse != Vec3::ZERO {
-        for light in lights {
+        for light in lighting.at(point.position) {
             visit(SphericalGaussian {
                 amplitude: light.amplitude * diffuse,
-                ..*light
+                ..light
             });
         }
     }
+    // Those that no prefiltered image stands for.
+    let begin = lighting.reflections.map_or(0, |_| lighting.lights.len());
     for reflection in point.appearance.reflections() {
         let specular = brdf::specular_lobes(point, reflection);
-        for light in lights {
+        for light in lighting.at(point.position).skip(begin) {
             for lobe in specular.as_slice() {
                 visit(light.product(lobe));
             }
@@ -58,29 +92,87 @@ pub fn product_lobes(
 /// Radiance from `point` towards the eye.
 pub fn shade(
     point: &SurfacePoint,
-    lights: &[SphericalGaussian],
+    lighting: &Lighting,
     field: &impl SignedDistance,
     method: &Method,
 ) -> Vec3 {
     let mut radiance = Vec3::ZERO;
-    product_lobes(point, lights, |lobe| {
-        if lobe.integral().cmple(NEGLIGIBLE * radiance).all() {
-            return;
+    product_lobes(point, lighting, |lobe| {
+        if !negligible(&lobe, radiance) {
+            radiance += lobe.amplitude * visible(&lobe, point.normal, field, method);
         }
-        let visible = match method {
-            Method::Ambient => ambient::integrate(field, lobe.sharpness, lobe.axis, point.normal),
-            Method::Polar(options) => {
-                polar::integrate(field, lobe.sharpness, lobe.axis, point.normal, options)
-            }
-        };
-        radiance += lobe.amplitude * visible;
     });
+    if let Some(reflections) = &lighting.reflections
+        && point.normal.dot(point.view) > 0.0
+    {
+        for reflection in point.appearance.reflections() {
+            for lobe in brdf::specular_lobes(point, reflection).as_slice() {
+                radiance += reflected(point, lobe, lighting.lights, reflections, field, method);
+            }
+        }
+    }
     radiance
 }
 
+/// What one specular lobe reflects of a prefiltered image: the image through the lobe, in
+/// each channel times the visible part of what the lobe reflects of the lights.
+fn reflected(
+    point: &SurfacePoint,
+    lobe: &SphericalGaussian,
+    lights: &[SphericalGaussian],
+    reflections: &Reflections,
+    field: &impl SignedDistance,
+    method: &Method,
+) -> Vec3 {
+    let cosine_integral = |lobe: &SphericalGaussian| {
+        Tables::get().cosine_integral(lobe.sharpness, point.normal.dot(lobe.axis))
+    };
+    let incoming = reflections
+        .image
+        .radiance(reflections.rotation * lobe.axis, lobe.sharpness);
+    let whole = lobe.amplitude * incoming * cosine_integral(lobe);
+    let mut unoccluded = EVEN * whole;
+    let mut occluded =
+        EVEN * lobe.amplitude * incoming * visible(lobe, point.normal, field, method);
+    for light in lights {
+        let product = light.product(lobe);
+        if !negligible(&product, unoccluded) {
+            unoccluded += product.amplitude * cosine_integral(&product);
+            occluded += product.amplitude * visible(&product, point.normal, field, method);
+        }
+    }
+    whole * occluded / unoccluded.max(Vec3::splat(f32::MIN_POSITIVE))
+}
+
+fn negligible(lobe: &SphericalGaussian, gathered: Vec3) -> bool {
+    lobe.integral().cmple(NEGLIGIBLE * gathered).all()
+}
+
+/// ∫ exp(λ(p·ω − 1)) max(n·ω, 0) V(ω) dω.
+fn visible(
+    lobe: &SphericalGaussian,
+    normal: Vec3,
+    field: &impl SignedDistance,
+    method: &Method,
+) -> f32 {
+    match method {
+        Method::Ambient => ambient::integrate(field, lobe.sharpness, lobe.axis, normal),
+        Method::Polar(options) => {
+            polar::integrate(field, lobe.sharpness, lobe.axis, normal, options)
+        }
+    }
+}
+
+/// Light from everywhere, as a part of what a lobe reflects, that takes part in saying how
+/// much is visible: where the lights are dark, it alone.
+pub const EVEN: f32 = 0.01;
+
 /// The constants of this module, as WGSL.
 pub fn wgsl_constants() -> String {
-    format!("const SHADE_NEGLIGIBLE: f32 = {NEGLIGIBLE:?};\n")
+    format!(
+        "const SHADE_NEGLIGIBLE: f32 = {NEGLIGIBLE:?};\n\
+         const SHADE_EVEN: f32 = {EVEN:?};\n"
+    )
 }
 
 /// Contents of the GPU buffer `tables`.
@@ -130,6 +222,13 @@ mod tests {
                 }
             })
             .collect()
+    }
+
+    fn distant(lights: &[SphericalGaussian]) -> Lighting<'_> {
+        Lighting {
+            lights,
+            ..Lighting::default()
+        }
     }
 
     fn points() -> Vec<SurfacePoint> {
@@ -193,7 +292,7 @@ mod tests {
                         reference::evaluate(&point.appearance, *wi, point.view) * *flux
                     })
                     .sum();
-                let found = shade(point, &lights, &Uniform(PI), &method);
+                let found = shade(point, &distant(&lights), &Uniform(PI), &method);
                 println!(
                     "{:?} {:?}: {found} for {exact}",
                     point.appearance.reflections[0].model, point.view
@@ -241,7 +340,7 @@ mod tests {
                             / DRAWS as f32;
                     }
                 }
-                let factor = shade(&point, &lights, &Uniform(PI), &method) / exact;
+                let factor = shade(&point, &distant(&lights), &Uniform(PI), &method) / exact;
                 println!("{model:?} {x} {y} at {degrees}°: {factor}");
                 let brightest = factor.max_element();
                 assert!(
@@ -265,7 +364,7 @@ mod tests {
                 let field = HalfSpace(Vec3::new(0.8, 0.0, 0.6));
                 let mut all = Vec3::ZERO;
                 let mut gathered = Vec3::ZERO;
-                product_lobes(&point, &lights, |lobe| {
+                product_lobes(&point, &distant(&lights), |lobe| {
                     total += 1;
                     skipped += usize::from(lobe.integral().cmple(NEGLIGIBLE * gathered).all());
                     let one = SphericalGaussian {
@@ -287,7 +386,7 @@ mod tests {
                     all += lobe.amplitude * visible;
                     gathered = all;
                 });
-                pairs.push((shade(&point, &lights, &field, &method), all));
+                pairs.push((shade(&point, &distant(&lights), &field, &method), all));
             }
             let error = relative_rmse(&pairs);
             println!("{method:?}: relative RMSE {error}");
@@ -302,9 +401,18 @@ mod tests {
         let lights = lights();
         let method = Method::Polar(PolarOptions::default());
         let mut point = points()[0];
-        assert_eq!(shade(&point, &lights, &Uniform(-PI), &method), Vec3::ZERO);
-        assert_eq!(shade(&point, &[], &Uniform(PI), &method), Vec3::ZERO);
+        assert_eq!(
+            shade(&point, &distant(&lights), &Uniform(-PI), &method),
+            Vec3::ZERO
+        );
+        assert_eq!(
+            shade(&point, &distant(&[]), &Uniform(PI), &method),
+            Vec3::ZERO
+        );
         point.view.z = -point.view.z;
-        assert_eq!(shade(&point, &lights, &Uniform(PI), &method), Vec3::ZERO);
+        assert_eq!(
+            shade(&point, &distant(&lights), &Uniform(PI), &method),
+            Vec3::ZERO
+        );
     }
 }

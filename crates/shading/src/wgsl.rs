@@ -3,7 +3,9 @@
 use std::fmt::Write as _;
 
 use crate::surface::{Join, Model};
-use crate::{brdf, gpu, polar, shade, spherical_gaussian, surface, tables, tonemap};
+use crate::{
+    brdf, gpu, local_light, polar, prefiltered, shade, spherical_gaussian, surface, tables, tonemap,
+};
 
 /// What a shader module is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,6 +36,8 @@ const LIBRARY: &[&str] = &[
     include_str!("wgsl/camera.wgsl"),
     include_str!("wgsl/octahedral.wgsl"),
     include_str!("wgsl/spherical_gaussian.wgsl"),
+    include_str!("wgsl/prefiltered.wgsl"),
+    include_str!("wgsl/local_light.wgsl"),
     include_str!("wgsl/tables.wgsl"),
     include_str!("wgsl/ssdf.wgsl"),
     include_str!("wgsl/polar.wgsl"),
@@ -80,6 +84,7 @@ fn constants() -> String {
         ("JOIN_COAT", Join::Coat as u32),
         ("METHOD_AMBIENT", gpu::METHOD_AMBIENT),
         ("METHOD_POLAR", gpu::METHOD_POLAR),
+        ("MAX_LOCAL_LIGHTS", gpu::MAX_LOCAL_LIGHTS),
         ("MAX_TILES", relight_format::MAX_TILES_PER_CLUSTER),
     ];
     let mut text = String::new();
@@ -88,6 +93,8 @@ fn constants() -> String {
     }
     text += &spherical_gaussian::wgsl_constants();
     text += &tables::wgsl_constants();
+    text += &prefiltered::wgsl_constants();
+    text += &local_light::wgsl_constants();
     text += &polar::wgsl_constants();
     text += &surface::wgsl_constants();
     text += &brdf::wgsl_constants();

@@ -10,13 +10,16 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use glam::Vec3;
 use indicatif::{ProgressBar, ProgressStyle};
 use relight_bake::monitor::{Monitor, Progress};
-use relight_bake::{hdr, scene_input};
+use relight_bake::{hdr, scene_file, scene_input};
 use relight_format::{Camera, Environment, FieldOfView, Limits, Scene};
 use relight_lab::truth::{self, Filter, Geometry, full, lobes};
 use relight_lab::{camera, compare, demo, experiments, image_file, render};
 use relight_shading::camera::View;
+use relight_shading::gpu;
+use relight_shading::local_light::LocalLight;
 use relight_shading::polar::PolarOptions;
-use relight_shading::shade::Method;
+use relight_shading::prefiltered::Prefiltered;
+use relight_shading::shade::{Lighting, Method};
 use relight_shading::spherical_gaussian::SphericalGaussian;
 use serde_json::{Value, json};
 
@@ -130,6 +133,10 @@ struct Render {
     /// How visible light is integrated.
     #[arg(long, value_enum, default_value = "polar")]
     method: MethodName,
+    /// What glossy surfaces reflect of the environment: its lobes, or its image in the
+    /// places where the lobes are visible.
+    #[arg(long, value_enum, default_value = "lobes")]
+    reflections: ReflectionsName,
     /// Spokes per lobe of the polar integrator.
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=64))]
     spokes: Option<u32>,
@@ -182,6 +189,10 @@ struct Picture {
     /// Turn the environment about +Y, degrees counter-clockwise seen from above.
     #[arg(long, default_value_t = 0.0, allow_hyphen_values = true)]
     rotate: f32,
+    /// Scene file whose [[lights]] to add, up to 128. `truth --kind full` has those of its scene
+    /// file anyway.
+    #[arg(long, value_name = "SCENE.toml")]
+    lights: Option<PathBuf>,
     /// Exposure of a PNG in stops. An EXR is not exposed.
     #[arg(long, default_value_t = 0.0, allow_hyphen_values = true)]
     exposure: f32,
@@ -221,6 +232,12 @@ struct Point([f32; 3]);
 enum MethodName {
     Polar,
     Ambient,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum ReflectionsName {
+    Lobes,
+    Prefiltered,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -286,8 +303,18 @@ fn print_plain(report: &Value) {
 
 fn run_render(arguments: &Render) -> anyhow::Result<Value> {
     let scene = read_scene(&arguments.scene)?;
-    let lights = read_lights(&arguments.environment)?;
+    let (lights, prefiltered) = read_environment(&arguments.environment)?;
     let picture = &arguments.picture;
+    let local_lights = read_local_lights(picture.lights.as_deref())?;
+    let reflections = match arguments.reflections {
+        ReflectionsName::Lobes => None,
+        ReflectionsName::Prefiltered => Some(prefiltered.with_context(|| {
+            format!(
+                "{}: expected an environment with a prefiltered image, found none",
+                arguments.environment.display()
+            )
+        })?),
+    };
     let method = match arguments.method {
         MethodName::Ambient => Method::Ambient,
         MethodName::Polar => {
@@ -301,7 +328,9 @@ fn run_render(arguments: &Render) -> anyhow::Result<Value> {
     let frame = relight_runtime::Frame {
         camera: choose_camera(&picture.camera, scene.camera, &scene)?,
         lights: &lights,
+        reflections: reflections.as_ref(),
         rotation: glam::Quat::from_rotation_y(picture.rotate.to_radians()),
+        local_lights: &local_lights,
         method,
         exposure: 1.0,
     };
@@ -316,6 +345,8 @@ fn run_render(arguments: &Render) -> anyhow::Result<Value> {
         "device": renderer.name(),
         "method": match method { Method::Ambient => "ambient", Method::Polar(_) => "polar" },
         "lights": lights.len(),
+        "local_lights": local_lights.len(),
+        "reflections": if reflections.is_some() { "prefiltered" } else { "lobes" },
         "covered_pixels": covered(&image),
         "seconds": seconds,
     }))
@@ -332,6 +363,10 @@ fn run_truth(arguments: &Truth) -> anyhow::Result<Value> {
         seed: arguments.seed,
     };
     let rotation = picture.rotate.to_radians();
+    let mut local: Vec<gpu::LocalLight> = read_local_lights(picture.lights.as_deref())?
+        .iter()
+        .map(Into::into)
+        .collect();
     let [width, height] = picture.size;
     let bar = ProgressBar::new(height.into()).with_style(
         ProgressStyle::with_template("{bar:40} {pos}/{len} rows, {eta} left")
@@ -347,14 +382,20 @@ fn run_truth(arguments: &Truth) -> anyhow::Result<Value> {
                 .as_deref()
                 .context("--environment: expected a baked environment, found none")?;
             let turn = glam::Mat3::from_rotation_y(rotation);
-            let lights: Vec<_> = read_lights(environment)?
+            let lights: Vec<_> = read_environment(environment)?
+                .0
                 .iter()
                 .map(|light| light.rotate(&turn))
                 .collect();
             let camera = choose_camera(&picture.camera, scene.camera, &scene)?;
             start = Instant::now();
             let geometry = Geometry::new(&scene, View::new(&camera, width, height, 1.0));
-            lobes::render(&geometry, &lights, picture.size, &options, &row_done)
+            let lighting = Lighting {
+                lights: &lights,
+                local: &local,
+                reflections: None,
+            };
+            lobes::render(&geometry, &lighting, picture.size, &options, &row_done)
         }
         Kind::Full => {
             let loaded = scene_input::load(&arguments.scene)?;
@@ -374,6 +415,9 @@ fn run_truth(arguments: &Truth) -> anyhow::Result<Value> {
                     environment.repaired
                 );
             }
+            if picture.lights.is_none() {
+                local.extend(loaded.lights.iter().map(gpu::LocalLight::from));
+            }
             let tables = full::tables(&loaded)?;
             let scene = full::unbaked(&loaded);
             let camera = choose_camera(&picture.camera, scene.camera, &scene)?;
@@ -384,6 +428,7 @@ fn run_truth(arguments: &Truth) -> anyhow::Result<Value> {
                 &geometry,
                 &tables,
                 &sampler,
+                &local,
                 picture.size,
                 &options,
                 &row_done,
@@ -517,7 +562,7 @@ fn run_experiment(experiment: &Experiment, json: bool) -> anyhow::Result<Value> 
             };
             let rows = experiments::compression::run(
                 &settings,
-                &read_lights(environment)?,
+                &read_environment(environment)?.0,
                 Monitor {
                     report: &|progress| show_stage(&bar, progress),
                     stop: &std::sync::atomic::AtomicBool::new(false),
@@ -557,11 +602,26 @@ fn read_scene(path: &Path) -> anyhow::Result<Scene> {
         .with_context(|| path.display().to_string())
 }
 
-fn read_lights(path: &Path) -> anyhow::Result<Vec<SphericalGaussian>> {
+/// An environment's lobes and, if it has one, its prefiltered image.
+fn read_environment(path: &Path) -> anyhow::Result<(Vec<SphericalGaussian>, Option<Prefiltered>)> {
     let bytes = read(path)?;
     let environment: Environment = relight_format::read_environment(&bytes, &Limits::default())
         .with_context(|| path.display().to_string())?;
-    Ok(environment.lobes.iter().map(Into::into).collect())
+    let lobes = environment.lobes.iter().map(Into::into).collect();
+    Ok((lobes, Prefiltered::new(&environment.prefiltered)))
+}
+
+/// The `[[lights]]` of a scene file.
+fn read_local_lights(path: Option<&Path>) -> anyhow::Result<Vec<LocalLight>> {
+    let Some(path) = path else {
+        return Ok(Vec::new());
+    };
+    let file = scene_file::load(path)?;
+    Ok(file
+        .lights
+        .iter()
+        .map(scene_file::Light::to_local_light)
+        .collect())
 }
 
 fn read(path: &Path) -> anyhow::Result<Vec<u8>> {

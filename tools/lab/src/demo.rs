@@ -19,6 +19,7 @@ use relight_format::{
 use relight_runtime::Frame;
 use relight_shading::camera::View;
 use relight_shading::polar::PolarOptions;
+use relight_shading::shade::Lighting;
 use relight_shading::shade::Method;
 use relight_shading::spherical_gaussian::SphericalGaussian;
 use serde::Serialize;
@@ -94,8 +95,9 @@ pub fn run(options: &Options, monitor: Monitor) -> anyhow::Result<Report> {
     let image = sky(512, 256);
     let fit = environment::FitOptions {
         lobes: options.lobes,
+        max_error: None,
     };
-    let fitted = environment::fit(&image, &fit, monitor)?;
+    let fitted = environment::fit(&image, &fit, monitor)?.environment;
     let environment_path = options.folder.join("demo-environment.relight");
     format::write_file(&environment_path, &format::write_environment(&fitted)?)?;
     let environment = format::read_environment(&read(&environment_path)?, &Limits::default())?;
@@ -109,6 +111,8 @@ pub fn run(options: &Options, monitor: Monitor) -> anyhow::Result<Report> {
             camera,
             lights: &lights,
             rotation: Quat::IDENTITY,
+            reflections: None,
+            local_lights: &[],
             method,
             exposure: 1.0,
         };
@@ -129,7 +133,10 @@ pub fn run(options: &Options, monitor: Monitor) -> anyhow::Result<Report> {
     };
     let truth = lobes::render(
         &Geometry::new(&scene, View::new(&camera, width, height, 1.0)),
-        &lights,
+        &Lighting {
+            lights: &lights,
+            ..Lighting::default()
+        },
         options.size,
         &truth::Options {
             samples: options.samples,
@@ -227,6 +234,7 @@ fn scene_input() -> anyhow::Result<SceneInput> {
             field_of_view: FieldOfView::Y(0.62),
         }),
         environment: None,
+        lights: Vec::new(),
         refinement: None,
         measured: Vec::new(),
         warnings: Vec::new(),

@@ -7,6 +7,5 @@ pub mod demo;
 pub mod display;
 pub mod experiments;
 pub mod image_file;
-pub mod plot;
 pub mod render;
 pub mod truth;

@@ -99,6 +99,16 @@ impl<'a> Geometry<'a> {
     }
 }
 
+impl Geometry<'_> {
+    /// Whether light from `direction` reaches `point` from the given distance.
+    fn visible_at(&self, point: &SurfacePoint, direction: Vec3, distance: f32) -> bool {
+        let offset = point.geometric_normal * self.scene.visibility.ray_offset;
+        self.occluders
+            .closest_hit(point.position + offset, direction)
+            .is_none_or(|hit| hit.distance >= distance)
+    }
+}
+
 /// Radiance times coverage, and coverage, of one replica of a pixel.
 type Estimate = (Vec3, f32);
 

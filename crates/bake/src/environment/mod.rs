@@ -10,6 +10,7 @@ mod level;
 mod lobe;
 mod measure;
 mod minimise;
+mod prefilter;
 pub mod report;
 mod seed;
 mod solve;
@@ -21,21 +22,28 @@ use relight_format::{Environment, EnvironmentReport, Lobe};
 use crate::hdr::{self, LatLong};
 use crate::monitor::{Interrupted, Monitor};
 pub use measure::{energy_error, irradiance_error, relative_l2, render};
-use solve::{Fit, Problem, Resolution};
+pub use prefilter::prefilter;
+use solve::{Fit, GLOSS_WEIGHT, Problem, Resolution};
 
 /// Most lobes that can be asked for: the time grows with the cube.
 pub const MAX_LOBES: usize = 1024;
 
 /// How to fit.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FitOptions {
-    /// Number of lobes, 1 to [`MAX_LOBES`]. The fit has fewer where fewer are enough.
+    /// Number of lobes, 1 to [`MAX_LOBES`]. The fit has fewer where more do not help.
     pub lobes: usize,
+    /// Stop at the first number of lobes, among those of the curve, with at most this
+    /// relative L2 error; then `lobes` is the most to try.
+    pub max_error: Option<f32>,
 }
 
 impl Default for FitOptions {
     fn default() -> Self {
-        Self { lobes: 32 }
+        Self {
+            lobes: 32,
+            max_error: None,
+        }
     }
 }
 
@@ -48,66 +56,203 @@ pub enum Error {
     /// The number of lobes is out of range.
     #[error("lobes: expected 1 to {MAX_LOBES}, found {0}")]
     Lobes(usize),
+    /// The error to reach is out of range.
+    #[error("relative L2 error: expected more than 0, found {0}")]
+    MaxError(f32),
+    /// The error was not reached.
+    #[error("relative L2 error: expected at most {expected}, found {found} with {lobes} lobes")]
+    NotReached {
+        /// What was asked for.
+        expected: f32,
+        /// The best found.
+        found: f32,
+        /// Number of lobes asked for.
+        lobes: usize,
+    },
     /// Someone asked to stop.
     #[error(transparent)]
     Interrupted(#[from] Interrupted),
 }
 
+/// One number of lobes on the way to the fit.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Rung {
+    /// Lobes allowed.
+    pub allowed: usize,
+    /// The lobes, brightest energy first.
+    pub lobes: Vec<Lobe>,
+    /// As in [`EnvironmentReport`]; never more than with fewer lobes.
+    pub relative_l2: f32,
+    /// As in [`EnvironmentReport`].
+    pub energy_error: [f32; 3],
+    /// See [`irradiance_error`].
+    pub irradiance_error: f32,
+}
+
+/// An environment, and the fits with fewer lobes that it grew from.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Fitted {
+    /// The last of the curve.
+    pub environment: Environment,
+    /// Numbers of lobes, ascending; empty for a black image.
+    pub curve: Vec<Rung>,
+}
+
 /// Loads and fits an image.
-pub fn bake(input: &Path, options: &FitOptions, monitor: Monitor) -> Result<Environment, Error> {
+pub fn bake(input: &Path, options: &FitOptions, monitor: Monitor) -> Result<Fitted, Error> {
     let image = hdr::load(input)?;
-    let mut environment = fit(&image, options, monitor)?;
-    environment.report.source = input
+    let mut fitted = fit(&image, options, monitor)?;
+    fitted.environment.report.source = input
         .file_name()
         .unwrap_or_default()
         .to_string_lossy()
         .into_owned();
-    Ok(environment)
+    Ok(fitted)
 }
 
 /// Fits an image. The same image and options give the same lobes on any number of threads.
 /// A black image has no lobes.
-pub fn fit(image: &LatLong, options: &FitOptions, monitor: Monitor) -> Result<Environment, Error> {
+pub fn fit(image: &LatLong, options: &FitOptions, monitor: Monitor) -> Result<Fitted, Error> {
     if !(1..=MAX_LOBES).contains(&options.lobes) {
         return Err(Error::Lobes(options.lobes));
     }
-    let lobes = match Problem::new(image) {
-        Some(problem) => lobes(&search(&problem, options.lobes, monitor)?),
+    if let Some(error) = options.max_error
+        && !(error > 0.0)
+    {
+        return Err(Error::MaxError(error));
+    }
+    let curve = match Problem::new(image) {
+        Some(problem) => climb(problem, image, options, monitor)?,
         None => Vec::new(),
     };
-    Ok(Environment {
-        report: EnvironmentReport {
-            source: String::new(),
-            source_size: [image.width, image.height],
-            repaired_pixels: image.repaired,
-            relative_l2: relative_l2(image, &lobes),
-            energy_error: energy_error(image, &lobes),
+    let (lobes, relative_l2, energy_error) = match curve.last() {
+        Some(last) => (last.lobes.clone(), last.relative_l2, last.energy_error),
+        None => (Vec::new(), 0.0, [0.0; 3]),
+    };
+    if let Some(expected) = options.max_error
+        && relative_l2 > expected
+    {
+        return Err(Error::NotReached {
+            expected,
+            found: relative_l2,
+            lobes: options.lobes,
+        });
+    }
+    let report = EnvironmentReport {
+        source: String::new(),
+        source_size: [image.width, image.height],
+        repaired_pixels: image.repaired,
+        relative_l2,
+        energy_error,
+    };
+    Ok(Fitted {
+        environment: Environment {
+            report,
+            prefiltered: prefilter(image),
+            lobes,
         },
-        lobes,
+        curve,
     })
 }
 
-/// Steps of all lobes together after each batch of new ones, and at the end.
+/// Steps of all lobes together after each batch of new ones, and at the end of a rung.
 const STEPS_PER_BATCH: usize = 25;
-const LAST_STEPS: usize = 200;
+const LAST_STEPS: usize = 100;
 
-/// Rounds in which the least lobes are started anew.
-const ROUNDS: usize = 16;
+/// Rounds per rung in which the least lobes are started anew.
+const ROUNDS: usize = 6;
 
-fn search(problem: &Problem, count: usize, monitor: Monitor) -> Result<Fit, Interrupted> {
-    // Time goes with the square of the number of lobes while they are added, and is about
-    // even between adding, starting anew and the last steps.
+/// Weights of the blurred image to go on with in turn where the image itself is fitted worse
+/// than with fewer lobes.
+const LESSER_GLOSS_WEIGHTS: [f64; 2] = [0.2 * GLOSS_WEIGHT, 0.02 * GLOSS_WEIGHT];
+
+/// Numbers of lobes at which the fit is finished and measured: powers of 2 and the middles
+/// between them, up to `count` and ending with it.
+fn rungs(count: usize) -> Vec<usize> {
+    let powers = std::iter::successors(Some(1), |power: &usize| power.checked_mul(2));
+    let mut rungs: Vec<usize> = powers
+        .flat_map(|power| [power, power + power / 2])
+        .take_while(|rung| *rung < count)
+        .collect();
+    rungs.push(count);
+    rungs.dedup();
+    rungs
+}
+
+/// Fits with more and more lobes, each from the one before, so that a fit does not depend on
+/// how many lobes will follow.
+fn climb(
+    mut problem: Problem,
+    image: &LatLong,
+    options: &FitOptions,
+    monitor: Monitor,
+) -> Result<Vec<Rung>, Interrupted> {
     let tell = |part: f64| monitor.step("fitting lobes", part as f32);
     tell(0.0)?;
+    let mut curve: Vec<Rung> = Vec::new();
     let mut fit = problem.project(vec![problem.ambient()], Resolution::Coarse);
     fit = problem.refine(&fit, Resolution::Coarse, STEPS_PER_BATCH);
+    for allowed in rungs(options.lobes) {
+        fit = improve(&problem, &fit, allowed, || {
+            // Time grows with the square of the number of lobes or so.
+            tell(0.99 * (allowed as f64 / options.lobes as f64).powi(2))
+        })?;
+        let mut rung = measured(image, allowed, lobes(&fit));
+        if let Some(last) = curve.last() {
+            let mut sharper = fit.clone();
+            for weight in LESSER_GLOSS_WEIGHTS {
+                if rung.relative_l2 <= last.relative_l2 {
+                    break;
+                }
+                problem.weigh_gloss(weight);
+                sharper = problem.refine(&sharper, Resolution::Fine, STEPS_PER_BATCH);
+                rung = measured(image, allowed, lobes(&sharper));
+            }
+            problem.weigh_gloss(GLOSS_WEIGHT);
+            if rung.relative_l2 > last.relative_l2 {
+                rung = Rung {
+                    allowed,
+                    ..last.clone()
+                };
+            }
+        }
+        let reached = options
+            .max_error
+            .is_some_and(|most| rung.relative_l2 <= most);
+        curve.push(rung);
+        if reached {
+            break;
+        }
+    }
+    tell(1.0)?;
+    Ok(curve)
+}
+
+fn measured(image: &LatLong, allowed: usize, lobes: Vec<Lobe>) -> Rung {
+    Rung {
+        allowed,
+        relative_l2: relative_l2(image, &lobes),
+        energy_error: energy_error(image, &lobes),
+        irradiance_error: irradiance_error(image, &lobes),
+        lobes,
+    }
+}
+
+/// A better fit with up to `count` lobes.
+fn improve(
+    problem: &Problem,
+    fit: &Fit,
+    count: usize,
+    tell: impl Fn() -> Result<(), Interrupted>,
+) -> Result<Fit, Interrupted> {
+    let mut fit = problem.project(fit.shapes.clone(), Resolution::Coarse);
     while fit.shapes.len() < count {
-        let batch = (fit.shapes.len() / 8).clamp(1, count - fit.shapes.len());
+        let batch = (fit.shapes.len() / 4).clamp(1, count - fit.shapes.len());
         let Some(next) = grown(problem, &fit, batch) else {
             break;
         };
         fit = next;
-        tell(0.4 * (fit.shapes.len() as f64 / count as f64).powi(2))?;
+        tell()?;
     }
     for round in 0..ROUNDS {
         let renewed = (fit.shapes.len() / 8).max(1) >> (round % 3);
@@ -120,15 +265,13 @@ fn search(problem: &Problem, count: usize, monitor: Monitor) -> Result<Fit, Inte
         {
             fit = next;
         }
-        tell(0.4 + 0.4 * (round + 1) as f64 / ROUNDS as f64)?;
+        tell()?;
     }
     for _ in 0..LAST_STEPS / STEPS_PER_BATCH {
         fit = problem.refine(&fit, Resolution::Coarse, STEPS_PER_BATCH);
+        tell()?;
     }
-    tell(0.9)?;
-    fit = problem.refine(&fit, Resolution::Fine, STEPS_PER_BATCH);
-    tell(1.0)?;
-    Ok(fit)
+    Ok(problem.refine(&fit, Resolution::Fine, STEPS_PER_BATCH))
 }
 
 fn grown(problem: &Problem, fit: &Fit, batch: usize) -> Option<Fit> {
@@ -199,7 +342,11 @@ mod tests {
     }
 
     fn fitted(image: &LatLong, lobes: usize) -> Environment {
-        fit(image, &FitOptions { lobes }, SILENT).unwrap()
+        let options = FitOptions {
+            lobes,
+            max_error: None,
+        };
+        fit(image, &options, SILENT).unwrap().environment
     }
 
     /// Patches, stripes and a small light: nothing that lobes fit exactly.
@@ -263,10 +410,6 @@ mod tests {
         }
     }
 
-    /// Largest relative rise of the L2 error with more lobes: the search minimises it
-    /// together with the error of irradiance.
-    const RISE: f32 = 1.01;
-
     #[test]
     fn energy_is_kept_and_more_lobes_fit_better() {
         let image = patches();
@@ -281,7 +424,7 @@ mod tests {
                 "{report:?}"
             );
             assert!(
-                report.relative_l2 < RISE * last,
+                report.relative_l2 <= last,
                 "{count}: {report:?} after {last}"
             );
             last = report.relative_l2;
@@ -353,7 +496,10 @@ mod tests {
         let stop = AtomicBool::new(false);
         let report = |progress: Progress| seen.lock().unwrap().push(progress.fraction);
         let image = patches();
-        let options = FitOptions { lobes: 4 };
+        let options = FitOptions {
+            lobes: 4,
+            max_error: None,
+        };
         fit(
             &image,
             &options,
@@ -379,7 +525,14 @@ mod tests {
         );
         assert!(matches!(cancelled, Err(Error::Interrupted(_))));
         assert!(matches!(
-            fit(&image, &FitOptions { lobes: 0 }, SILENT),
+            fit(
+                &image,
+                &FitOptions {
+                    lobes: 0,
+                    max_error: None
+                },
+                SILENT
+            ),
             Err(Error::Lobes(0))
         ));
     }

@@ -1,10 +1,15 @@
-//! Pictures of a fit: the image, the lobes, and their difference.
+//! Pictures of a fit: the image, the lobes, their difference, and the error over the number
+//! of lobes.
+
+use std::fmt::Write as _;
 
 use relight_format::Lobe;
 
+use super::Rung;
 use super::measure::render;
 use crate::hdr::LatLong;
 use crate::picture::png;
+use crate::plot::{self, Curve};
 
 /// 8-bit sRGB pictures of one size, as PNG files in memory.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -41,9 +46,67 @@ pub fn pictures(image: &LatLong, lobes: &[Lobe]) -> Result<Pictures, image::Imag
     })
 }
 
+/// The errors over the number of lobes, as CSV with a header.
+pub fn curve_csv(curve: &[Rung]) -> String {
+    let mut csv = String::from(
+        "lobes,relative_l2,irradiance_error,energy_error_red,energy_error_green,energy_error_blue\n",
+    );
+    for rung in curve {
+        let [red, green, blue] = rung.energy_error;
+        let (l2, irradiance) = (rung.relative_l2, rung.irradiance_error);
+        writeln!(
+            csv,
+            "{},{l2},{irradiance},{red},{green},{blue}",
+            rung.allowed
+        )
+        .expect("a String accepts every write");
+    }
+    csv
+}
+
+/// The errors over the number of lobes as SVG; `None` where all are zero.
+pub fn curve_svg(curve: &[Rung]) -> Option<String> {
+    let line = |name: &str, error: fn(&Rung) -> f32| Curve {
+        name: name.to_owned(),
+        points: (curve.iter())
+            .map(|rung| [rung.allowed as f64, f64::from(error(rung))])
+            .collect(),
+    };
+    let lines = [
+        line("relative L2", |rung| rung.relative_l2),
+        line("irradiance", |rung| rung.irradiance_error),
+    ];
+    plot::svg(
+        "lobes of an environment",
+        ["lobes", "relative error"],
+        &lines,
+    )
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_curve_names_every_rung() {
+        let rung = |allowed: usize, relative_l2: f32| Rung {
+            allowed,
+            lobes: Vec::new(),
+            relative_l2,
+            energy_error: [0.0, 1e-8, -1e-8],
+            irradiance_error: 0.1 * relative_l2,
+        };
+        let curve = [rung(1, 0.9), rung(2, 0.5), rung(3, 0.0)];
+        let csv = curve_csv(&curve);
+        assert_eq!(csv.lines().count(), 4);
+        assert!(
+            csv.contains("\n2,0.5,0.05,0,0.00000001,-0.00000001\n"),
+            "{csv}"
+        );
+        let svg = curve_svg(&curve).unwrap();
+        assert!(svg.starts_with("<svg") && svg.contains("irradiance"));
+        assert!(curve_svg(&[]).is_none());
+    }
 
     #[test]
     fn pictures_are_png_of_the_image_size() {

@@ -34,7 +34,7 @@ const SHARPNESS: (f64, f64) = (0.05, 2e5);
 /// Weight of the blurred image's squared relative error beside that of the image itself.
 /// Without it all lobes go to the sun, whose square outweighs the sky's ten thousand times
 /// though its light is no more.
-const GLOSS_WEIGHT: f64 = 1.0;
+pub(super) const GLOSS_WEIGHT: f64 = 5.0;
 
 /// Cells per lobe width (1/√λ) on the level that a lobe is integrated on.
 #[derive(Clone, Copy, PartialEq)]
@@ -64,9 +64,12 @@ pub(super) struct Problem {
     flux: [f64; 3],
     /// Direction of the mean light.
     mean: DVec3,
-    /// 1 / ∫ I², and [`GLOSS_WEIGHT`] over the same of the blurred image.
+    /// 1 / ∫ I².
     radiance_weight: f64,
+    /// Weight of the blurred image's squared relative error, and that over its ∫ I².
+    relative_gloss_weight: f64,
     gloss_weight: f64,
+    blurred_power: f64,
     /// Angle between the image's own rows.
     pixel: f64,
 }
@@ -96,7 +99,9 @@ struct Evaluation {
     by_axis: Vec<DVec3>,
     by_sharpness: Vec<f64>,
     amplitudes: Vec<[f64; 3]>,
-    worth: Vec<f64>,
+    /// Amplitudes of the lobes scaled to unit norm, and their Gram matrix.
+    scaled: Vec<[f64; 3]>,
+    gram: DMatrix<f64>,
 }
 
 impl Problem {
@@ -132,9 +137,17 @@ impl Problem {
             flux,
             mean: mean.try_normalize().unwrap_or(DVec3::Y),
             radiance_weight: 1.0 / power,
+            relative_gloss_weight: GLOSS_WEIGHT,
             gloss_weight: GLOSS_WEIGHT / blurred_power,
+            blurred_power,
             pixel: PI / image.height as f64,
         })
+    }
+
+    /// Changes the weight of the blurred image, at first [`GLOSS_WEIGHT`].
+    pub(super) fn weigh_gloss(&mut self, weight: f64) {
+        self.relative_gloss_weight = weight;
+        self.gloss_weight = weight / self.blurred_power;
     }
 
     /// A wide lobe for the light from everywhere.
@@ -228,9 +241,20 @@ impl Problem {
         let Evaluation {
             value,
             amplitudes,
-            worth,
+            scaled,
+            gram,
             ..
         } = self.evaluate(&shapes, &places, &mut free);
+        let inverse = Cholesky::new(gram + DMatrix::identity(shapes.len(), shapes.len()) * 1e-6)
+            .map(|factor| factor.inverse());
+        let worth = scaled
+            .iter()
+            .enumerate()
+            .map(|(i, scaled)| {
+                let pivot = inverse.as_ref().map_or(1.0, |inverse| inverse[(i, i)]);
+                scaled.iter().map(|x| x * x).sum::<f64>() / pivot
+            })
+            .collect();
         Fit {
             shapes,
             amplitudes,
@@ -338,15 +362,13 @@ impl Problem {
         });
         let integrals: Vec<(f64, f64)> = shapes.iter().map(Shape::integral).collect();
         let energy = DVector::from_fn(count, |i, _| integrals[i].0 / norms[i]);
-        let inverse = Cholesky::new(&gram + DMatrix::identity(count, count) * 1e-6)
-            .map(|factor| factor.inverse());
-
         let mut evaluation = Evaluation {
-            value: 1.0 + GLOSS_WEIGHT,
+            value: 1.0 + self.relative_gloss_weight,
             by_axis: vec![DVec3::ZERO; count],
             by_sharpness: vec![0.0; count],
             amplitudes: vec![[0.0; 3]; count],
-            worth: vec![0.0; count],
+            scaled: vec![[0.0; 3]; count],
+            gram: DMatrix::zeros(0, 0),
         };
         for channel in 0..3 {
             let target = DVector::from_fn(count, |i, _| targets[i][channel].value / norms[i]);
@@ -375,10 +397,10 @@ impl Problem {
                 evaluation.by_axis[i] += by_axis * (2.0 * a[i]);
                 evaluation.by_sharpness[i] += 2.0 * a[i] * by_sharpness;
                 evaluation.amplitudes[i][channel] = a[i];
-                let pivot = inverse.as_ref().map_or(1.0, |inverse| inverse[(i, i)]);
-                evaluation.worth[i] += scaled[i] * scaled[i] / pivot;
+                evaluation.scaled[i][channel] = scaled[i];
             }
         }
+        evaluation.gram = gram;
         evaluation
     }
 
@@ -490,7 +512,7 @@ mod tests {
         let shapes: Vec<Shape> = blurred.iter().map(|blurred| blurred.shape).collect();
         let amplitude = fit.amplitudes[0].map(|a| a * blurred[0].amplitude);
         left.subtract(&shapes, &[amplitude]);
-        let expected = radiance.powi(2) + GLOSS_WEIGHT * left.power() / problem.blurred.power();
+        let expected = radiance.powi(2) + GLOSS_WEIGHT * left.power() / problem.blurred_power;
         // Pixels are bilinear, and the blurred image's cells are of five degrees.
         assert!(
             (fit.value / expected - 1.0).abs() < 0.02,

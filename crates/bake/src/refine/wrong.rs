@@ -374,7 +374,7 @@ mod tests {
         let mesh = refine(wall(), bound(0.05), SILENT).unwrap();
         let at = |vertex: u32| position(&mesh, vertex);
         let sides: Vec<[Vec3; 2]> = (mesh.triangles.iter())
-            .flat_map(|triangle| crate::refine::sides(triangle.vertices.map(at)))
+            .flat_map(|triangle| sides(triangle.vertices.map(at)))
             .collect();
         let keys: HashSet<Key> = sides.iter().map(|&[a, b]| key(a, b)).collect();
         for [a, b] in sides {

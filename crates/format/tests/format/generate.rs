@@ -3,8 +3,8 @@
 use relight_format::{
     BakeReport, Blend, Camera, Cluster, Environment, EnvironmentReport, FieldOfView, FittedLobe,
     Layer, Lobe, MAX_FITTED_LOBES, MAX_LAYERS, Material, MaterialAsset, MaterialReport,
-    Representation, Scene, Specular, Surface, Texture, TextureEncoding, TextureSlot, Triangle,
-    Vertex, VisibilityParameters,
+    Prefiltered, Representation, Scene, Specular, Surface, Texture, TextureEncoding, TextureSlot,
+    Triangle, Vertex, VisibilityParameters,
 };
 
 /// SplitMix64 (Steele, Lea & Flood 2014): small, seeded, the same everywhere.
@@ -85,6 +85,11 @@ pub fn environment(random: &mut Random) -> Environment {
             energy_error: random.vector(),
         },
         lobes,
+        prefiltered: Prefiltered {
+            texels: (0..Prefiltered::texel_count(random.below(4) as u32))
+                .map(|_| random.bits() as u32)
+                .collect(),
+        },
     }
 }
 

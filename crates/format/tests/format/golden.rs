@@ -7,8 +7,8 @@ use std::path::PathBuf;
 
 use relight_format::{
     BakeReport, Blend, Camera, Cluster, Environment, EnvironmentReport, FieldOfView, FittedLobe,
-    Layer, Limits, Lobe, Material, MaterialAsset, MaterialReport, Representation, Scene, Specular,
-    Surface, Texture, TextureEncoding, TextureSlot, Triangle, VERSION, Vertex,
+    Layer, Limits, Lobe, Material, MaterialAsset, MaterialReport, Prefiltered, Representation,
+    Scene, Specular, Surface, Texture, TextureEncoding, TextureSlot, Triangle, VERSION, Vertex,
     VisibilityParameters, read_environment, read_material, read_scene, write_environment,
     write_material, write_scene,
 };
@@ -175,6 +175,9 @@ fn environment() -> Environment {
                 reserved: 0.0,
             },
         ],
+        prefiltered: Prefiltered {
+            texels: (0..20).map(|index| 0x7fa3_9b21 ^ (index << 14)).collect(),
+        },
     }
 }
 

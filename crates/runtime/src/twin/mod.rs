@@ -4,13 +4,13 @@ mod visibility_buffer;
 
 use rayon::prelude::*;
 use relight_format::Scene;
-use relight_shading::shade;
+use relight_shading::shade::{self, Lighting, Reflections};
 use relight_shading::ssdf::Ssdf;
 use relight_shading::surface::surface_point;
 
 pub use visibility_buffer::visibility_buffer;
 
-use crate::frame::near_plane;
+use crate::frame::{check_local_lights, near_plane};
 use crate::{Error, Frame, Image};
 
 /// The linear radiance of one frame, not exposed. The scene is one that
@@ -22,6 +22,16 @@ pub fn render(scene: &Scene, frame: &Frame, width: u32, height: u32) -> Result<I
     let view = frame.view(width, height, near_plane(scene));
     let visible = visibility_buffer(scene, &view, width, height);
     let lights = frame.rotated_lights();
+    let local = frame.packed_local_lights();
+    check_local_lights(local.len()).map_err(Error::Frame)?;
+    let lighting = Lighting {
+        lights: &lights,
+        local: &local,
+        reflections: frame.reflections.map(|image| Reflections {
+            image,
+            rotation: frame.reflection_rotation(),
+        }),
+    };
     let shade_pixel = |(index, &id): (usize, &u32)| {
         let Some(triangle) = (id as usize).checked_sub(1) else {
             return [0.0; 4];
@@ -33,7 +43,7 @@ pub fn render(scene: &Scene, frame: &Frame, width: u32, height: u32) -> Result<I
         let weights = view.barycentrics([a, b, c], view.pixel_direction(x, y));
         let point = surface_point(scene, triangle, weights, view.eye);
         let field = Ssdf::interpolate(scene, triangle, weights);
-        shade::shade(&point, &lights, &field, &frame.method)
+        shade::shade(&point, &lighting, &field, &frame.method)
             .extend(1.0)
             .to_array()
     };

@@ -110,6 +110,8 @@ fn frame(lights: &[SphericalGaussian], method: Method) -> Frame<'_> {
         camera: scenes::camera(),
         lights,
         rotation: Quat::from_rotation_y(0.4),
+        reflections: None,
+        local_lights: &[],
         method,
         exposure: 0.8,
     }

@@ -24,6 +24,23 @@ struct Frame {
     basis_resolution: f32,
     // Stored signed distances are clamped to +- this angle, radians.
     distance_clamp: f32,
+    // World directions to those of the prefiltered image.
+    environment_rotation: mat3x3<f32>,
+    // Levels of the prefiltered image; 0: reflections of lobes only.
+    prefiltered_levels: u32,
+    local_light_count: u32,
+    reserved: vec2<u32>,
+}
+
+// A sphere that emits.
+struct LocalLight {
+    position: vec3<f32>,
+    radius: f32,
+    radiance: vec3<f32>,
+    // Falloff of a spot is the square of spot_scale * cosine + spot_offset, from 0 to 1.
+    spot_scale: f32,
+    direction: vec3<f32>,
+    spot_offset: f32,
 }
 
 // A distant light: amplitude exp(sharpness (axis . w - 1)), linear radiance.
@@ -123,6 +140,9 @@ struct Material {
 @group(0) @binding(1) var<storage, read> lights: array<Light>;
 // shade::gpu_tables().
 @group(0) @binding(2) var<storage, read> tables: array<f32>;
+@group(0) @binding(3) var<uniform> local_lights: array<LocalLight, MAX_LOCAL_LIGHTS>;
+// Texels of format::Prefiltered in order, PREFILTERED_TEXTURE_WIDTH per row.
+@group(0) @binding(4) var prefiltered: texture_2d<u32>;
 
 @group(1) @binding(0) var<storage, read> vertices: array<Vertex>;
 // Three vertices, then material | cluster << 16.

@@ -30,38 +30,82 @@ fn shade(point: SurfacePoint) -> vec3<f32> {
         return sum;
     }
     let diffuse = point.appearance.diffuse / PI;
+    let all = frame.light_count + frame.local_light_count;
     if any(diffuse != vec3(0.0)) {
-        for (var i = 0u; i < frame.light_count; i++) {
-            let light = shade_light(i);
+        for (var i = 0u; i < all; i++) {
+            let light = shade_light(i, point.position);
             let lobe = SphericalGaussian(light.axis, light.sharpness, light.amplitude * diffuse);
             sum += shade_lobe(lobe, point.normal, sum);
         }
     }
-    for (var k = 0u; k < reflection_count; k++) {
-        brdf_specular_lobes(point, reflections[k]);
-        for (var i = 0u; i < frame.light_count; i++) {
-            let light = shade_light(i);
+    // Those that no prefiltered image stands for.
+    let reflected = frame.prefiltered_levels > 0u;
+    let begin = select(0u, frame.light_count, reflected);
+    if begin < all {
+        for (var k = 0u; k < reflection_count; k++) {
+            brdf_specular_lobes(point, reflections[k]);
+            for (var i = begin; i < all; i++) {
+                let light = shade_light(i, point.position);
+                for (var j = 0u; j < specular_count; j++) {
+                    let lobe = spherical_gaussian_product(light, specular_lobes[j]);
+                    sum += shade_lobe(lobe, point.normal, sum);
+                }
+            }
+        }
+    }
+    if reflected {
+        for (var k = 0u; k < reflection_count; k++) {
+            brdf_specular_lobes(point, reflections[k]);
             for (var j = 0u; j < specular_count; j++) {
-                let lobe = spherical_gaussian_product(light, specular_lobes[j]);
-                sum += shade_lobe(lobe, point.normal, sum);
+                sum += shade_reflected(specular_lobes[j], point.normal);
             }
         }
     }
     return sum;
 }
 
-fn shade_light(index: u32) -> SphericalGaussian {
+// Distant lights, then local ones as they reach the point.
+fn shade_light(index: u32, position: vec3<f32>) -> SphericalGaussian {
+    if index >= frame.light_count {
+        return local_light_lobe(local_lights[index - frame.light_count], position);
+    }
     let light = lights[index];
     return SphericalGaussian(light.axis, light.sharpness, light.amplitude);
 }
 
+// What one specular lobe reflects of the prefiltered image.
+fn shade_reflected(lobe: SphericalGaussian, normal: vec3<f32>) -> vec3<f32> {
+    let incoming = prefiltered_radiance(frame.environment_rotation * lobe.axis, lobe.sharpness);
+    let whole = lobe.amplitude * incoming * tables_cosine_integral(lobe.sharpness, dot(normal, lobe.axis));
+    var unoccluded = SHADE_EVEN * whole;
+    var occluded = SHADE_EVEN * lobe.amplitude * incoming * shade_visible(lobe, normal);
+    for (var i = 0u; i < frame.light_count; i++) {
+        let light = SphericalGaussian(lights[i].axis, lights[i].sharpness, lights[i].amplitude);
+        let product = spherical_gaussian_product(light, lobe);
+        if !shade_negligible(product, unoccluded) {
+            unoccluded += product.amplitude
+                * tables_cosine_integral(product.sharpness, dot(normal, product.axis));
+            occluded += product.amplitude * shade_visible(product, normal);
+        }
+    }
+    return whole * occluded / max(unoccluded, vec3(1.17549435e-38));
+}
+
 // What a lobe adds to the radiance gathered so far.
 fn shade_lobe(lobe: SphericalGaussian, normal: vec3<f32>, gathered: vec3<f32>) -> vec3<f32> {
-    if all(spherical_gaussian_integral(lobe) <= SHADE_NEGLIGIBLE * gathered) {
+    if shade_negligible(lobe, gathered) {
         return vec3(0.0);
     }
+    return lobe.amplitude * shade_visible(lobe, normal);
+}
+
+fn shade_negligible(lobe: SphericalGaussian, gathered: vec3<f32>) -> bool {
+    return all(spherical_gaussian_integral(lobe) <= SHADE_NEGLIGIBLE * gathered);
+}
+
+fn shade_visible(lobe: SphericalGaussian, normal: vec3<f32>) -> f32 {
     if frame.method == METHOD_AMBIENT {
-        return lobe.amplitude * ambient_integrate(lobe.sharpness, lobe.axis, normal);
+        return ambient_integrate(lobe.sharpness, lobe.axis, normal);
     }
-    return lobe.amplitude * polar_integrate(lobe.sharpness, lobe.axis, normal, frame.spokes);
+    return polar_integrate(lobe.sharpness, lobe.axis, normal, frame.spokes);
 }

@@ -10,18 +10,18 @@ use anyhow::Context as _;
 use glam::Quat;
 use relight_bake::import::plain_material;
 use relight_bake::monitor::Monitor;
+use relight_bake::plot::{self, Curve};
 use relight_bake::scene::Options;
 use relight_bake::{scene, scene_input, seam};
 use relight_format::{self as format, Limits, Representation, Specular, Surface};
 use relight_runtime::Frame;
 use relight_shading::camera::View;
 use relight_shading::polar::PolarOptions;
-use relight_shading::shade::Method;
+use relight_shading::shade::{Lighting, Method};
 use relight_shading::spherical_gaussian::SphericalGaussian;
 use serde::Serialize;
 
 use crate::compare::compare;
-use crate::plot::{self, Curve};
 use crate::render::{Device, Renderer};
 use crate::truth::{self, Filter, Geometry, lobes};
 
@@ -174,6 +174,8 @@ fn measure(
                 camera,
                 lights,
                 rotation: Quat::IDENTITY,
+                reflections: None,
+                local_lights: &[],
                 method: Method::Polar(PolarOptions::default()),
                 exposure: 1.0,
             };
@@ -221,7 +223,10 @@ fn trace(
     monitor.step("trace truth", 0.0)?;
     let image = lobes::render(
         &Geometry::new(scene, View::new(camera, width, height, 1.0)),
-        lights,
+        &Lighting {
+            lights,
+            ..Lighting::default()
+        },
         settings.size,
         &truth::Options {
             samples: settings.samples,
@@ -282,12 +287,14 @@ fn write_plots(folder: &Path, rows: &[Row]) -> anyhow::Result<()> {
                     .collect(),
             })
             .collect();
-        plot::write(
-            &folder.join(format!("compression-{}-{figure}.svg", first.scene)),
+        let path = folder.join(format!("compression-{}-{figure}.svg", first.scene));
+        let svg = plot::svg(
             &format!("{}: {figure}", first.scene),
             ["bytes per vertex", "relative RMSE, %"],
             &curves,
-        )?;
+        )
+        .with_context(|| format!("{}: nothing to plot", path.display()))?;
+        relight_format::write_file(&path, svg.as_bytes())?;
     }
     Ok(())
 }

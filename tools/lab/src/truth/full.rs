@@ -12,6 +12,7 @@ use relight_bake::scene_input::SceneInput;
 use relight_format::{
     BakeReport, Representation, Scene, Surface, Triangle, Vertex, VisibilityParameters,
 };
+use relight_shading::gpu;
 use relight_shading::reference;
 use relight_shading::surface::SurfacePoint;
 
@@ -69,11 +70,12 @@ pub fn tables(input: &SceneInput) -> Result<Vec<Option<Table>>, measured::Error>
 
 /// Estimates the image. `measured[m]` is the table of the scene's material m, if it has
 /// one. A sample is a pair of rays, one drawn from the environment and one from the
-/// reflection; with [`Filter::Box`] every sample has its own point of the pixel.
+/// reflection, and one more to each local light, a sphere that only what lies before it blocks; with [`Filter::Box`] every sample has its own point of the pixel.
 pub fn render(
     geometry: &Geometry,
     measured: &[Option<Table>],
     environment: &EnvironmentSampler,
+    local: &[gpu::LocalLight],
     size: [u32; 2],
     options: &Options,
     row_done: &(dyn Fn() + Sync),
@@ -108,6 +110,9 @@ pub fn render(
                     let [u, v] = pair(2);
                     let uniform = [choice, u, v];
                     radiance += reflector.estimate(geometry, environment, pair(1), uniform);
+                    for (light, dimension) in local.iter().zip(4..) {
+                        radiance += reflector.local(geometry, light, pair(dimension), uniform);
+                    }
                     coverage += 1.0;
                 }
             }
@@ -187,6 +192,54 @@ impl Reflector<'_> {
         let reflected = self.sample(view, reflection_uniform);
         contribution(environment.sample(light_uniform))
             + reflected.map_or(Vec3::ZERO, |light| contribution(self.point.to_world(light)))
+    }
+
+    /// One sample of what a local light has reflected: a direction within the cone of its
+    /// sphere, and one of the reflection, weighted as above.
+    fn local(
+        &self,
+        geometry: &Geometry,
+        source: &gpu::LocalLight,
+        light_uniform: [f32; 2],
+        reflection_uniform: [f32; 3],
+    ) -> Vec3 {
+        let view = self.point.to_local(self.point.view);
+        let offset = Vec3::from(source.position) - self.point.position;
+        let (squared, radius_squared) = (offset.length_squared(), source.radius.powi(2));
+        let axis = offset.normalize_or_zero();
+        let radiance = Vec3::from(source.radiance) * source.spot(axis);
+        if view.z <= 0.0 || squared <= radius_squared || radiance == Vec3::ZERO {
+            return Vec3::ZERO;
+        }
+        let sine_squared = radius_squared / squared;
+        // 1 − cos of the cone's half-angle.
+        let cap = sine_squared / (1.0 + (1.0 - sine_squared).sqrt());
+        let contribution = |direction: Vec3| -> Vec3 {
+            let light = self.point.to_local(direction);
+            if light.z <= 0.0 {
+                return Vec3::ZERO;
+            }
+            let density = 1.0 / (2.0 * PI * cap) + self.density(light, view);
+            let value = self.evaluate(light, view) * radiance * (light.z / density);
+            let along = direction.dot(offset);
+            let aside = (offset - along * direction).length_squared();
+            let distance = along - (radius_squared - aside).max(0.0).sqrt();
+            if value != Vec3::ZERO && geometry.visible_at(&self.point, direction, distance) {
+                value
+            } else {
+                Vec3::ZERO
+            }
+        };
+        let [u, v] = light_uniform;
+        let (height, azimuth) = (u * cap, 2.0 * PI * v);
+        let (x, y) = axis.any_orthonormal_pair();
+        let aside = x * azimuth.cos() + y * azimuth.sin();
+        let toward = axis * (1.0 - height) + aside * (height * (2.0 - height)).sqrt();
+        let reflected = self
+            .sample(view, reflection_uniform)
+            .map(|light| self.point.to_world(light))
+            .filter(|direction| 0.5 * direction.distance_squared(axis) < cap);
+        contribution(toward) + reflected.map_or(Vec3::ZERO, contribution)
     }
 
     fn evaluate(&self, light: Vec3, view: Vec3) -> Vec3 {
@@ -402,7 +455,7 @@ mod tests {
         scene.materials[0].surface = surface;
         let geometry = Geometry::new(&scene, test_scene::view(8));
         let sampler = EnvironmentSampler::new(environment, 0.0);
-        render(&geometry, &[None], &sampler, [8, 8], options, &|| ())
+        render(&geometry, &[None], &sampler, &[], [8, 8], options, &|| ())
     }
 
     fn lambert(diffuse: [f32; 3]) -> Surface {
@@ -432,6 +485,51 @@ mod tests {
             .map(|&v| Vec3::from(v))
             .sum::<Vec3>();
         (mean, variance.powf(0.5) / count)
+    }
+
+    #[test]
+    fn a_sphere_light_gives_its_irradiance_unless_something_is_before_it() {
+        let black = image(2, 1, |_| [0.0; 3]);
+        let light = gpu::LocalLight::from(&relight_shading::local_light::LocalLight {
+            position: Vec3::new(0.0, 0.0, 3.0),
+            radius: 1.0,
+            radiance: Vec3::splat(9.0),
+            spot: None,
+        });
+        // A blocker between the patch and the light, or behind the light.
+        for (height, expected) in [(1.0, 0.0), (5.0, 1.0)] {
+            let lid = [[
+                Vec3::new(-9.0, -9.0, height),
+                Vec3::new(0.0, 18.0, height),
+                Vec3::new(9.0, -9.0, height),
+            ]];
+            let scene = test_scene::scene([0.5; 3], &[&test_scene::plane()[..], &lid].concat());
+            let geometry = Geometry::new(&scene, test_scene::view(8));
+            let point = (0..64)
+                .find_map(|i| geometry.seen((i % 8) as f32 + 0.5, (i / 8) as f32 + 0.5))
+                .expect("the patch is seen")
+                .0;
+            let reflector = Reflector { point, table: None };
+            let count = 4096;
+            let sum: Vec3 = (0..count)
+                .map(|i| {
+                    let pair = |dimension| sobol_pair(i, hash(3, dimension));
+                    let [u, v] = pair(1);
+                    reflector.local(&geometry, &light, pair(0), [0.5, u, v])
+                })
+                .sum();
+            // E = π L sin²σ cos θ, radiance = albedo E / π.
+            let offset = Vec3::new(0.0, 0.0, 3.0) - point.position;
+            let cosine = offset.normalize().dot(point.normal);
+            let exact = expected * 0.5 * 9.0 / offset.length_squared() * cosine;
+            let found = sum.x / count as f32;
+            // Thousands of stratified samples.
+            assert!(
+                (found - exact).abs() < 0.01,
+                "{height}: {found} for {exact}"
+            );
+        }
+        assert_eq!(black.pixels.len(), 2);
     }
 
     #[test]

@@ -5,7 +5,7 @@ use std::f32::consts::TAU;
 
 use glam::{Vec2, Vec3};
 use relight_shading::octahedral;
-use relight_shading::shade::product_lobes;
+use relight_shading::shade::{Lighting, product_lobes};
 use relight_shading::spherical_gaussian::{SphericalGaussian, cosine_moment, first_moment};
 use relight_shading::surface::SurfacePoint;
 
@@ -14,11 +14,12 @@ use super::{Estimate, Filter, Geometry, Options, REPLICAS, estimate_image};
 use crate::display::luminance;
 use crate::image_file::Image;
 
-/// Estimates the image. A sample is one ray; with [`Filter::Box`] a replica's rays share
+/// Estimates the image. Local lights are seen as the runtime has them: as lobes, blocked by
+/// what lies behind them as well. A sample is one ray; with [`Filter::Box`] a replica's rays share
 /// one point of the pixel.
 pub fn render(
     geometry: &Geometry,
-    lights: &[SphericalGaussian],
+    lighting: &Lighting,
     size: [u32; 2],
     options: &Options,
     row_done: &(dyn Fn() + Sync),
@@ -28,7 +29,7 @@ pub fn render(
         let seed = hash(hash(options.seed, x), y);
         let at = |[u, v]: [f32; 2]| -> Option<Mixture> {
             let (point, _) = geometry.seen(x as f32 + u, y as f32 + v)?;
-            Some(Mixture::new(&point, lights))
+            Some(Mixture::new(&point, lighting))
         };
         let center = (options.filter == Filter::Center).then(|| at([0.5; 2]));
         let replicas: [_; REPLICAS as usize] = std::array::from_fn(|replica| {
@@ -108,10 +109,10 @@ struct Mixture {
 }
 
 impl Mixture {
-    fn new(point: &SurfacePoint, lights: &[SphericalGaussian]) -> Self {
+    fn new(point: &SurfacePoint, lighting: &Lighting) -> Self {
         let mut lobes = Vec::new();
         let mut bound = 0.0;
-        product_lobes(point, lights, |lobe| {
+        product_lobes(point, lighting, |lobe| {
             bound += luminance(lobe.integral().into());
             lobes.push(lobe);
         });
@@ -280,7 +281,11 @@ mod tests {
     ) -> Image {
         let scene = test_scene::scene([0.8, 0.5, 0.2], triangles);
         let geometry = Geometry::new(&scene, test_scene::view(8));
-        render(&geometry, lights, [8, 8], options, &|| ())
+        let lighting = Lighting {
+            lights,
+            ..Lighting::default()
+        };
+        render(&geometry, &lighting, [8, 8], options, &|| ())
     }
 
     #[test]

@@ -1,13 +1,10 @@
 //! Curves as SVG.
 
-use std::path::Path;
-
-use anyhow::anyhow;
 use plotters::coord::Shift;
 use plotters::coord::combinators::LogCoord;
 use plotters::prelude::*;
 
-/// A named curve: points of x and y, both above zero.
+/// A named curve: points of x and y. Those not above zero are not drawn.
 pub struct Curve {
     /// As the legend has it.
     pub name: String,
@@ -15,8 +12,8 @@ pub struct Curve {
     pub points: Vec<[f64; 2]>,
 }
 
-/// Writes curves over logarithmic axes.
-pub fn write(path: &Path, title: &str, axes: [&str; 2], curves: &[Curve]) -> anyhow::Result<()> {
+/// Curves over logarithmic axes as SVG; `None` where no point is above zero.
+pub fn svg(title: &str, axes: [&str; 2], curves: &[Curve]) -> Option<String> {
     let range = |axis: usize| {
         let values = curves.iter().flat_map(|curve| &curve.points);
         let (low, high) = values
@@ -28,16 +25,13 @@ pub fn write(path: &Path, title: &str, axes: [&str; 2], curves: &[Curve]) -> any
         (low < f64::INFINITY)
             .then(|| -> LogCoord<f64> { (0.8 * low..1.25 * high).log_scale().into() })
     };
-    let (Some(x), Some(y)) = (range(0), range(1)) else {
-        return Err(anyhow!("{}: nothing to plot", path.display()));
-    };
+    let (x, y) = (range(0)?, range(1)?);
     let mut text = String::new();
     {
         let area = SVGBackend::with_string(&mut text, (900, 560)).into_drawing_area();
-        draw(&area, title, axes, curves, x, y).map_err(|error| anyhow!("{error}"))?;
+        draw(&area, title, axes, curves, x, y).ok()?;
     }
-    relight_format::write_file(path, text.as_bytes())?;
-    Ok(())
+    Some(text)
 }
 
 fn draw<B: DrawingBackend>(
@@ -63,7 +57,8 @@ fn draw<B: DrawingBackend>(
         .draw()?;
     for (index, curve) in curves.iter().enumerate() {
         let color = Palette99::pick(index).to_rgba();
-        let points = || curve.points.iter().map(|&[x, y]| (x, y));
+        let positive = |point: &&[f64; 2]| point.iter().all(|value| *value > 0.0);
+        let points = || (curve.points.iter()).filter(positive).map(|&[x, y]| (x, y));
         chart
             .draw_series(LineSeries::new(points(), color.stroke_width(2)))?
             .label(curve.name.as_str())

@@ -130,7 +130,6 @@ fn render_and_truth() -> Outcome {
         reserved: 0.0,
     };
     let environment = Environment {
-        prefiltered: Default::default(),
         report: EnvironmentReport::default(),
         lobes: vec![
             lobe(Vec3::new(0.8, 1.0, 0.3), 60.0, [8.0, 5.0, 2.0]),
@@ -198,6 +197,7 @@ fn compression() -> Outcome {
             amplitude: [4.0, 3.0, 2.0],
             reserved: 0.0,
         }],
+        ..Environment::default()
     };
     write(
         &path("environment.relight"),

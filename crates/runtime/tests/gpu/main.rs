@@ -13,9 +13,11 @@ use libtest_mimic::{Completion, Failed, Trial};
 use relight_format::{Camera, FieldOfView, Surface};
 use relight_runtime::offscreen::{Gpu, Picture};
 use relight_runtime::{
-    Error, Frame, Image, Method, Options, PolarOptions, Renderer, SphericalGaussian, twin, wgpu,
+    Error, Frame, Image, LocalLight, MAX_LOCAL_LIGHTS, Method, Options, PolarOptions, Prefiltered,
+    Renderer, SphericalGaussian, Spot, twin, wgpu,
 };
 use relight_shading::camera::View;
+use relight_shading::prefiltered::encode;
 
 /// Pixels whose triangle may differ, as a fraction: vertices are projected by differently
 /// rounded arithmetic, so that now and then one snaps to the neighbouring 1/256 pixel.
@@ -71,6 +73,10 @@ fn main() -> ExitCode {
             reflection::surface_and_lobes_match_twins,
         ),
         with_gpu("frame_matches_twin", frame_matches_twin),
+        with_gpu(
+            "local_lights_and_reflections_match_twins",
+            local_lights_and_reflections_match_twins,
+        ),
         with_gpu("tonemap_matches_twin", tonemap_matches_twin),
         with_gpu("bands_do_not_show", bands_do_not_show),
         with_gpu(
@@ -270,6 +276,90 @@ fn frame_matches_twin(gpu: &mut Gpu) -> Outcome {
             "{method:?}: relative RMSE {error}"
         );
     }
+    Ok(())
+}
+
+/// A prefiltered image of stripes, five levels.
+fn stripes() -> Prefiltered {
+    let texels = (1..=5u32).rev().flat_map(|level| {
+        let n = 1u32 << level;
+        (0..n * n).map(move |index| {
+            let bright = if (index % n * 8 / n) % 2 == 0 {
+                4.0
+            } else {
+                0.1
+            };
+            encode(Vec3::new(
+                bright,
+                0.5 * bright,
+                (index / n) as f32 / n as f32,
+            ))
+        })
+    });
+    Prefiltered::new(&relight_format::Prefiltered {
+        texels: texels.collect(),
+    })
+    .expect("whole levels")
+}
+
+fn local_lights_and_reflections_match_twins(gpu: &mut Gpu) -> Outcome {
+    let (width, height) = (160, 120);
+    let lights = lights();
+    let image = stripes();
+    let lamp = LocalLight {
+        position: Vec3::new(0.9, 1.4, 0.6),
+        radius: 0.2,
+        radiance: Vec3::new(30.0, 20.0, 10.0),
+        spot: None,
+    };
+    let spot = LocalLight {
+        position: Vec3::new(-1.2, 2.0, 0.4),
+        radiance: Vec3::new(20.0, 60.0, 90.0),
+        spot: Some(Spot {
+            direction: Vec3::new(0.5, -0.8, 0.0).normalize(),
+            inner_angle: 0.3,
+            outer_angle: 0.6,
+        }),
+        ..lamp
+    };
+    let both = [lamp, spot];
+    let plain = frame(&lights, POLAR);
+    let drawn = render(gpu, &plain, width, height)?.linear;
+    for frame in [
+        Frame {
+            local_lights: &both,
+            ..plain.clone()
+        },
+        Frame {
+            reflections: Some(&image),
+            ..plain.clone()
+        },
+        Frame {
+            local_lights: &both[..1],
+            reflections: Some(&image),
+            rotation: Quat::from_rotation_x(1.0),
+            method: Method::Ambient,
+            ..plain.clone()
+        },
+    ] {
+        let found = render(gpu, &frame, width, height)?.linear;
+        let expected = twin::render(&scenes::sphere_over_plane(), &frame, width, height)?;
+        let error = relative_rmse(&found, &expected);
+        let change = relative_rmse(&found, &drawn);
+        println!("relative RMSE {error:e}, {change} without");
+        assert!(error <= FRAME_RELATIVE_RMSE, "relative RMSE {error}");
+        assert!(change > 0.02, "it made no difference: {change}");
+    }
+    let many = vec![lamp; MAX_LOCAL_LIGHTS as usize + 1];
+    let frame = Frame {
+        local_lights: &many,
+        ..plain
+    };
+    assert!(render(gpu, &frame, width, height).is_err());
+    assert!(matches!(
+        twin::render(&scenes::sphere_over_plane(), &frame, width, height),
+        Err(Error::Frame(limit)) if limit.needed == u64::from(MAX_LOCAL_LIGHTS) + 1
+    ));
     Ok(())
 }
 

@@ -47,7 +47,8 @@ impl Prefiltered {
         let number = sharper as u32;
         let a = self.bilinear(number, axis);
         let b = self.bilinear((number + 1).min(self.levels - 1), axis);
-        a.lerp(b, level - sharper)
+        // Linear in the sharpness, as what lobes see of a small light is.
+        a.lerp(b, 4.0 / 3.0 * (1.0 - (-2.0 * (level - sharper)).exp2()))
     }
 
     fn bilinear(&self, level: u32, direction: Vec3) -> Vec3 {
@@ -156,7 +157,7 @@ mod tests {
             (1.0, 2.0),
             (4.0, 1.0),
             (0.25, 1.0),
-            (2.0, 1.5),
+            (2.0, 5.0 / 3.0),
             (1e9, 1.0),
             (1e-9, 1.0),
         ] {

@@ -99,7 +99,7 @@ pub fn shade(
     let mut radiance = Vec3::ZERO;
     product_lobes(point, lighting, |lobe| {
         if !negligible(&lobe, radiance) {
-            radiance += lobe.amplitude * visible(&lobe, point.normal, field, method);
+            radiance += lobe.amplitude * visible(&lobe, point.normal, field, *method);
         }
     });
     if let Some(reflections) = &lighting.reflections
@@ -107,41 +107,44 @@ pub fn shade(
     {
         for reflection in point.appearance.reflections() {
             for lobe in brdf::specular_lobes(point, reflection).as_slice() {
-                radiance += reflected(point, lobe, lighting.lights, reflections, field, method);
+                radiance += reflected(point, lobe, lighting.lights, reflections, field, *method);
             }
         }
     }
     radiance
 }
 
-/// What one specular lobe reflects of a prefiltered image: the image through the lobe, in
-/// each channel times the visible part of what the lobe reflects of the lights.
+/// What one specular lobe reflects of a prefiltered image: what it reflects of the lights,
+/// in each channel times the image through the lobe over the lights through it. Through
+/// sharp lobes that factor is the image's detail. Wide ones see the lights as they see the
+/// image; what would be left is the difference between lobe and reflection model, which the
+/// lights, themselves blurred, hide better.
 fn reflected(
     point: &SurfacePoint,
     lobe: &SphericalGaussian,
     lights: &[SphericalGaussian],
     reflections: &Reflections,
     field: &impl SignedDistance,
-    method: &Method,
+    method: Method,
 ) -> Vec3 {
-    let cosine_integral = |lobe: &SphericalGaussian| {
-        Tables::get().cosine_integral(lobe.sharpness, point.normal.dot(lobe.axis))
-    };
     let incoming = reflections
         .image
         .radiance(reflections.rotation * lobe.axis, lobe.sharpness);
-    let whole = lobe.amplitude * incoming * cosine_integral(lobe);
-    let mut unoccluded = EVEN * whole;
-    let mut occluded =
-        EVEN * lobe.amplitude * incoming * visible(lobe, point.normal, field, method);
+    let image = lobe.integral() * incoming;
+    let even = EVEN * lobe.amplitude * incoming;
+    let mut reflected = even * visible(lobe, point.normal, field, method);
+    let mut through = Vec3::ZERO;
     for light in lights {
         let product = light.product(lobe);
-        if !negligible(&product, unoccluded) {
-            unoccluded += product.amplitude * cosine_integral(&product);
-            occluded += product.amplitude * visible(&product, point.normal, field, method);
+        if !negligible(&product, through) {
+            through += product.integral();
+            reflected += product.amplitude * visible(&product, point.normal, field, method);
         }
     }
-    whole * occluded / unoccluded.max(Vec3::splat(f32::MIN_POSITIVE))
+    let (wide, sharp) = DETAIL_SHARPNESS;
+    let detail = ((lobe.sharpness / wide).ln() / (sharp / wide).ln()).clamp(0.0, 1.0);
+    let least = Vec3::splat(f32::MIN_POSITIVE);
+    reflected * through.lerp(image, detail) / (through + EVEN * image).max(least)
 }
 
 fn negligible(lobe: &SphericalGaussian, gathered: Vec3) -> bool {
@@ -153,12 +156,12 @@ fn visible(
     lobe: &SphericalGaussian,
     normal: Vec3,
     field: &impl SignedDistance,
-    method: &Method,
+    method: Method,
 ) -> f32 {
     match method {
         Method::Ambient => ambient::integrate(field, lobe.sharpness, lobe.axis, normal),
         Method::Polar(options) => {
-            polar::integrate(field, lobe.sharpness, lobe.axis, normal, options)
+            polar::integrate(field, lobe.sharpness, lobe.axis, normal, &options)
         }
     }
 }
@@ -167,11 +170,18 @@ fn visible(
 /// much is visible: where the lights are dark, it alone.
 pub const EVEN: f32 = 0.01;
 
+/// Sharpness of a specular lobe up to which it reflects the lights, and from which on it
+/// reflects the image: that of GGX with α = 0.25 and 0.1 seen at 45°. With 32 lights, α = 0.25
+/// is closer to truth by the lights, 0.1 by the image.
+pub const DETAIL_SHARPNESS: (f32, f32) = (25.0, 100.0);
+
 /// The constants of this module, as WGSL.
 pub fn wgsl_constants() -> String {
+    let (wide, sharp) = DETAIL_SHARPNESS;
     format!(
         "const SHADE_NEGLIGIBLE: f32 = {NEGLIGIBLE:?};\n\
-         const SHADE_EVEN: f32 = {EVEN:?};\n"
+         const SHADE_EVEN: f32 = {EVEN:?};\n\
+         const SHADE_DETAIL_SHARPNESS: vec2<f32> = vec2({wide:?}, {sharp:?});\n"
     )
 }
 

@@ -99,6 +99,17 @@ impl Level {
         )
     }
 
+    /// The same cells with a radiance of one.
+    pub(super) fn even(&self) -> Self {
+        let mut even = self.clone();
+        for row in &self.rows {
+            for flux in &mut even.flux {
+                flux[row.start..row.start + row.count].fill(row.solid_angle as f32);
+            }
+        }
+        even
+    }
+
     pub(super) fn height(&self) -> usize {
         self.rows.len()
     }

@@ -21,6 +21,7 @@ use relight_format::{Environment, EnvironmentReport, Lobe};
 
 use crate::hdr::{self, LatLong};
 use crate::monitor::{Interrupted, Monitor};
+use lobe::Shape;
 pub use measure::{energy_error, irradiance_error, relative_l2, render};
 pub use prefilter::prefilter;
 use solve::{Fit, GLOSS_WEIGHT, Problem, Resolution};
@@ -117,7 +118,7 @@ pub fn fit(image: &LatLong, options: &FitOptions, monitor: Monitor) -> Result<Fi
         return Err(Error::Lobes(options.lobes));
     }
     if let Some(error) = options.max_error
-        && !(error > 0.0)
+        && error.partial_cmp(&0.0) != Some(std::cmp::Ordering::Greater)
     {
         return Err(Error::MaxError(error));
     }
@@ -166,6 +167,14 @@ const ROUNDS: usize = 6;
 /// than with fewer lobes.
 const LESSER_GLOSS_WEIGHTS: [f64; 2] = [0.2 * GLOSS_WEIGHT, 0.02 * GLOSS_WEIGHT];
 
+/// Weights of the blurred image, and steps, to fit lobes with beside those of the last rung
+/// where that does not help either.
+const LAST_RESORTS: [(f64, usize); 3] = [
+    (0.02 * GLOSS_WEIGHT, STEPS_PER_BATCH),
+    (0.02 * GLOSS_WEIGHT, 0),
+    (0.0, 0),
+];
+
 /// Numbers of lobes at which the fit is finished and measured: powers of 2 and the middles
 /// between them, up to `count` and ending with it.
 fn rungs(count: usize) -> Vec<usize> {
@@ -192,30 +201,47 @@ fn climb(
     let mut curve: Vec<Rung> = Vec::new();
     let mut fit = problem.project(vec![problem.ambient()], Resolution::Coarse);
     fit = problem.refine(&fit, Resolution::Coarse, STEPS_PER_BATCH);
+    let mut best = fit.clone();
     for allowed in rungs(options.lobes) {
-        fit = improve(&problem, &fit, allowed, || {
+        let tell = || {
             // Time grows with the square of the number of lobes or so.
             tell(0.99 * (allowed as f64 / options.lobes as f64).powi(2))
-        })?;
-        let mut rung = measured(image, allowed, lobes(&fit));
-        if let Some(last) = curve.last() {
-            let mut sharper = fit.clone();
-            for weight in LESSER_GLOSS_WEIGHTS {
-                if rung.relative_l2 <= last.relative_l2 {
-                    break;
-                }
+        };
+        fit = improve(&problem, &fit, allowed, tell)?;
+        let most = curve.last().map_or(f32::INFINITY, |last| last.relative_l2);
+        let accept = |fit: &Fit| {
+            let rung = measured(image, allowed, lobes(fit));
+            (rung.relative_l2 <= most).then(|| (fit.clone(), rung))
+        };
+        let mut accepted = accept(&fit);
+        let mut sharper = fit.clone();
+        for weight in LESSER_GLOSS_WEIGHTS {
+            if accepted.is_none() {
                 problem.weigh_gloss(weight);
                 sharper = problem.refine(&sharper, Resolution::Fine, STEPS_PER_BATCH);
-                rung = measured(image, allowed, lobes(&sharper));
-            }
-            problem.weigh_gloss(GLOSS_WEIGHT);
-            if rung.relative_l2 > last.relative_l2 {
-                rung = Rung {
-                    allowed,
-                    ..last.clone()
-                };
+                accepted = accept(&sharper);
             }
         }
+        problem.weigh_gloss(GLOSS_WEIGHT);
+        if accepted.is_none() {
+            // Lobes beside those of the last rung, whose shapes stay, cannot take from it.
+            let more = beside(&problem, &best, allowed);
+            for (weight, steps) in LAST_RESORTS {
+                if accepted.is_none() {
+                    problem.weigh_gloss(weight);
+                    let fit = problem.project(more.clone(), Resolution::Fine);
+                    accepted = accept(&problem.refine(&fit, Resolution::Fine, steps));
+                }
+            }
+            problem.weigh_gloss(GLOSS_WEIGHT);
+        }
+        let rung = match accepted {
+            Some((fit, rung)) => {
+                best = fit;
+                rung
+            }
+            None => measured(image, allowed, lobes(&best)),
+        };
         let reached = options
             .max_error
             .is_some_and(|most| rung.relative_l2 <= most);
@@ -272,6 +298,20 @@ fn improve(
         tell()?;
     }
     Ok(problem.refine(&fit, Resolution::Fine, STEPS_PER_BATCH))
+}
+
+/// A fit's shapes and new ones, up to `count`, where the most is left.
+fn beside(problem: &Problem, fit: &Fit, count: usize) -> Vec<Shape> {
+    let mut fit = problem.project(fit.shapes.clone(), Resolution::Coarse);
+    while fit.shapes.len() < count {
+        let batch = (fit.shapes.len() / 4).clamp(1, count - fit.shapes.len());
+        let new = seed::seeds(problem, &fit, batch);
+        if new.is_empty() {
+            break;
+        }
+        fit = problem.project([fit.shapes, new].concat(), Resolution::Coarse);
+    }
+    fit.shapes
 }
 
 fn grown(problem: &Problem, fit: &Fit, batch: usize) -> Option<Fit> {

@@ -284,11 +284,7 @@ fn stripes() -> Prefiltered {
     let texels = (1..=5u32).rev().flat_map(|level| {
         let n = 1u32 << level;
         (0..n * n).map(move |index| {
-            let bright = if (index % n * 8 / n) % 2 == 0 {
-                4.0
-            } else {
-                0.1
-            };
+            let bright = [4.0, 0.1][(index % n * 8 / n % 2) as usize];
             encode(Vec3::new(
                 bright,
                 0.5 * bright,

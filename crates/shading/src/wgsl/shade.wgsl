@@ -76,19 +76,23 @@ fn shade_light(index: u32, position: vec3<f32>) -> SphericalGaussian {
 // What one specular lobe reflects of the prefiltered image.
 fn shade_reflected(lobe: SphericalGaussian, normal: vec3<f32>) -> vec3<f32> {
     let incoming = prefiltered_radiance(frame.environment_rotation * lobe.axis, lobe.sharpness);
-    let whole = lobe.amplitude * incoming * tables_cosine_integral(lobe.sharpness, dot(normal, lobe.axis));
-    var unoccluded = SHADE_EVEN * whole;
-    var occluded = SHADE_EVEN * lobe.amplitude * incoming * shade_visible(lobe, normal);
+    let image = spherical_gaussian_integral(lobe) * incoming;
+    let even = SHADE_EVEN * lobe.amplitude * incoming;
+    var reflected = even * shade_visible(lobe, normal);
+    var through = vec3(0.0);
     for (var i = 0u; i < frame.light_count; i++) {
         let light = SphericalGaussian(lights[i].axis, lights[i].sharpness, lights[i].amplitude);
         let product = spherical_gaussian_product(light, lobe);
-        if !shade_negligible(product, unoccluded) {
-            unoccluded += product.amplitude
-                * tables_cosine_integral(product.sharpness, dot(normal, product.axis));
-            occluded += product.amplitude * shade_visible(product, normal);
+        if !shade_negligible(product, through) {
+            through += spherical_gaussian_integral(product);
+            reflected += product.amplitude * shade_visible(product, normal);
         }
     }
-    return whole * occluded / max(unoccluded, vec3(1.17549435e-38));
+    let wide = SHADE_DETAIL_SHARPNESS.x;
+    let sharp = SHADE_DETAIL_SHARPNESS.y;
+    let detail = clamp(log(lobe.sharpness / wide) / log(sharp / wide), 0.0, 1.0);
+    let least = vec3(1.17549435e-38);
+    return reflected * mix(through, image, detail) / max(through + SHADE_EVEN * image, least);
 }
 
 // What a lobe adds to the radiance gathered so far.

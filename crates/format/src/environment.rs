@@ -55,9 +55,9 @@ pub struct Prefiltered {
 }
 
 impl Prefiltered {
-    /// Sharpness of a level's lobes in its texels per row, squared: lobes as wide (1/√λ) as a
-    /// texel.
-    pub const SHARPNESS: f32 = 0.08;
+    /// Sharpness of a level's lobes in its texels per row, squared: lobes about as wide (1/√λ) as
+    /// 1.3 texels.
+    pub const SHARPNESS: f32 = 0.05;
 
     /// Number of levels, 0 to [`MAX_PREFILTERED_LEVELS`]; `None` where `texels` is not a
     /// number of whole levels.

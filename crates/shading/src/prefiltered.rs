@@ -47,8 +47,9 @@ impl Prefiltered {
         let number = sharper as u32;
         let a = self.bilinear(number, axis);
         let b = self.bilinear((number + 1).min(self.levels - 1), axis);
-        // Linear in the sharpness, as what lobes see of a small light is.
-        a.lerp(b, 4.0 / 3.0 * (1.0 - (-2.0 * (level - sharper)).exp2()))
+        // Linear in the root of the sharpness: between small lights, of which lobes see as much
+        // as they are sharp, and large ones.
+        a.lerp(b, 2.0 * (1.0 - (sharper - level).exp2()))
     }
 
     fn bilinear(&self, level: u32, direction: Vec3) -> Vec3 {
@@ -157,7 +158,7 @@ mod tests {
             (1.0, 2.0),
             (4.0, 1.0),
             (0.25, 1.0),
-            (2.0, 5.0 / 3.0),
+            (2.0, 3.0 - 2.0f32.sqrt()),
             (1e9, 1.0),
             (1e-9, 1.0),
         ] {

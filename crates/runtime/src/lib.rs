@@ -43,6 +43,7 @@ mod upload;
 pub use error::Error;
 pub use frame::Frame;
 pub use image::Image;
+pub use relight_shading::cells::CellsOptions;
 pub use relight_shading::gpu::{LimitError, MAX_LOCAL_LIGHTS};
 pub use relight_shading::local_light::{LocalLight, Spot};
 pub use relight_shading::polar::PolarOptions;

@@ -56,6 +56,8 @@ pub struct Renderer {
     tonemap_layout: wgpu::BindGroupLayout,
     visibility_pipeline: wgpu::RenderPipeline,
     shade_pipeline: wgpu::ComputePipeline,
+    /// Made when first asked for: few ask.
+    cells_pipeline: std::sync::OnceLock<wgpu::ComputePipeline>,
     tonemap_pipeline: wgpu::RenderPipeline,
     tables: wgpu::Buffer,
     /// The reflected image of the last frame, or one texel.
@@ -89,7 +91,12 @@ impl Renderer {
         let tonemap_layout = tonemap_layout(device);
         Ok(Self {
             visibility_pipeline: visibility_pipeline(device, &frame_layout, &scene_layout),
-            shade_pipeline: shade_pipeline(device, &[&frame_layout, &scene_layout, &image_layout]),
+            shade_pipeline: shade_pipeline(
+                device,
+                &[&frame_layout, &scene_layout, &image_layout],
+                Entry::Shade,
+            ),
+            cells_pipeline: std::sync::OnceLock::new(),
             tonemap_pipeline: tonemap_pipeline(device, &tonemap_layout, options.target_format),
             tables: device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
                 label: Some("relight tables"),
@@ -180,7 +187,10 @@ impl Renderer {
                 label: Some("relight shade"),
                 timestamp_writes: None,
             });
-            pass.set_pipeline(&self.shade_pipeline);
+            pass.set_pipeline(match frame.method {
+                Method::Cells(_) => self.cells_pipeline(),
+                Method::Ambient | Method::Polar(_) => &self.shade_pipeline,
+            });
             pass.set_bind_group(1, &scene.bind_group, &[]);
             pass.set_bind_group(2, &images.bind_group, &[]);
             for index in 0..bands {
@@ -222,6 +232,12 @@ impl Renderer {
             u64::from(allowed),
         )
         .map_err(Error::Frame)
+    }
+
+    fn cells_pipeline(&self) -> &wgpu::ComputePipeline {
+        let layouts = [&self.frame_layout, &self.scene_layout, &self.image_layout];
+        (self.cells_pipeline)
+            .get_or_init(|| shade_pipeline(&self.device, &layouts, Entry::ShadeCells))
     }
 
     /// Copies the reflected image to the GPU unless the last frame had the same.
@@ -266,6 +282,12 @@ impl Renderer {
             Method::Polar(options) => {
                 uniform.method = gpu::METHOD_POLAR;
                 uniform.spokes = options.spokes.max(1);
+            }
+            Method::Cells(options) => {
+                uniform.method = gpu::METHOD_CELLS;
+                uniform.boundary_error = options.boundary_error;
+                uniform.lobe_error = options.lobe_error;
+                uniform.cells = options.partition().unwrap_or([0; 2]);
             }
         }
         uniform.light_count = frame.lights.len() as u32;
@@ -699,11 +721,12 @@ fn visibility_pipeline(
 fn shade_pipeline(
     device: &wgpu::Device,
     groups: &[&wgpu::BindGroupLayout],
+    entry: Entry,
 ) -> wgpu::ComputePipeline {
     device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
         label: Some("relight shade"),
         layout: Some(&pipeline_layout(device, groups)),
-        module: &shader(device, Entry::Shade),
+        module: &shader(device, entry),
         entry_point: Some("shade_main"),
         compilation_options: wgpu::PipelineCompilationOptions::default(),
         cache: None,

@@ -19,13 +19,15 @@ pub const SURFACE_LAYERS: u32 = 2;
 pub const METHOD_AMBIENT: u32 = 0;
 /// `Frame::method`: spokes about each lobe's axis.
 pub const METHOD_POLAR: u32 = 1;
+/// `Frame::method`: cells with straight boundaries, shared by lobes.
+pub const METHOD_CELLS: u32 = 2;
 
 /// Most layers of the basis atlas: WebGPU's default limit.
 pub const MAX_ATLAS_LAYERS: u32 = 256;
 /// Largest side of the basis atlas in texels: WebGPU's default limit.
 pub const MAX_ATLAS_SIZE: u32 = 8192;
 
-/// What changes from frame to frame (uniform, 208 bytes).
+/// What changes from frame to frame (uniform, 224 bytes).
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct Frame {
@@ -37,7 +39,7 @@ pub struct Frame {
     pub light_count: u32,
     /// Direction through the upper left corner of the image.
     pub corner: [f32; 3],
-    /// [`METHOD_AMBIENT`] or [`METHOD_POLAR`].
+    /// [`METHOD_AMBIENT`], [`METHOD_POLAR`] or [`METHOD_CELLS`].
     pub method: u32,
     /// Step of the direction from one column to the next.
     pub right: [f32; 3],
@@ -59,6 +61,12 @@ pub struct Frame {
     pub prefiltered_levels: u32,
     /// Number of local lights.
     pub local_light_count: u32,
+    /// Cells: [`crate::cells::CellsOptions::boundary_error`].
+    pub boundary_error: f32,
+    /// Cells: [`crate::cells::CellsOptions::lobe_error`].
+    pub lobe_error: f32,
+    /// Cells: rows and columns of the uniform partition, or zero.
+    pub cells: [u32; 2],
     /// Zero.
     pub reserved: [u32; 2],
 }
@@ -468,6 +476,9 @@ impl Frame {
             ],
             prefiltered_levels: 0,
             local_light_count: 0,
+            boundary_error: 0.0,
+            lobe_error: 0.0,
+            cells: [0; 2],
             reserved: [0; 2],
         }
     }
@@ -634,6 +645,9 @@ mod tests {
                 environment_rotation,
                 prefiltered_levels,
                 local_light_count,
+                boundary_error,
+                lobe_error,
+                cells,
                 reserved,
             }
         );

@@ -5,6 +5,7 @@ pub mod accuracy;
 pub mod ambient;
 pub mod brdf;
 pub mod camera;
+pub mod cells;
 pub mod gpu;
 pub mod local_light;
 pub mod octahedral;

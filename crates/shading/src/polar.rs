@@ -164,7 +164,7 @@ fn root(a: f32, b: f32, otherwise: bool) -> f32 {
 }
 
 /// Angle from the axis at which the lobe has fallen to [`CUT`]; π where it never does.
-fn support_radius(sharpness: f32) -> f32 {
+pub(crate) fn support_radius(sharpness: f32) -> f32 {
     let half_chord = (cut_exponent() / sharpness.max(f32::MIN_POSITIVE)).sqrt();
     2.0 * half_chord.min(1.0).asin()
 }
@@ -177,7 +177,7 @@ fn moment(sharpness: f32, cosine: f32, slope: f32, theta: f32) -> f32 {
 }
 
 /// A unit vector at right angles to the unit vector `axis`.
-fn any_orthogonal(axis: Vec3) -> Vec3 {
+pub(crate) fn any_orthogonal(axis: Vec3) -> Vec3 {
     let other = if axis.x.abs() > 0.7 { Vec3::Y } else { Vec3::X };
     axis.cross(other).normalize()
 }

@@ -1,10 +1,11 @@
 //! Radiance of a surface point: lights times reflection, lobe by lobe, over what is
 //! visible.
 
-use std::f32::consts::FRAC_1_PI;
+use std::f32::consts::{FRAC_1_PI, FRAC_PI_2};
 
 use glam::{Mat3, Vec3};
 
+use crate::cells::CellsOptions;
 use crate::gpu;
 use crate::polar::PolarOptions;
 use crate::prefiltered::Prefiltered;
@@ -12,19 +13,21 @@ use crate::spherical_gaussian::SphericalGaussian;
 use crate::ssdf::SignedDistance;
 use crate::surface::SurfacePoint;
 use crate::tables::Tables;
-use crate::{ambient, brdf, polar};
+use crate::{ambient, brdf, cells, polar};
 
 /// A product lobe whose whole energy is below this fraction of the radiance gathered so
 /// far, in every channel, is not integrated.
 pub const NEGLIGIBLE: f32 = 3e-4;
 
 /// How lobes are integrated over the visible region.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Method {
     /// One half-space per lobe (Wang et al. 2009).
     Ambient,
     /// Spokes about each lobe's axis.
     Polar(PolarOptions),
+    /// Cells with straight boundaries, shared by lobes (Wang et al. 2013).
+    Cells(CellsOptions),
 }
 
 /// The light of one frame.
@@ -97,11 +100,15 @@ pub fn shade(
     method: &Method,
 ) -> Vec3 {
     let mut radiance = Vec3::ZERO;
-    product_lobes(point, lighting, |lobe| {
-        if !negligible(&lobe, radiance) {
-            radiance += lobe.amplitude * visible(&lobe, point.normal, field, *method);
-        }
-    });
+    if let Method::Cells(options) = method {
+        radiance = shade_cells(point, lighting, field, options);
+    } else {
+        product_lobes(point, lighting, |lobe| {
+            if !negligible(&lobe, radiance) {
+                radiance += lobe.amplitude * visible(&lobe, point.normal, field, *method);
+            }
+        });
+    }
     if let Some(reflections) = &lighting.reflections
         && point.normal.dot(point.view) > 0.0
     {
@@ -110,6 +117,58 @@ pub fn shade(
                 radiance += reflected(point, lobe, lighting.lights, reflections, field, *method);
             }
         }
+    }
+    radiance
+}
+
+/// Radiance by cells: about the normal for all wide lobes of diffuse reflection, about their
+/// own axes for the narrow ones, about the mean axis of every specular reflection's lobes
+/// for its products (Wang et al. 2013, §5.1).
+fn shade_cells(
+    point: &SurfacePoint,
+    lighting: &Lighting,
+    field: &impl SignedDistance,
+    options: &CellsOptions,
+) -> Vec3 {
+    let mut radiance = Vec3::ZERO;
+    let normal = point.normal;
+    if normal.dot(point.view) <= 0.0 {
+        return radiance;
+    }
+    let mut add = |about, lobes: &[SphericalGaussian]| {
+        if !lobes.is_empty() {
+            radiance += cells::integrate(field, about, normal, lobes, options);
+        }
+    };
+    let diffuse = point.appearance.diffuse * FRAC_1_PI;
+    if diffuse != Vec3::ZERO {
+        let (mut wide, mut narrow) = (Vec::new(), Vec::new());
+        for light in lighting.at(point.position) {
+            let group = if light.sharpness > cells::NARROW {
+                &mut narrow
+            } else {
+                &mut wide
+            };
+            group.push(SphericalGaussian {
+                amplitude: light.amplitude * diffuse,
+                ..light
+            });
+        }
+        add((normal, FRAC_PI_2), &wide);
+        for lobe in narrow {
+            add((lobe.axis, polar::support_radius(lobe.sharpness)), &[lobe]);
+        }
+    }
+    // Those that no prefiltered image stands for.
+    let begin = lighting.reflections.map_or(0, |_| lighting.lights.len());
+    for reflection in point.appearance.reflections() {
+        let specular = brdf::specular_lobes(point, reflection);
+        let specular = specular.as_slice();
+        let mut products = Vec::new();
+        for light in lighting.at(point.position).skip(begin) {
+            products.extend(specular.iter().map(|lobe| light.product(lobe)));
+        }
+        add(cells::around(specular), &products);
     }
     radiance
 }
@@ -162,6 +221,14 @@ fn visible(
         Method::Ambient => ambient::integrate(field, lobe.sharpness, lobe.axis, normal),
         Method::Polar(options) => {
             polar::integrate(field, lobe.sharpness, lobe.axis, normal, &options)
+        }
+        Method::Cells(options) => {
+            let about = (lobe.axis, polar::support_radius(lobe.sharpness));
+            let lobe = SphericalGaussian {
+                amplitude: Vec3::ONE,
+                ..*lobe
+            };
+            cells::integrate(field, about, normal, &[lobe], &options).x
         }
     }
 }
@@ -381,18 +448,7 @@ mod tests {
                         amplitude: Vec3::ONE,
                         ..lobe
                     };
-                    let visible = match method {
-                        Method::Ambient => {
-                            ambient::integrate(&field, one.sharpness, one.axis, point.normal)
-                        }
-                        Method::Polar(options) => polar::integrate(
-                            &field,
-                            one.sharpness,
-                            one.axis,
-                            point.normal,
-                            &options,
-                        ),
-                    };
+                    let visible = visible(&one, point.normal, &field, method);
                     all += lobe.amplitude * visible;
                     gathered = all;
                 });

@@ -4,7 +4,8 @@ use std::fmt::Write as _;
 
 use crate::surface::{Join, Model};
 use crate::{
-    brdf, gpu, local_light, polar, prefiltered, shade, spherical_gaussian, surface, tables, tonemap,
+    brdf, cells, gpu, local_light, polar, prefiltered, shade, spherical_gaussian, surface, tables,
+    tonemap,
 };
 
 /// What a shader module is for.
@@ -14,6 +15,8 @@ pub enum Entry {
     VisibilityBuffer,
     /// Visibility buffer to linear radiance: `shade_main`, workgroups of 8 × 8 pixels.
     Shade,
+    /// The same by cells; a module of its own, so that its registers cost the others nothing.
+    ShadeCells,
     /// Linear radiance to display colour: `tonemap_vertex`, `tonemap_fragment`.
     Tonemap,
     /// Functions and bindings without an entry point, to append kernels to.
@@ -22,9 +25,10 @@ pub enum Entry {
 
 impl Entry {
     /// All of them.
-    pub const ALL: [Self; 4] = [
+    pub const ALL: [Self; 5] = [
         Self::VisibilityBuffer,
         Self::Shade,
+        Self::ShadeCells,
         Self::Tonemap,
         Self::Library,
     ];
@@ -57,6 +61,13 @@ pub fn source(entry: Entry) -> String {
         Entry::Shade => {
             source.extend(LIBRARY.iter().copied());
             source += include_str!("wgsl/shade.wgsl");
+            source += include_str!("wgsl/shade_lobes.wgsl");
+        }
+        Entry::ShadeCells => {
+            source.extend(LIBRARY.iter().copied());
+            source += include_str!("wgsl/shade.wgsl");
+            source += include_str!("wgsl/cells.wgsl");
+            source += include_str!("wgsl/shade_cells.wgsl");
         }
         Entry::Tonemap => source += include_str!("wgsl/tonemap.wgsl"),
         Entry::Library => source.extend(LIBRARY.iter().copied()),
@@ -84,6 +95,7 @@ fn constants() -> String {
         ("JOIN_COAT", Join::Coat as u32),
         ("METHOD_AMBIENT", gpu::METHOD_AMBIENT),
         ("METHOD_POLAR", gpu::METHOD_POLAR),
+        ("METHOD_CELLS", gpu::METHOD_CELLS),
         ("MAX_LOCAL_LIGHTS", gpu::MAX_LOCAL_LIGHTS),
         ("MAX_TILES", relight_format::MAX_TILES_PER_CLUSTER),
     ];
@@ -96,6 +108,7 @@ fn constants() -> String {
     text += &prefiltered::wgsl_constants();
     text += &local_light::wgsl_constants();
     text += &polar::wgsl_constants();
+    text += &cells::wgsl_constants();
     text += &surface::wgsl_constants();
     text += &brdf::wgsl_constants();
     text += &shade::wgsl_constants();

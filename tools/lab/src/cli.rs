@@ -15,6 +15,7 @@ use relight_format::{Camera, Environment, FieldOfView, Limits, Scene};
 use relight_lab::truth::{self, Filter, Geometry, full, lobes};
 use relight_lab::{camera, compare, demo, experiments, image_file, render};
 use relight_shading::camera::View;
+use relight_shading::cells::CellsOptions;
 use relight_shading::gpu;
 use relight_shading::local_light::LocalLight;
 use relight_shading::polar::PolarOptions;
@@ -140,6 +141,15 @@ struct Render {
     /// Spokes per lobe of the polar integrator.
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=64))]
     spokes: Option<u32>,
+    /// Cells: largest error of a boundary, radians.
+    #[arg(long, value_name = "RADIANS")]
+    boundary_error: Option<f32>,
+    /// Cells: largest error of the lobes in a cell, as a part of all that they carry.
+    #[arg(long, value_name = "PART")]
+    lobe_error: Option<f32>,
+    /// Cells: an even partition instead, ROWSxCOLUMNS of polar angle and azimuth.
+    #[arg(long, value_parser = parse_size, value_name = "ROWSxCOLUMNS")]
+    partition: Option<[u32; 2]>,
     /// Where to render; `auto` takes a GPU if there is one, else the CPU.
     #[arg(long, value_enum, default_value = "auto")]
     device: DeviceName,
@@ -230,8 +240,12 @@ struct Point([f32; 3]);
 
 #[derive(Clone, Copy, ValueEnum)]
 enum MethodName {
+    /// Spokes about every lobe: the default
     Polar,
+    /// A half-space per lobe (Wang et al. 2009)
     Ambient,
+    /// Adaptive cells with straight boundaries (Wang et al. 2013)
+    Cells,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -323,6 +337,14 @@ fn run_render(arguments: &Render) -> anyhow::Result<Value> {
                 spokes: arguments.spokes.unwrap_or(default.spokes),
             })
         }
+        MethodName::Cells => {
+            let default = CellsOptions::default();
+            Method::Cells(CellsOptions {
+                boundary_error: arguments.boundary_error.unwrap_or(default.boundary_error),
+                lobe_error: arguments.lobe_error.unwrap_or(default.lobe_error),
+                uniform: arguments.partition,
+            })
+        }
     };
     let mut renderer = render::Renderer::open(arguments.device.into()).map_err(NoGpu)?;
     let frame = relight_runtime::Frame {
@@ -343,7 +365,11 @@ fn run_render(arguments: &Render) -> anyhow::Result<Value> {
         "width": image.width,
         "height": image.height,
         "device": renderer.name(),
-        "method": match method { Method::Ambient => "ambient", Method::Polar(_) => "polar" },
+        "method": match method {
+            Method::Ambient => "ambient",
+            Method::Polar(_) => "polar",
+            Method::Cells(_) => "cells",
+        },
         "lights": lights.len(),
         "local_lights": local_lights.len(),
         "reflections": if reflections.is_some() { "prefiltered" } else { "lobes" },

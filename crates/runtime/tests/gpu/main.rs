@@ -13,8 +13,8 @@ use libtest_mimic::{Completion, Failed, Trial};
 use relight_format::{Camera, FieldOfView, Surface};
 use relight_runtime::offscreen::{Gpu, Picture};
 use relight_runtime::{
-    Error, Frame, Image, LocalLight, MAX_LOCAL_LIGHTS, Method, Options, PolarOptions, Prefiltered,
-    Renderer, SphericalGaussian, Spot, twin, wgpu,
+    CellsOptions, Error, Frame, Image, LocalLight, MAX_LOCAL_LIGHTS, Method, Options, PolarOptions,
+    Prefiltered, Renderer, SphericalGaussian, Spot, twin, wgpu,
 };
 use relight_shading::camera::View;
 use relight_shading::prefiltered::encode;
@@ -30,6 +30,9 @@ const DISPLAY_CODES: u8 = 1;
 /// Relative RMSE of a frame over pixels covered in both. Software Vulkan stays below 1e-5;
 /// the rest is room for GPUs that interpolate the basis with 8-bit weights.
 const FRAME_RELATIVE_RMSE: f32 = 1e-3;
+/// The same by cells: where an error is close to its threshold, one divides a cell and the other
+/// does not.
+const CELLS_RELATIVE_RMSE: f32 = 5e-3;
 
 /// A device at WebGPU's default limits, opened once.
 static GPU: Mutex<Option<Gpu>> = Mutex::new(None);
@@ -77,6 +80,7 @@ fn main() -> ExitCode {
             "local_lights_and_reflections_match_twins",
             local_lights_and_reflections_match_twins,
         ),
+        with_gpu("cells_match_twin", cells_match_twin),
         with_gpu("tonemap_matches_twin", tonemap_matches_twin),
         with_gpu("bands_do_not_show", bands_do_not_show),
         with_gpu(
@@ -356,6 +360,50 @@ fn local_lights_and_reflections_match_twins(gpu: &mut Gpu) -> Outcome {
         twin::render(&scenes::sphere_over_plane(), &frame, width, height),
         Err(Error::Frame(limit)) if limit.needed == u64::from(MAX_LOCAL_LIGHTS) + 1
     ));
+    Ok(())
+}
+
+fn cells_match_twin(gpu: &mut Gpu) -> Outcome {
+    let (width, height) = (64, 48);
+    let mut lights = lights();
+    // One that has cells of its own.
+    lights[0].sharpness = 600.0;
+    let image = stripes();
+    let coarse = CellsOptions {
+        boundary_error: 0.1,
+        lobe_error: 0.1,
+        uniform: None,
+    };
+    let even = CellsOptions {
+        uniform: Some([2, 8]),
+        ..coarse
+    };
+    let cells = |options| frame(&lights, Method::Cells(options));
+    let mut drawn = Vec::new();
+    for frame in [
+        cells(coarse),
+        cells(even),
+        Frame {
+            reflections: Some(&image),
+            ..cells(even)
+        },
+    ] {
+        let found = render(gpu, &frame, width, height)?.linear;
+        let expected = twin::render(&scenes::sphere_over_plane(), &frame, width, height)?;
+        let error = relative_rmse(&found, &expected);
+        println!("{:?}: relative RMSE {error:e}", frame.method);
+        assert!(error <= CELLS_RELATIVE_RMSE, "relative RMSE {error}");
+        drawn.push(found);
+    }
+    assert!(relative_rmse(&drawn[0], &drawn[1]) > 1e-3);
+    let polar = twin::render(
+        &scenes::sphere_over_plane(),
+        &frame(&lights, POLAR),
+        width,
+        height,
+    )?;
+    let error = relative_rmse(&drawn[0], &polar);
+    assert!(error < 0.1, "cells are {error} from polar");
     Ok(())
 }
 

@@ -10,7 +10,7 @@ struct Frame {
     light_count: u32,
     // The ray of pixel (x, y) has direction corner + (x + 1/2) right + (y + 1/2) down.
     corner: vec3<f32>,
-    // METHOD_AMBIENT or METHOD_POLAR.
+    // METHOD_AMBIENT, METHOD_POLAR or METHOD_CELLS.
     method: u32,
     right: vec3<f32>,
     // polar: number of spokes.
@@ -29,6 +29,11 @@ struct Frame {
     // Levels of the prefiltered image; 0: reflections of lobes only.
     prefiltered_levels: u32,
     local_light_count: u32,
+    // cells: thresholds of division.
+    boundary_error: f32,
+    lobe_error: f32,
+    // cells: rows and columns of the uniform partition, or zero.
+    cells: vec2<u32>,
     reserved: vec2<u32>,
 }
 

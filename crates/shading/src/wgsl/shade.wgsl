@@ -29,31 +29,8 @@ fn shade(point: SurfacePoint) -> vec3<f32> {
     if dot(point.normal, point.view) <= 0.0 {
         return sum;
     }
-    let diffuse = point.appearance.diffuse / PI;
-    let all = frame.light_count + frame.local_light_count;
-    if any(diffuse != vec3(0.0)) {
-        for (var i = 0u; i < all; i++) {
-            let light = shade_light(i, point.position);
-            let lobe = SphericalGaussian(light.axis, light.sharpness, light.amplitude * diffuse);
-            sum += shade_lobe(lobe, point.normal, sum);
-        }
-    }
-    // Those that no prefiltered image stands for.
-    let reflected = frame.prefiltered_levels > 0u;
-    let begin = select(0u, frame.light_count, reflected);
-    if begin < all {
-        for (var k = 0u; k < reflection_count; k++) {
-            brdf_specular_lobes(point, reflections[k]);
-            for (var i = begin; i < all; i++) {
-                let light = shade_light(i, point.position);
-                for (var j = 0u; j < specular_count; j++) {
-                    let lobe = spherical_gaussian_product(light, specular_lobes[j]);
-                    sum += shade_lobe(lobe, point.normal, sum);
-                }
-            }
-        }
-    }
-    if reflected {
+    sum = shade_lobes(point);
+    if frame.prefiltered_levels > 0u {
         for (var k = 0u; k < reflection_count; k++) {
             brdf_specular_lobes(point, reflections[k]);
             for (var j = 0u; j < specular_count; j++) {
@@ -62,6 +39,11 @@ fn shade(point: SurfacePoint) -> vec3<f32> {
         }
     }
     return sum;
+}
+
+// Lights of specular reflection begin here: no prefiltered image stands for them.
+fn shade_first_light() -> u32 {
+    return select(0u, frame.light_count, frame.prefiltered_levels > 0u);
 }
 
 // Distant lights, then local ones as they reach the point.
@@ -95,21 +77,6 @@ fn shade_reflected(lobe: SphericalGaussian, normal: vec3<f32>) -> vec3<f32> {
     return reflected * mix(through, image, detail) / max(through + SHADE_EVEN * image, least);
 }
 
-// What a lobe adds to the radiance gathered so far.
-fn shade_lobe(lobe: SphericalGaussian, normal: vec3<f32>, gathered: vec3<f32>) -> vec3<f32> {
-    if shade_negligible(lobe, gathered) {
-        return vec3(0.0);
-    }
-    return lobe.amplitude * shade_visible(lobe, normal);
-}
-
 fn shade_negligible(lobe: SphericalGaussian, gathered: vec3<f32>) -> bool {
     return all(spherical_gaussian_integral(lobe) <= SHADE_NEGLIGIBLE * gathered);
-}
-
-fn shade_visible(lobe: SphericalGaussian, normal: vec3<f32>) -> f32 {
-    if frame.method == METHOD_AMBIENT {
-        return ambient_integrate(lobe.sharpness, lobe.axis, normal);
-    }
-    return polar_integrate(lobe.sharpness, lobe.axis, normal, frame.spokes);
 }

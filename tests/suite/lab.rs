@@ -175,6 +175,20 @@ fn render_and_truth() -> Outcome {
     assert!(polar < POLAR_ERROR, "{polar}");
     assert!(polar < ambient, "polar {polar}, ambient {ambient}");
 
+    let mut bench = binary("lab");
+    bench.args(["bench", "--json", "--device", "cpu", "--size", "64x48"]);
+    bench.args(["--samples", "256", "--repetitions", "1"]);
+    bench.arg(path("scene.relight"));
+    bench.arg("--environment").arg(path("environment.relight"));
+    let report: Value = serde_json::from_str(&expect(OK, &mut bench))?;
+    let rows = report["methods"].as_array().ok_or("no methods")?;
+    let number = |row: usize, key: &str| rows[row][key].as_f64().unwrap_or(f64::NAN);
+    assert_eq!(rows.len(), 5);
+    assert_eq!(rows[2]["method"], "polar standard");
+    assert!(number(2, "error_over_ambient") < 0.6, "{report}");
+    assert!(number(2, "samples") > number(1, "samples"), "{report}");
+    assert!(number(4, "fetches") >= number(4, "samples"), "{report}");
+
     run("render", "polar.png", &["--exposure", "-1"])?;
     assert!(std::fs::read(path("polar.png"))?.starts_with(b"\x89PNG"));
     Ok(())

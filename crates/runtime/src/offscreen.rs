@@ -2,6 +2,7 @@
 
 use relight_format::Scene;
 
+use crate::read_back::read_buffer;
 use crate::{Error, Frame, GpuScene, Image, Options, Renderer};
 
 /// A graphics device of its own with a renderer.
@@ -53,6 +54,8 @@ impl Gpu {
         let (device, queue) = adapter
             .request_device(&wgpu::DeviceDescriptor {
                 label: Some("relight offscreen"),
+                // For [`Renderer::pass_times`], where there are any.
+                required_features: adapter.features() & wgpu::Features::TIMESTAMP_QUERY,
                 required_limits: limits.clone(),
                 ..Default::default()
             })
@@ -161,25 +164,9 @@ impl Gpu {
             .collect())
     }
 
-    /// Maps a `MAP_READ` buffer once all submitted work is done.
+    /// Reads a `MAP_READ` buffer once all submitted work is done.
     pub fn read_buffer(&self, buffer: &wgpu::Buffer) -> Result<Vec<u8>, Error> {
-        let failed = |error: &dyn std::fmt::Display| Error::DeviceFailed(error.to_string());
-        let (sender, receiver) = std::sync::mpsc::channel();
-        buffer.map_async(wgpu::MapMode::Read, .., move |result| {
-            // The receiver outlives the poll below.
-            let _ = sender.send(result);
-        });
-        self.device
-            .poll(wgpu::PollType::wait_indefinitely())
-            .map_err(|error| failed(&error))?;
-        receiver
-            .recv()
-            .map_err(|error| failed(&error))?
-            .map_err(|error| failed(&error))?;
-        let range = buffer
-            .get_mapped_range(..)
-            .map_err(|error| failed(&error))?;
-        Ok(range.to_vec())
+        read_buffer(&self.device, buffer)
     }
 }
 

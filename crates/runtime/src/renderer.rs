@@ -10,6 +10,7 @@ use relight_shading::wgsl::{Entry, source};
 use wgpu::util::DeviceExt as _;
 
 use crate::frame::check_local_lights;
+use crate::pass_times::{Pass, PassTimes, Timestamps};
 use crate::upload::{GpuScene, check_storage};
 use crate::{Error, Frame};
 
@@ -63,6 +64,7 @@ pub struct Renderer {
     /// The reflected image of the last frame, or one texel.
     prefiltered: (Option<Arc<[u32]>>, wgpu::TextureView),
     images: Option<Images>,
+    timestamps: Option<Timestamps>,
 }
 
 /// Images between the passes, all of one size.
@@ -112,6 +114,7 @@ impl Renderer {
             image_layout,
             tonemap_layout,
             images: None,
+            timestamps: Timestamps::new(device, queue),
         })
     }
 
@@ -175,6 +178,8 @@ impl Renderer {
                     }),
                     stencil_ops: None,
                 }),
+                timestamp_writes: (self.timestamps.as_ref())
+                    .map(|timestamps| timestamps.render(Pass::VisibilityBuffer)),
                 ..Default::default()
             });
             pass.set_pipeline(&self.visibility_pipeline);
@@ -185,7 +190,8 @@ impl Renderer {
         {
             let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
                 label: Some("relight shade"),
-                timestamp_writes: None,
+                timestamp_writes: (self.timestamps.as_ref())
+                    .map(|timestamps| timestamps.compute(Pass::Shade)),
             });
             pass.set_pipeline(match frame.method {
                 Method::Cells(_) => self.cells_pipeline(),
@@ -200,7 +206,18 @@ impl Renderer {
             }
         }
         self.tonemap(encoder, &images.radiance_view, frame.exposure, target);
+        if let Some(timestamps) = &self.timestamps {
+            timestamps.resolve(encoder);
+        }
         Ok(())
+    }
+
+    /// How long the passes of the last frame took, once it has been submitted; waits for it.
+    /// `None` where the device was made without [`wgpu::Features::TIMESTAMP_QUERY`].
+    pub fn pass_times(&self) -> Result<Option<PassTimes>, Error> {
+        (self.timestamps.as_ref())
+            .map(|timestamps| timestamps.read(&self.device))
+            .transpose()
     }
 
     /// The linear radiance of the last frame recorded (rgba32float, alpha is coverage),
@@ -417,6 +434,8 @@ impl Renderer {
                     store: wgpu::StoreOp::Store,
                 },
             })],
+            timestamp_writes: (self.timestamps.as_ref())
+                .map(|timestamps| timestamps.render(Pass::Tonemap)),
             ..Default::default()
         });
         pass.set_pipeline(&self.tonemap_pipeline);

@@ -44,9 +44,18 @@ pub struct PolarOptions {
     pub spokes: u32,
 }
 
+impl PolarOptions {
+    /// Half the spokes of the standard.
+    pub const DRAFT: Self = Self { spokes: 4 };
+    /// The default.
+    pub const STANDARD: Self = Self { spokes: 8 };
+    /// Twice the spokes of the standard.
+    pub const HIGH: Self = Self { spokes: 16 };
+}
+
 impl Default for PolarOptions {
     fn default() -> Self {
-        Self { spokes: 8 }
+        Self::STANDARD
     }
 }
 

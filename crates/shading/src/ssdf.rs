@@ -65,6 +65,11 @@ impl<'a> Ssdf<'a> {
     }
 
     /// The distance at texel (`x`, `y`), which may lie one texel outside the map.
+    /// Texels of four basis images that one distance interpolates.
+    pub fn tiles(&self) -> usize {
+        self.tiles
+    }
+
     fn texel(&self, x: i32, y: i32) -> f32 {
         let n = self.resolution as usize;
         let (x, y) = octahedral::wrap(x, y, self.resolution);

@@ -13,7 +13,7 @@ use relight_bake::monitor::{Monitor, Progress};
 use relight_bake::{hdr, scene_file, scene_input};
 use relight_format::{Camera, Environment, FieldOfView, Limits, Scene};
 use relight_lab::truth::{self, Filter, Geometry, full, lobes};
-use relight_lab::{camera, compare, demo, experiments, image_file, render};
+use relight_lab::{bench, camera, compare, demo, experiments, image_file, render};
 use relight_shading::camera::View;
 use relight_shading::cells::CellsOptions;
 use relight_shading::gpu;
@@ -68,6 +68,8 @@ enum Command {
     Truth(Truth),
     /// Measure how far an image is from the truth.
     Compare(Compare),
+    /// Draw a scene with every integrator: time, work, and error against ray-traced truth.
+    Bench(Bench),
     /// Generate a scene and an environment, bake both, render ambient, polar and truth.
     Demo(Demo),
     /// Measure one part of the method over a range of parameters.
@@ -107,6 +109,29 @@ enum Experiment {
 }
 
 #[derive(Args)]
+struct Bench {
+    /// Baked scene.
+    scene: PathBuf,
+    /// Baked environment.
+    #[arg(long)]
+    environment: PathBuf,
+    /// Width and height of the pictures.
+    #[arg(long, default_value = "400x300", value_parser = parse_size)]
+    size: [u32; 2],
+    /// Truth samples per pixel.
+    #[arg(long, default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..))]
+    samples: u32,
+    /// Frames per integrator, of which the fastest counts.
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
+    repetitions: u32,
+    #[command(flatten)]
+    camera: CameraArguments,
+    /// Where to render; `auto` takes a GPU if there is one, else the CPU.
+    #[arg(long, value_enum, default_value = "auto")]
+    device: DeviceName,
+}
+
+#[derive(Args)]
 struct Demo {
     /// Folder for assets and pictures.
     #[arg(long, default_value = "out/demo")]
@@ -138,7 +163,10 @@ struct Render {
     /// places where the lobes are visible.
     #[arg(long, value_enum, default_value = "lobes")]
     reflections: ReflectionsName,
-    /// Spokes per lobe of the polar integrator.
+    /// Polar: how many spokes per lobe.
+    #[arg(long, value_enum, default_value = "standard")]
+    quality: QualityName,
+    /// Polar: spokes per lobe, in place of the quality's.
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=64))]
     spokes: Option<u32>,
     /// Cells: largest error of a boundary, radians.
@@ -248,6 +276,13 @@ enum MethodName {
     Cells,
 }
 
+#[derive(Clone, Copy, ValueEnum)]
+enum QualityName {
+    Draft,
+    Standard,
+    High,
+}
+
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum ReflectionsName {
     Lobes,
@@ -290,6 +325,7 @@ pub fn run() -> ExitCode {
         Command::Render(arguments) => run_render(arguments),
         Command::Truth(arguments) => run_truth(arguments),
         Command::Compare(arguments) => run_compare(arguments),
+        Command::Bench(arguments) => run_bench(arguments, cli.json),
         Command::Demo(arguments) => run_demo(arguments, cli.json),
         Command::Experiments(experiment) => run_experiment(experiment, cli.json),
     };
@@ -332,9 +368,13 @@ fn run_render(arguments: &Render) -> anyhow::Result<Value> {
     let method = match arguments.method {
         MethodName::Ambient => Method::Ambient,
         MethodName::Polar => {
-            let default = PolarOptions::default();
+            let quality = match arguments.quality {
+                QualityName::Draft => PolarOptions::DRAFT,
+                QualityName::Standard => PolarOptions::STANDARD,
+                QualityName::High => PolarOptions::HIGH,
+            };
             Method::Polar(PolarOptions {
-                spokes: arguments.spokes.unwrap_or(default.spokes),
+                spokes: arguments.spokes.unwrap_or(quality.spokes),
             })
         }
         MethodName::Cells => {
@@ -375,6 +415,44 @@ fn run_render(arguments: &Render) -> anyhow::Result<Value> {
         "reflections": if reflections.is_some() { "prefiltered" } else { "lobes" },
         "covered_pixels": covered(&image),
         "seconds": seconds,
+    }))
+}
+
+fn run_bench(arguments: &Bench, json: bool) -> anyhow::Result<Value> {
+    let scene = read_scene(&arguments.scene)?;
+    let (lights, _) = read_environment(&arguments.environment)?;
+    let camera = choose_camera(&arguments.camera, scene.camera, &scene)?;
+    let mut renderer = render::Renderer::open(arguments.device.into()).map_err(NoGpu)?;
+    let settings = bench::Settings {
+        size: arguments.size,
+        samples: arguments.samples,
+        repetitions: arguments.repetitions,
+    };
+    let rows = bench::run(&scene, camera, &lights, &mut renderer, &settings)?;
+    if !json {
+        println!(
+            "{:<16}{:>10}{:>10}{:>10}{:>10}{:>10}{:>10}",
+            "", "seconds", "/ambient", "samples", "fetches", "error", "/ambient"
+        );
+        for row in &rows {
+            println!(
+                "{:<16}{:>10.4}{:>10.2}{:>10.0}{:>10.0}{:>9.2}%{:>10.2}",
+                row.method,
+                row.seconds,
+                row.time_over_ambient,
+                row.samples,
+                row.fetches,
+                100.0 * row.relative_rmse,
+                row.error_over_ambient
+            );
+        }
+    }
+    Ok(json!({
+        "device": renderer.name(),
+        "width": arguments.size[0],
+        "height": arguments.size[1],
+        "lights": lights.len(),
+        "methods": if json { json!(rows) } else { Value::Null },
     }))
 }
 

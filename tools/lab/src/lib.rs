@@ -1,6 +1,7 @@
 //! Render, truth, compare, demo and experiments, as functions over data in memory. The
 //! `lab` binary puts them on a command line.
 
+pub mod bench;
 pub mod camera;
 pub mod compare;
 pub mod demo;

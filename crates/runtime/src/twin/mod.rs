@@ -2,11 +2,14 @@
 
 mod visibility_buffer;
 
+use std::cell::Cell;
+
+use glam::Vec3;
 use rayon::prelude::*;
 use relight_format::Scene;
 use relight_shading::shade::{self, Lighting, Reflections};
-use relight_shading::ssdf::Ssdf;
-use relight_shading::surface::surface_point;
+use relight_shading::ssdf::{SignedDistance, Ssdf};
+use relight_shading::surface::{SurfacePoint, surface_point};
 
 pub use visibility_buffer::visibility_buffer;
 
@@ -16,6 +19,72 @@ use crate::{Error, Frame, Image};
 /// The linear radiance of one frame, not exposed. The scene is one that
 /// [`relight_format::read_scene`] returned or [`relight_format::write_scene`] accepts.
 pub fn render(scene: &Scene, frame: &Frame, width: u32, height: u32) -> Result<Image, Error> {
+    let pixels = for_each_pixel(scene, frame, [width, height], |point, lighting, field| {
+        shade::shade(point, lighting, field, &frame.method)
+            .extend(1.0)
+            .to_array()
+    })?;
+    Ok(Image {
+        width,
+        height,
+        pixels,
+    })
+}
+
+/// What shading a frame takes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Work {
+    /// Pixels that the scene covers.
+    pub pixels: u64,
+    /// Directions in which an SSDF was evaluated.
+    pub samples: u64,
+    /// Texels of four basis images that were interpolated for it.
+    pub fetches: u64,
+}
+
+/// Counts what [`render`] does.
+pub fn work(scene: &Scene, frame: &Frame, width: u32, height: u32) -> Result<Work, Error> {
+    let counts = for_each_pixel(scene, frame, [width, height], |point, lighting, field| {
+        let counted = Counted {
+            field,
+            samples: Cell::new(0),
+        };
+        shade::shade(point, lighting, &counted, &frame.method);
+        let samples = counted.samples.get();
+        [1, samples, samples * field.tiles() as u64]
+    })?;
+    let sum = |index: usize| counts.iter().map(|counts| counts[index]).sum();
+    Ok(Work {
+        pixels: sum(0),
+        samples: sum(1),
+        fetches: sum(2),
+    })
+}
+
+struct Counted<'a> {
+    field: &'a Ssdf<'a>,
+    samples: Cell<u64>,
+}
+
+impl SignedDistance for Counted<'_> {
+    fn distance(&self, direction: Vec3) -> f32 {
+        self.samples.set(self.samples.get() + 1);
+        self.field.distance(direction)
+    }
+
+    fn limit(&self) -> f32 {
+        self.field.limit()
+    }
+}
+
+/// What `shade` makes of the surface under every pixel, row by row; the default where there is
+/// none.
+fn for_each_pixel<T: Default + Send>(
+    scene: &Scene,
+    frame: &Frame,
+    [width, height]: [u32; 2],
+    shade: impl Fn(&SurfacePoint, &Lighting, &Ssdf) -> T + Sync,
+) -> Result<Vec<T>, Error> {
     if width == 0 || height == 0 {
         return Err(Error::EmptyImage { width, height });
     }
@@ -34,7 +103,7 @@ pub fn render(scene: &Scene, frame: &Frame, width: u32, height: u32) -> Result<I
     };
     let shade_pixel = |(index, &id): (usize, &u32)| {
         let Some(triangle) = (id as usize).checked_sub(1) else {
-            return [0.0; 4];
+            return T::default();
         };
         let [a, b, c] = scene.triangles[triangle]
             .vertices
@@ -43,22 +112,15 @@ pub fn render(scene: &Scene, frame: &Frame, width: u32, height: u32) -> Result<I
         let weights = view.barycentrics([a, b, c], view.pixel_direction(x, y));
         let point = surface_point(scene, triangle, weights, view.eye);
         let field = Ssdf::interpolate(scene, triangle, weights);
-        shade::shade(&point, &lighting, &field, &frame.method)
-            .extend(1.0)
-            .to_array()
+        shade(&point, &lighting, &field)
     };
-    let pixels = visible
+    Ok(visible
         .par_iter()
         .enumerate()
         // Short runs of pixels: some cost a hundred times what others do.
         .with_max_len(256)
         .map(shade_pixel)
-        .collect();
-    Ok(Image {
-        width,
-        height,
-        pixels,
-    })
+        .collect())
 }
 
 /// Tone-mapped sRGB RGBA8 of a linear image, row 0 first.

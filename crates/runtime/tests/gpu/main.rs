@@ -95,6 +95,7 @@ fn main() -> ExitCode {
             "materials_change_without_upload",
             materials_change_without_upload,
         ),
+        with_gpu("passes_are_timed", passes_are_timed),
         with_gpu("errors_name_what_is_wrong", errors_name_what_is_wrong),
         with_gpu("limits_are_checked", limits_are_checked),
     ];
@@ -553,6 +554,27 @@ fn empty_scenes_are_background(gpu: &mut Gpu) -> Outcome {
     let picture = gpu.render(&uploaded, &frame, 5, 3)?;
     assert!(picture.linear == twin::render(&scene, &frame, 5, 3)?);
     assert!(picture.display == [0; 5 * 3 * 4]);
+    Ok(())
+}
+
+fn passes_are_timed(gpu: &mut Gpu) -> Outcome {
+    let lights = lights();
+    let mut shade = Vec::new();
+    for size in [40, 160] {
+        let start = std::time::Instant::now();
+        render(gpu, &frame(&lights, POLAR), size, size)?;
+        let elapsed = start.elapsed();
+        match gpu.renderer.pass_times()? {
+            Some(times) => {
+                println!("{times:?} of {elapsed:?}");
+                assert!(times.total() <= elapsed, "{times:?} of {elapsed:?}");
+                shade.push(times.shade);
+            }
+            None => println!("the device has no timestamps"),
+        }
+    }
+    // Sixteen times as many pixels.
+    assert!(shade.windows(2).all(|pair| pair[1] > pair[0]), "{shade:?}");
     Ok(())
 }
 

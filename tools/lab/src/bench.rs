@@ -1,0 +1,160 @@
+//! Every integrator on the same frame: time, work, and error against ray-traced truth.
+
+use std::time::{Duration, Instant};
+
+use glam::Quat;
+use relight_format::{Camera, Scene};
+use relight_runtime::{CellsOptions, Frame, Method, PassTimes, PolarOptions, twin};
+use relight_shading::camera::View;
+use relight_shading::shade::Lighting;
+use relight_shading::spherical_gaussian::SphericalGaussian;
+use serde::Serialize;
+
+use crate::compare::compare;
+use crate::image_file::Image;
+use crate::render::Renderer;
+use crate::truth::{self, Filter, Geometry, lobes};
+
+/// One integrator on one frame.
+#[derive(Debug, Serialize)]
+pub struct Row {
+    /// Name of the integrator and its settings.
+    pub method: &'static str,
+    /// Seconds that shading takes, least of all repetitions: the shading pass on a GPU that tells,
+    /// else the whole frame.
+    pub seconds: f64,
+    /// The same over that of `ambient`.
+    pub time_over_ambient: f64,
+    /// Seconds of all passes on a GPU that tells.
+    pub frame_seconds: Option<f64>,
+    /// SSDF samples per covered pixel.
+    pub samples: f64,
+    /// Interpolated texels of four basis images per covered pixel.
+    pub fetches: f64,
+    /// Relative RMSE against truth, its noise removed.
+    pub relative_rmse: f64,
+    /// The same over that of `ambient`.
+    pub error_over_ambient: f64,
+    /// Mean FLIP against truth.
+    pub mean_flip: f64,
+}
+
+/// What is drawn, and how often.
+#[derive(Clone, Copy, Debug)]
+pub struct Settings {
+    /// Picture size, pixels.
+    pub size: [u32; 2],
+    /// Truth samples per pixel.
+    pub samples: u32,
+    /// Frames per integrator after a first one, at least 1.
+    pub repetitions: u32,
+}
+
+/// The integrators in the order of the rows; `ambient` first.
+const METHODS: [(&str, Method); 5] = [
+    ("ambient", Method::Ambient),
+    ("polar draft", Method::Polar(PolarOptions::DRAFT)),
+    ("polar standard", Method::Polar(PolarOptions::STANDARD)),
+    ("polar high", Method::Polar(PolarOptions::HIGH)),
+    (
+        "cells",
+        Method::Cells(CellsOptions {
+            boundary_error: 0.05,
+            lobe_error: 0.02,
+            uniform: None,
+        }),
+    ),
+];
+
+/// Measures all of them.
+pub fn run(
+    scene: &Scene,
+    camera: Camera,
+    lights: &[SphericalGaussian],
+    renderer: &mut Renderer,
+    settings: &Settings,
+) -> anyhow::Result<Vec<Row>> {
+    let [width, height] = settings.size;
+    let truth = lobes::render(
+        &Geometry::new(scene, View::new(&camera, width, height, 1.0)),
+        &Lighting {
+            lights,
+            ..Lighting::default()
+        },
+        settings.size,
+        &truth::Options {
+            samples: settings.samples,
+            filter: Filter::Center,
+            seed: 0,
+        },
+        &|| (),
+    );
+    let mut rows: Vec<Row> = Vec::new();
+    for (name, method) in METHODS {
+        let frame = Frame {
+            camera,
+            lights,
+            rotation: Quat::IDENTITY,
+            reflections: None,
+            local_lights: &[],
+            method,
+            exposure: 1.0,
+        };
+        let (image, shading, passes) = draw(scene, &frame, renderer, settings)?;
+        let found = compare(&image, &truth)?;
+        let work = twin::work(scene, &frame, width, height)?;
+        let pixels = work.pixels.max(1) as f64;
+        let seconds = shading.as_secs_f64();
+        let relative_rmse = (found.relative_rmse_corrected).unwrap_or(found.relative_rmse);
+        let first = rows.first();
+        rows.push(Row {
+            method: name,
+            seconds,
+            time_over_ambient: first.map_or(1.0, |first| seconds / first.seconds),
+            frame_seconds: passes.map(|passes| passes.total().as_secs_f64()),
+            samples: work.samples as f64 / pixels,
+            fetches: work.fetches as f64 / pixels,
+            relative_rmse,
+            error_over_ambient: first.map_or(1.0, |first| relative_rmse / first.relative_rmse),
+            mean_flip: found.mean_flip,
+        });
+    }
+    Ok(rows)
+}
+
+/// The frame, the least time that shading took, and the pass times of that repetition.
+fn draw(
+    scene: &Scene,
+    frame: &Frame,
+    renderer: &mut Renderer,
+    settings: &Settings,
+) -> anyhow::Result<(Image, Duration, Option<PassTimes>)> {
+    let [width, height] = settings.size;
+    let mut least = (Duration::MAX, None);
+    let mut pixels = Vec::new();
+    // The first frame makes pipelines and images.
+    for repetition in 0..=settings.repetitions {
+        let start = Instant::now();
+        let mut passes = None;
+        pixels = match renderer {
+            Renderer::Gpu(gpu) => {
+                let uploaded = gpu.upload(scene)?;
+                let image = gpu.render(&uploaded, frame, width, height)?.linear;
+                passes = gpu.renderer.pass_times()?;
+                image.pixels
+            }
+            Renderer::Cpu => twin::render(scene, frame, width, height)?.pixels,
+        };
+        let time = passes.map_or(start.elapsed(), |passes| passes.shade);
+        if repetition > 0 && time < least.0 {
+            least = (time, passes);
+        }
+    }
+    let image = Image {
+        width,
+        height,
+        pixels,
+        variance: None,
+    };
+    Ok((image, least.0, least.1))
+}

@@ -172,8 +172,12 @@ const LESSER_GLOSS_WEIGHTS: [f64; 2] = [0.2 * GLOSS_WEIGHT, 0.02 * GLOSS_WEIGHT]
 const LAST_RESORTS: [(f64, usize); 3] = [
     (0.02 * GLOSS_WEIGHT, STEPS_PER_BATCH),
     (0.02 * GLOSS_WEIGHT, 0),
-    (0.0, 0),
+    (0.002 * GLOSS_WEIGHT, 0),
 ];
+
+/// Factor by which the error of irradiance may then grow: without blurred light, lobes that
+/// gain a little in the image may lose much of it.
+const IRRADIANCE_GROWTH: f32 = 1.2;
 
 /// Numbers of lobes at which the fit is finished and measured: powers of 2 and the middles
 /// between them, up to `count` and ending with it.
@@ -208,11 +212,15 @@ fn climb(
             tell(0.99 * (allowed as f64 / options.lobes as f64).powi(2))
         };
         fit = improve(&problem, &fit, allowed, tell)?;
-        let most = curve.last().map_or(f32::INFINITY, |last| last.relative_l2);
+        let last = curve.last();
+        let most = last.map_or(f32::INFINITY, |last| last.relative_l2);
         let accept = |fit: &Fit| {
             let rung = measured(image, allowed, lobes(fit));
             (rung.relative_l2 <= most).then(|| (fit.clone(), rung))
         };
+        let most_irradiance = last.map_or(f32::INFINITY, |last| {
+            IRRADIANCE_GROWTH * last.irradiance_error
+        });
         let mut accepted = accept(&fit);
         let mut sharper = fit.clone();
         for weight in LESSER_GLOSS_WEIGHTS {
@@ -230,7 +238,8 @@ fn climb(
                 if accepted.is_none() {
                     problem.weigh_gloss(weight);
                     let fit = problem.project(more.clone(), Resolution::Fine);
-                    accepted = accept(&problem.refine(&fit, Resolution::Fine, steps));
+                    accepted = accept(&problem.refine(&fit, Resolution::Fine, steps))
+                        .filter(|(_, rung)| rung.irradiance_error <= most_irradiance);
                 }
             }
             problem.weigh_gloss(GLOSS_WEIGHT);

@@ -227,7 +227,7 @@ struct Picture {
     /// Turn the environment about +Y, degrees counter-clockwise seen from above.
     #[arg(long, default_value_t = 0.0, allow_hyphen_values = true)]
     rotate: f32,
-    /// Scene file whose [[lights]] to add, up to 128. `truth --kind full` has those of its scene
+    /// Scene file whose `lights` to add, up to 128. `truth --kind full` has those of its scene
     /// file anyway.
     #[arg(long, value_name = "SCENE.toml")]
     lights: Option<PathBuf>,

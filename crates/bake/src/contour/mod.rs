@@ -5,7 +5,7 @@
 //! through the edge and the point changes nothing: one layer ends where the other begins.
 //! Layers begin and end at *contour* edges alone, those whose triangles lie more to one
 //! side. So the differences between neighbouring texels are sums over the contours that
-//! pass between their centres ([`layers`]), their prefix sums are the layers of every texel
+//! pass between their centres (`layers`), their prefix sums are the layers of every texel
 //! up to one constant, and a single ray, at a texel where layers are fewest, fixes that
 //! constant: if it is visible, texels of as few layers are visible; if it is blocked, every
 //! texel is (compare quantitative invisibility, Appel 1967).

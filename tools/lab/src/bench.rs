@@ -5,15 +5,13 @@ use std::time::{Duration, Instant};
 use glam::Quat;
 use relight_format::{Camera, Scene};
 use relight_runtime::{CellsOptions, Frame, Method, PassTimes, PolarOptions, twin};
-use relight_shading::camera::View;
-use relight_shading::shade::Lighting;
 use relight_shading::spherical_gaussian::SphericalGaussian;
 use serde::Serialize;
 
 use crate::compare::compare;
 use crate::image_file::Image;
 use crate::render::Renderer;
-use crate::truth::{self, Filter, Geometry, lobes};
+use crate::truth::lobes;
 
 /// One integrator on one frame.
 #[derive(Debug, Serialize)]
@@ -75,18 +73,12 @@ pub fn run(
     settings: &Settings,
 ) -> anyhow::Result<Vec<Row>> {
     let [width, height] = settings.size;
-    let truth = lobes::render(
-        &Geometry::new(scene, View::new(&camera, width, height, 1.0)),
-        &Lighting {
-            lights,
-            ..Lighting::default()
-        },
+    let truth = lobes::of_scene(
+        scene,
+        &camera,
+        lights,
         settings.size,
-        &truth::Options {
-            samples: settings.samples,
-            filter: Filter::Center,
-            seed: 0,
-        },
+        settings.samples,
         &|| (),
     );
     let mut rows: Vec<Row> = Vec::new();

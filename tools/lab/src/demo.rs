@@ -17,9 +17,7 @@ use relight_format::{
     self as format, Camera, FieldOfView, Limits, Material, Specular, Surface, Vertex,
 };
 use relight_runtime::Frame;
-use relight_shading::camera::View;
 use relight_shading::polar::PolarOptions;
-use relight_shading::shade::Lighting;
 use relight_shading::shade::Method;
 use relight_shading::spherical_gaussian::SphericalGaussian;
 use serde::Serialize;
@@ -28,7 +26,7 @@ use crate::compare::{Comparison, compare};
 use crate::display;
 use crate::image_file;
 use crate::render::{Device, Renderer};
-use crate::truth::{self, Filter, Geometry, lobes};
+use crate::truth::lobes;
 
 /// What to trade for time.
 #[derive(Clone, Debug)]
@@ -125,24 +123,18 @@ pub fn run(options: &Options, monitor: Monitor) -> anyhow::Result<Report> {
     let polar = render(Method::Polar(PolarOptions::default()))?;
     lap("render polar");
 
-    let [width, height] = options.size;
+    let [_, height] = options.size;
     let rows = std::sync::atomic::AtomicU32::new(0);
     let row_done = || {
         let done = rows.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
         let _ = monitor.step("trace truth", done as f32 / height as f32);
     };
-    let truth = lobes::render(
-        &Geometry::new(&scene, View::new(&camera, width, height, 1.0)),
-        &Lighting {
-            lights: &lights,
-            ..Lighting::default()
-        },
+    let truth = lobes::of_scene(
+        &scene,
+        &camera,
+        &lights,
         options.size,
-        &truth::Options {
-            samples: options.samples,
-            filter: Filter::Center,
-            seed: 0,
-        },
+        options.samples,
         &row_done,
     );
     monitor.step("trace truth", 1.0)?;

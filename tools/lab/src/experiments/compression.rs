@@ -15,15 +15,14 @@ use relight_bake::scene::Options;
 use relight_bake::{scene, scene_input, seam};
 use relight_format::{self as format, Limits, Representation, Specular, Surface};
 use relight_runtime::Frame;
-use relight_shading::camera::View;
 use relight_shading::polar::PolarOptions;
-use relight_shading::shade::{Lighting, Method};
+use relight_shading::shade::Method;
 use relight_shading::spherical_gaussian::SphericalGaussian;
 use serde::Serialize;
 
 use crate::compare::compare;
 use crate::render::{Device, Renderer};
-use crate::truth::{self, Filter, Geometry, lobes};
+use crate::truth::lobes;
 
 /// What to measure.
 #[derive(Clone, Debug)]
@@ -219,20 +218,13 @@ fn trace(
     settings: &Settings,
     monitor: Monitor,
 ) -> anyhow::Result<crate::image_file::Image> {
-    let [width, height] = settings.size;
     monitor.step("trace truth", 0.0)?;
-    let image = lobes::render(
-        &Geometry::new(scene, View::new(camera, width, height, 1.0)),
-        &Lighting {
-            lights,
-            ..Lighting::default()
-        },
+    let image = lobes::of_scene(
+        scene,
+        camera,
+        lights,
         settings.size,
-        &truth::Options {
-            samples: settings.samples,
-            filter: Filter::Center,
-            seed: 0,
-        },
+        settings.samples,
         &|| (),
     );
     monitor.step("trace truth", 1.0)?;

@@ -4,6 +4,8 @@
 use std::f32::consts::TAU;
 
 use glam::{Vec2, Vec3};
+use relight_format::{Camera, Scene};
+use relight_shading::camera::View;
 use relight_shading::octahedral;
 use relight_shading::shade::{Lighting, product_lobes};
 use relight_shading::spherical_gaussian::{SphericalGaussian, cosine_moment, first_moment};
@@ -13,6 +15,28 @@ use super::random::{hash, kronecker_pair, sobol_pair, unit};
 use super::{Estimate, Filter, Geometry, Options, REPLICAS, estimate_image};
 use crate::display::luminance;
 use crate::image_file::Image;
+
+/// Estimates what the runtime would draw of a scene under distant lights, at pixel centres.
+pub fn of_scene(
+    scene: &Scene,
+    camera: &Camera,
+    lights: &[SphericalGaussian],
+    [width, height]: [u32; 2],
+    samples: u32,
+    row_done: &(dyn Fn() + Sync),
+) -> Image {
+    let geometry = Geometry::new(scene, View::new(camera, width, height, 1.0));
+    let lighting = Lighting {
+        lights,
+        ..Lighting::default()
+    };
+    let options = Options {
+        samples,
+        filter: Filter::Center,
+        seed: 0,
+    };
+    render(&geometry, &lighting, [width, height], &options, row_done)
+}
 
 /// Estimates the image. Local lights are seen as the runtime has them: as lobes, blocked by
 /// what lies behind them as well. A sample is one ray; with [`Filter::Box`] a replica's rays share

@@ -3,7 +3,7 @@
 //!     cargo run --release -p relight-runtime --example minimal SCENE.relight ENV.relight
 
 use relight_format::{Limits, read_environment, read_scene};
-use relight_runtime::{Frame, Method, Options, PolarOptions, Renderer, wgpu};
+use relight_runtime::{Frame, Options, Renderer, wgpu};
 
 const SIZE: [u32; 2] = [400, 300];
 
@@ -39,14 +39,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut renderer = Renderer::new(&device, &queue, Options::default())?;
     let uploaded = renderer.upload(&scene)?;
     let lights: Vec<_> = environment.lobes.iter().map(Into::into).collect();
+    let camera = scene.camera.ok_or("the scene has no camera")?;
     let frame = Frame {
-        camera: scene.camera.ok_or("the scene has no camera")?,
-        lights: &lights,
         rotation: glam::Quat::from_rotation_y(0.5),
-        reflections: None,
-        local_lights: &[],
-        method: Method::Polar(PolarOptions::default()),
-        exposure: 1.0,
+        ..Frame::new(camera, &lights)
     };
     let start = std::time::Instant::now();
     let view = target.create_view(&wgpu::TextureViewDescriptor::default());

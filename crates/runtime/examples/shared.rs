@@ -5,7 +5,7 @@
 
 use relight_format::{Limits, read_environment, read_scene};
 use relight_runtime::offscreen::Gpu;
-use relight_runtime::{Frame, Method, Prefiltered, wgpu};
+use relight_runtime::{Frame, Prefiltered, wgpu};
 
 /// The app's own rendering: a sky, and a picture over it where the picture covers.
 const SHADER: &str = "
@@ -33,6 +33,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let scene = read_scene(&std::fs::read(scene)?, &Limits::default())?;
     let environment = read_environment(&std::fs::read(environment)?, &Limits::default())?;
     let lights: Vec<_> = environment.lobes.iter().map(Into::into).collect();
+    let camera = scene.camera.ok_or("the scene has no camera")?;
     let image = Prefiltered::new(&environment.prefiltered);
 
     let mut gpu = Gpu::new(&wgpu::Limits::default())?;
@@ -40,13 +41,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let pipeline = sky_pipeline(&gpu.device, gpu.renderer.options().target_format);
     for (number, size) in [[480, 320], [320, 400]].into_iter().enumerate() {
         let frame = Frame {
-            camera: scene.camera.ok_or("the scene has no camera")?,
-            lights: &lights,
             reflections: image.as_ref(),
             rotation: glam::Quat::from_rotation_y(0.7 * number as f32),
-            local_lights: &[],
-            method: Method::Polar(relight_runtime::PolarOptions::default()),
-            exposure: 1.0,
+            ..Frame::new(camera, &lights)
         };
         let [picture, window] = [(); 2].map(|()| target(&gpu, size));
         let view = picture.create_view(&wgpu::TextureViewDescriptor::default());

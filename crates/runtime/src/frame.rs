@@ -5,6 +5,7 @@ use relight_format::{Camera, Scene};
 use relight_shading::camera::View;
 use relight_shading::gpu::{self, LimitError};
 use relight_shading::local_light::LocalLight;
+use relight_shading::polar::PolarOptions;
 use relight_shading::prefiltered::Prefiltered;
 use relight_shading::shade::Method;
 use relight_shading::spherical_gaussian::SphericalGaussian;
@@ -29,7 +30,20 @@ pub struct Frame<'a> {
     pub exposure: f32,
 }
 
-impl Frame<'_> {
+impl<'a> Frame<'a> {
+    /// Distant light alone, not turned, by `polar` at its standard quality; exposure 1.
+    pub fn new(camera: Camera, lights: &'a [SphericalGaussian]) -> Self {
+        Self {
+            camera,
+            lights,
+            reflections: None,
+            rotation: Quat::IDENTITY,
+            local_lights: &[],
+            method: Method::Polar(PolarOptions::STANDARD),
+            exposure: 1.0,
+        }
+    }
+
     /// The lights after rotation.
     pub fn rotated_lights(&self) -> Vec<SphericalGaussian> {
         let rotation = Mat3::from_quat(self.rotation);

@@ -51,15 +51,18 @@ pub struct CellsOptions {
 
 impl Default for CellsOptions {
     fn default() -> Self {
-        Self {
-            boundary_error: 0.05,
-            lobe_error: 0.02,
-            uniform: None,
-        }
+        Self::STANDARD
     }
 }
 
 impl CellsOptions {
+    /// The default.
+    pub const STANDARD: Self = Self {
+        boundary_error: 0.05,
+        lobe_error: 0.02,
+        uniform: None,
+    };
+
     /// The uniform partition as it is used, of at least 1 and at most [`MAX_UNIFORM`] each.
     pub fn partition(&self) -> Option<[u32; 2]> {
         (self.uniform).map(|counts| counts.map(|count| count.clamp(1, MAX_UNIFORM)))

@@ -65,9 +65,7 @@ impl gpu::LocalLight {
         let offset = Vec3::from(self.position) - point;
         let squared = offset.length_squared().max(f32::MIN_POSITIVE);
         let axis = offset / squared.sqrt();
-        // 1 − cos of the angle that the sphere subtends; from inside it, a hemisphere.
-        let sine_squared = (self.radius * self.radius / squared).min(1.0);
-        let cap = sine_squared / (1.0 + (1.0 - sine_squared).sqrt());
+        let cap = self.cap(squared);
         let sharpness = (2.0 / cap.max(f32::MIN_POSITIVE)).min(MAX_SHARPNESS);
         let amplitude = 2.0 * std::f32::consts::PI * cap / energy(sharpness);
         SphericalGaussian {
@@ -75,6 +73,13 @@ impl gpu::LocalLight {
             sharpness,
             amplitude: Vec3::from(self.radiance) * (amplitude * self.spot(axis)),
         }
+    }
+
+    /// 1 − cos of the half-angle of the sphere seen from the root of `squared` metres away; from
+    /// inside it, a hemisphere.
+    pub fn cap(&self, squared: f32) -> f32 {
+        let sine_squared = (self.radius * self.radius / squared).min(1.0);
+        sine_squared / (1.0 + (1.0 - sine_squared).sqrt())
     }
 
     /// The part of the light that is sent along −`axis`, `axis` pointing to its centre.

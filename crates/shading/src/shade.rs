@@ -57,6 +57,13 @@ impl Lighting<'_> {
         let local = self.local.iter().map(move |light| light.lobe(point));
         self.lights.iter().copied().chain(local)
     }
+
+    /// Those that specular lobes reflect: where there is a prefiltered image, it stands for the
+    /// distant ones.
+    fn reflected_at(&self, point: Vec3) -> impl Iterator<Item = SphericalGaussian> {
+        let begin = self.reflections.map_or(0, |_| self.lights.len());
+        self.at(point).skip(begin)
+    }
 }
 
 /// Calls `visit` with every product of a light and a reflection lobe at `point`: the
@@ -80,11 +87,9 @@ pub fn product_lobes(
             });
         }
     }
-    // Those that no prefiltered image stands for.
-    let begin = lighting.reflections.map_or(0, |_| lighting.lights.len());
     for reflection in point.appearance.reflections() {
         let specular = brdf::specular_lobes(point, reflection);
-        for light in lighting.at(point.position).skip(begin) {
+        for light in lighting.reflected_at(point.position) {
             for lobe in specular.as_slice() {
                 visit(light.product(lobe));
             }
@@ -159,13 +164,11 @@ fn shade_cells(
             add((lobe.axis, polar::support_radius(lobe.sharpness)), &[lobe]);
         }
     }
-    // Those that no prefiltered image stands for.
-    let begin = lighting.reflections.map_or(0, |_| lighting.lights.len());
     for reflection in point.appearance.reflections() {
         let specular = brdf::specular_lobes(point, reflection);
         let specular = specular.as_slice();
         let mut products = Vec::new();
-        for light in lighting.at(point.position).skip(begin) {
+        for light in lighting.reflected_at(point.position) {
             products.extend(specular.iter().map(|lobe| light.product(lobe)));
         }
         add(cells::around(specular), &products);

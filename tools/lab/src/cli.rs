@@ -387,14 +387,13 @@ fn run_render(arguments: &Render) -> anyhow::Result<Value> {
         }
     };
     let mut renderer = render::Renderer::open(arguments.device.into()).map_err(NoGpu)?;
+    let camera = choose_camera(&picture.camera, scene.camera, &scene)?;
     let frame = relight_runtime::Frame {
-        camera: choose_camera(&picture.camera, scene.camera, &scene)?,
-        lights: &lights,
         reflections: reflections.as_ref(),
         rotation: glam::Quat::from_rotation_y(picture.rotate.to_radians()),
         local_lights: &local_lights,
         method,
-        exposure: 1.0,
+        ..relight_runtime::Frame::new(camera, &lights)
     };
     let start = Instant::now();
     let image = renderer.render(&scene, &frame, picture.size)?;

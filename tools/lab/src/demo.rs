@@ -106,13 +106,8 @@ pub fn run(options: &Options, monitor: Monitor) -> anyhow::Result<Report> {
     let camera = scene.camera.context("the demo scene has a camera")?;
     let mut render = |method| {
         let frame = Frame {
-            camera,
-            lights: &lights,
-            rotation: Quat::IDENTITY,
-            reflections: None,
-            local_lights: &[],
             method,
-            exposure: 1.0,
+            ..Frame::new(camera, &lights)
         };
         renderer.render(&scene, &frame, options.size)
     };

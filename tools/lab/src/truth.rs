@@ -94,18 +94,19 @@ impl<'a> Geometry<'a> {
 
     /// Whether distant light from `direction` reaches `point`.
     fn visible(&self, point: &SurfacePoint, direction: Vec3) -> bool {
-        let offset = point.geometric_normal * self.scene.visibility.ray_offset;
-        !self.occluders.any_hit(point.position + offset, direction)
+        !self.occluders.any_hit(self.origin(point), direction)
     }
-}
 
-impl Geometry<'_> {
     /// Whether light from `direction` reaches `point` from the given distance.
     fn visible_at(&self, point: &SurfacePoint, direction: Vec3, distance: f32) -> bool {
-        let offset = point.geometric_normal * self.scene.visibility.ray_offset;
         self.occluders
-            .closest_hit(point.position + offset, direction)
+            .closest_hit(self.origin(point), direction)
             .is_none_or(|hit| hit.distance >= distance)
+    }
+
+    /// Where rays from `point` begin.
+    fn origin(&self, point: &SurfacePoint) -> Vec3 {
+        point.position + point.geometric_normal * self.scene.visibility.ray_offset
     }
 }
 

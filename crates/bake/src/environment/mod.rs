@@ -118,7 +118,7 @@ pub fn fit(image: &LatLong, options: &FitOptions, monitor: Monitor) -> Result<Fi
         return Err(Error::Lobes(options.lobes));
     }
     if let Some(error) = options.max_error
-        && error.partial_cmp(&0.0) != Some(std::cmp::Ordering::Greater)
+        && (error.is_nan() || error <= 0.0)
     {
         return Err(Error::MaxError(error));
     }
@@ -244,12 +244,16 @@ fn climb(
             }
             problem.weigh_gloss(GLOSS_WEIGHT);
         }
-        let rung = match accepted {
-            Some((fit, rung)) => {
+        let rung = match (accepted, last) {
+            (None, Some(last)) => Rung {
+                allowed,
+                ..last.clone()
+            },
+            (None, None) => measured(image, allowed, lobes(&fit)),
+            (Some((fit, rung)), _) => {
                 best = fit;
                 rung
             }
-            None => measured(image, allowed, lobes(&best)),
         };
         let reached = options
             .max_error

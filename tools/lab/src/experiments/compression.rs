@@ -7,7 +7,6 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::Context as _;
-use glam::Quat;
 use relight_bake::import::plain_material;
 use relight_bake::monitor::Monitor;
 use relight_bake::plot::{self, Curve};
@@ -15,8 +14,6 @@ use relight_bake::scene::Options;
 use relight_bake::{scene, scene_input, seam};
 use relight_format::{self as format, Limits, Representation, Specular, Surface};
 use relight_runtime::Frame;
-use relight_shading::polar::PolarOptions;
-use relight_shading::shade::Method;
 use relight_shading::spherical_gaussian::SphericalGaussian;
 use serde::Serialize;
 
@@ -169,15 +166,7 @@ fn measure(
             if truths.len() == index {
                 truths.push(trace(&scene, &camera, lights, settings, monitor)?);
             }
-            let frame = Frame {
-                camera,
-                lights,
-                rotation: Quat::IDENTITY,
-                reflections: None,
-                local_lights: &[],
-                method: Method::Polar(PolarOptions::default()),
-                exposure: 1.0,
-            };
+            let frame = Frame::new(camera, lights);
             let image = renderer.render(&scene, &frame, settings.size)?;
             let found = compare(&image, &truths[index])?;
             errors.push(found.relative_rmse_corrected.unwrap_or(found.relative_rmse));

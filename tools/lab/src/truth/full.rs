@@ -70,7 +70,8 @@ pub fn tables(input: &SceneInput) -> Result<Vec<Option<Table>>, measured::Error>
 
 /// Estimates the image. `measured[m]` is the table of the scene's material m, if it has
 /// one. A sample is a pair of rays, one drawn from the environment and one from the
-/// reflection, and one more to each local light, a sphere that only what lies before it blocks; with [`Filter::Box`] every sample has its own point of the pixel.
+/// reflection, and another pair for each local light, a sphere that only what lies before it
+/// blocks; with [`Filter::Box`] every sample has its own point of the pixel.
 pub fn render(
     geometry: &Geometry,
     measured: &[Option<Table>],
@@ -211,9 +212,7 @@ impl Reflector<'_> {
         if view.z <= 0.0 || squared <= radius_squared || radiance == Vec3::ZERO {
             return Vec3::ZERO;
         }
-        let sine_squared = radius_squared / squared;
-        // 1 − cos of the cone's half-angle.
-        let cap = sine_squared / (1.0 + (1.0 - sine_squared).sqrt());
+        let cap = source.cap(squared);
         let contribution = |direction: Vec3| -> Vec3 {
             let light = self.point.to_local(direction);
             if light.z <= 0.0 {

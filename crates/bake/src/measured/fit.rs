@@ -6,13 +6,17 @@
 //! the best of a fixed choice, then all are refined one after the other.
 //!
 //! What is minimised is ∫∫ (fit − table)² (n·i)² / (table n·i + floor) over light directions
-//! and, at equal projected solid angles, of view: as if light were counted. Plain squares see
-//! nothing but the peak, and where that is narrower than what is shaded they spend the
-//! diffuse base on it; weights that favour the faint parts more lose the highlight. What is
-//! reported are plain squares.
+//! and, at equal projected solid angles, of view: as if light were counted, and with both as
+//! lights of some width see them. Without the width, a peak narrower than any lobe fits nowhere,
+//! and its energy ends where squares are cheapest, in the base. Plain squares see nothing but the
+//! peak; weights that favour the faint parts more lose the highlight. What is reported are plain
+//! squares.
+//!
+//! The base is no brighter than the table where it is dark.
 
 use glam::{Vec2, Vec3};
 use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
 use relight_format::{FittedLobe, MAX_FITTED_LOBES, Specular, Surface};
 use relight_shading::accuracy::local_point;
 use relight_shading::brdf::specular_lobes;
@@ -29,7 +33,8 @@ pub enum Stop {
     Lobes(usize),
     /// At this relative L2 error, or the most lobes.
     Error(f64),
-    /// When a lobe takes less than this fraction off the error, or at the most lobes.
+    /// When a lobe takes less than this fraction off the error that is minimised and off the plain
+    /// one as it is shaded, or at the most lobes.
     Gain(f64),
 }
 
@@ -79,8 +84,15 @@ const VIEWS: u32 = 14;
 const LIGHTS: u32 = 512;
 /// Roughnesses a new lobe is chosen from.
 const CHOICES: usize = 28;
+/// Of the lights that see table and fit: a spherical Gaussian about 5° wide, as environments have
+/// them, and wider than the narrowest lobe.
+const LIGHT_SHARPNESS: f32 = 500.0;
+/// Exponent from which on a light is dark.
+const NEGLIGIBLE: f32 = 9.0;
 /// Floor of the weights, as a fraction of the mean reflected light.
 const FLOOR: f64 = 0.1;
+/// The base is at most what the table exceeds in all but this part of the projected solid angle.
+const DARK: f64 = 0.25;
 /// Passes over all roughnesses after a lobe was added.
 const SWEEPS: usize = 3;
 
@@ -99,18 +111,63 @@ impl Pair {
     }
 }
 
-/// The weights of the squares, by the light that a pair reflects over a floor.
-fn weights(pairs: &[Pair]) -> Vec<f64> {
-    let energy: f64 = pairs.iter().map(Pair::energy).sum();
-    let total: f64 = pairs.iter().map(|pair| pair.solid_angle).sum();
-    let floor = FLOOR * energy / total;
-    pairs
-        .iter()
-        .map(|pair| {
-            let value = f64::from(pair.value.element_sum() * pair.light.z);
-            1.0 / (value + floor).max(f64::MIN_POSITIVE)
-        })
-        .collect()
+/// The pairs as lights of [`LIGHT_SHARPNESS`] see them, and the weights of squares.
+struct Measure<'a> {
+    pairs: &'a [Pair],
+    /// Per pair: the pairs of the same view that a light about it sees, and their parts of it.
+    seen: Vec<Vec<(u32, f32)>>,
+    /// By the light that a pair reflects over a floor; roots, times those of solid angles.
+    roots: Vec<f64>,
+}
+
+impl<'a> Measure<'a> {
+    fn new(pairs: &'a [Pair]) -> Self {
+        let mut first = 0;
+        let mut seen = Vec::with_capacity(pairs.len());
+        for view in pairs.chunk_by(|a, b| a.view == b.view) {
+            seen.par_extend(view.par_iter().map(|pair| {
+                let others = view.iter().zip(first..).filter_map(|(other, index)| {
+                    let aside = 0.5 * (pair.light - other.light).length_squared();
+                    let exponent = LIGHT_SHARPNESS * aside;
+                    let part = other.solid_angle as f32 * (-exponent).exp();
+                    (exponent < NEGLIGIBLE).then_some((index, part))
+                });
+                // Where directions are sparse a light sees that about which it is.
+                let mut seen: Vec<(u32, f32)> = others.collect();
+                let whole: f32 = seen.iter().map(|(_, part)| part).sum();
+                for (_, part) in &mut seen {
+                    *part /= whole;
+                }
+                seen
+            }));
+            first += view.len() as u32;
+        }
+        let mut measure = Self {
+            pairs,
+            seen,
+            roots: Vec::new(),
+        };
+        let cosine = |pair: &Pair| f64::from(pair.value.element_sum() * pair.light.z);
+        let values = measure.see(&pairs.iter().map(cosine).collect::<Vec<_>>());
+        let energy: f64 = pairs.iter().map(Pair::energy).sum();
+        let total: f64 = pairs.iter().map(|pair| pair.solid_angle).sum();
+        let floor = FLOOR * energy / total;
+        let root = |(pair, value): (&Pair, &f64)| {
+            (pair.solid_angle / (value + floor).max(f64::MIN_POSITIVE)).sqrt()
+        };
+        measure.roots = pairs.iter().zip(&values).map(root).collect();
+        measure
+    }
+
+    fn see(&self, values: &[f64]) -> Vec<f64> {
+        let sum = |seen: &Vec<(u32, f32)>| {
+            let parts = seen.iter();
+            parts
+                .map(|&(index, part)| f64::from(part) * values[index as usize])
+                .sum()
+        };
+        self.seen.par_iter().map(sum).collect()
+    }
 }
 
 /// Fits a table.
@@ -157,8 +214,28 @@ fn pairs(table: &Table) -> Vec<Pair> {
     pairs
 }
 
-/// Values of one basis function at all pairs, times cosine and the root of solid angle and
-/// weight, and their energy.
+/// Albedos of the brightest base, by [`DARK`].
+fn brightest_base(pairs: &[Pair]) -> [f64; 3] {
+    [0, 1, 2].map(|channel| {
+        let mut values: Vec<(f32, f64)> = pairs
+            .iter()
+            .map(|pair| {
+                let projected = pair.solid_angle * f64::from(pair.light.z);
+                (pair.value[channel], projected)
+            })
+            .collect();
+        values.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut left: f64 = DARK * values.iter().map(|(_, projected)| projected).sum::<f64>();
+        let dark = values.iter().find(|(_, projected)| {
+            left -= projected;
+            left <= 0.0
+        });
+        dark.map_or(0.0, |(value, _)| std::f64::consts::PI * f64::from(*value))
+    })
+}
+
+/// Values of one basis function at all pairs, times cosine, as lights see them, times the roots of
+/// solid angle and weight; and their energy.
 #[derive(Clone)]
 struct Column {
     values: Vec<f64>,
@@ -166,17 +243,19 @@ struct Column {
 }
 
 impl Column {
-    fn new(pairs: &[Pair], weights: &[f64], function: impl Fn(&Pair) -> f32) -> Self {
+    fn new(measure: &Measure, function: impl Fn(&Pair) -> f32) -> Self {
         let mut energy = 0.0;
-        let values = pairs
-            .iter()
-            .zip(weights)
-            .map(|(pair, weight)| {
+        let plain: Vec<f64> = (measure.pairs.iter())
+            .map(|pair| {
                 let value = f64::from(function(pair)) * f64::from(pair.light.z);
                 energy += value * pair.solid_angle;
-                value * (pair.solid_angle * weight).sqrt()
+                value
             })
             .collect();
+        let mut values = measure.see(&plain);
+        for (value, root) in values.iter_mut().zip(&measure.roots) {
+            *value *= root;
+        }
         Self { values, energy }
     }
 
@@ -189,7 +268,7 @@ impl Column {
     }
 
     /// The two functions of a lobe: the colours at normal and at grazing incidence.
-    fn of_lobe(pairs: &[Pair], weights: &[f64], roughness: f32) -> [Self; 2] {
+    fn of_lobe(measure: &Measure, roughness: f32) -> [Self; 2] {
         let lobe = |specular: f32, grazing: f32| Reflection {
             grazing: Vec3::splat(grazing),
             ..Reflection::new(
@@ -199,7 +278,7 @@ impl Column {
             )
         };
         [lobe(1.0, 0.0), lobe(0.0, 1.0)].map(|reflection| {
-            Self::new(pairs, weights, |pair| {
+            Self::new(measure, |pair| {
                 reference::evaluate_specular(&reflection, pair.light, pair.view).x
             })
         })
@@ -212,7 +291,8 @@ struct Solution {
     error: f64,
 }
 
-fn solve(columns: &[&Column], targets: &[Column; 3]) -> Solution {
+/// The first column is the base, each channel of which is at most `brightest` unless it is alone.
+fn solve(columns: &[&Column], targets: &[Column; 3], brightest: [f64; 3]) -> Solution {
     let norms: Vec<f64> = columns
         .iter()
         .map(|column| column.dot(column).sqrt().max(f64::MIN_POSITIVE))
@@ -237,11 +317,22 @@ fn solve(columns: &[&Column], targets: &[Column; 3]) -> Solution {
     };
     let energy = scaled(&|column| column.energy);
     let mut error = 0.0;
-    let colors = targets.each_ref().map(|target| {
+    let colors = [0, 1, 2].map(|channel| {
+        let (target, most) = (&targets[channel], brightest[channel] * norms[0]);
         let projected = scaled(&|column| column.dot(target));
         let mut free = vec![true; count];
-        let amplitudes =
+        let mut amplitudes =
             amplitude::solve(&gram, &projected, &energy, target.energy, &mut free).values;
+        if amplitudes[0] > most && count > 1 {
+            // The lobes have what the base at its brightest leaves of the target.
+            let rest = gram.view((1, 1), (count - 1, count - 1)).into_owned();
+            let left = projected.rows(1, count - 1) - most * gram.view((1, 0), (count - 1, 1));
+            let left_energy = target.energy - most * energy[0];
+            let energy = energy.rows(1, count - 1).into_owned();
+            let mut free = vec![true; count - 1];
+            let lobes = amplitude::solve(&rest, &left, &energy, left_energy, &mut free).values;
+            amplitudes = std::iter::once(most).chain(lobes).collect();
+        }
         let x = DVector::from_column_slice(&amplitudes);
         error += target.dot(target) - 2.0 * x.dot(&projected) + x.dot(&(&gram * &x));
         amplitudes
@@ -254,21 +345,26 @@ fn solve(columns: &[&Column], targets: &[Column; 3]) -> Solution {
 }
 
 fn fit_pairs(pairs: &[Pair], stop: Stop) -> Fit {
-    let weights = &weights(pairs);
-    let base = Column::new(pairs, weights, |_| std::f32::consts::FRAC_1_PI);
-    let targets = [0, 1, 2].map(|channel| Column::new(pairs, weights, |pair| pair.value[channel]));
+    let measure = &Measure::new(pairs);
+    let base = Column::new(measure, |_| std::f32::consts::FRAC_1_PI);
+    let targets = [0, 1, 2].map(|channel| Column::new(measure, |pair| pair.value[channel]));
+    let brightest = brightest_base(pairs);
     let ratio = MIN_ALPHA.recip().powf(1.0 / (CHOICES - 1) as f32);
     let choices: Vec<(f32, [Column; 2])> = (0..CHOICES)
         .map(|i| {
             let roughness = (MIN_ALPHA * ratio.powi(i as i32)).min(1.0);
-            (roughness, Column::of_lobe(pairs, weights, roughness))
+            (roughness, Column::of_lobe(measure, roughness))
         })
         .collect();
     let with = |lobes: &[(f32, [Column; 2])]| {
         let columns: Vec<&Column> = std::iter::once(&base)
             .chain(lobes.iter().flat_map(|(_, columns)| columns))
             .collect();
-        solve(&columns, &targets)
+        solve(&columns, &targets, brightest)
+    };
+    // What is plainly seen counts as well as what is minimised.
+    let plain = |lobes: &[(f32, [Column; 2])], solution: &Solution| {
+        measured(pairs, lobes, solution).shaded_relative_l2
     };
     let most = match stop {
         Stop::Lobes(count) => count.clamp(1, MAX_FITTED_LOBES),
@@ -297,7 +393,7 @@ fn fit_pairs(pairs: &[Pair], stop: Stop) -> Fit {
                 for factor in [step, step.recip()] {
                     let old = candidate[index].clone();
                     let roughness = (old.0 * factor).clamp(MIN_ALPHA, 1.0);
-                    candidate[index] = (roughness, Column::of_lobe(pairs, weights, roughness));
+                    candidate[index] = (roughness, Column::of_lobe(measure, roughness));
                     let changed = with(&candidate);
                     if changed.error < refined.error {
                         refined = changed;
@@ -307,9 +403,14 @@ fn fit_pairs(pairs: &[Pair], stop: Stop) -> Fit {
                 }
             }
         }
-        let gained = 1.0 - (refined.error.max(0.0) / before.max(f64::MIN_POSITIVE)).sqrt();
-        if matches!(stop, Stop::Gain(least) if !lobes.is_empty() && gained < least) {
-            break;
+        if let Stop::Gain(least) = stop
+            && !lobes.is_empty()
+        {
+            let weighted = (refined.error.max(0.0) / before.max(f64::MIN_POSITIVE)).sqrt();
+            let plain = plain(&candidate, &refined) / plain(&lobes, &best).max(f64::MIN_POSITIVE);
+            if 1.0 - weighted.min(plain) < least {
+                break;
+            }
         }
         (lobes, best) = (candidate, refined);
         if matches!(stop, Stop::Error(most) if measured(pairs, &lobes, &best).relative_l2 <= most) {
@@ -439,6 +540,21 @@ mod tests {
         }
         let bounded = fit_pairs(&pairs, Stop::Error(1.01 * two.relative_l2));
         assert_eq!(bounded.lobes.len(), 2);
+    }
+
+    #[test]
+    fn a_peak_narrower_than_any_lobe_does_not_brighten_the_base() {
+        let mut peak = Reflection::new(Model::Ggx, Vec3::splat(0.8), Vec2::splat(0.1));
+        peak.alpha = Vec2::splat(0.3 * MIN_ALPHA);
+        let base = Vec3::new(0.03, 0.02, 0.01);
+        let fit = fit_pairs(&made(&Appearance::new(base, &[peak])), Stop::default());
+        for (found, exact) in fit.diffuse.iter().zip(base.to_array()) {
+            assert!(*found < 1.3 * exact, "{fit:?}");
+        }
+        let wide: f32 = (fit.lobes.iter().filter(|lobe| lobe.roughness > 0.3))
+            .map(|lobe| lobe.f0[0])
+            .sum();
+        assert!(wide < 0.02 && fit.albedo_error < 0.1, "{fit:?}");
     }
 
     #[test]

@@ -140,6 +140,7 @@ pub fn strip(normal: Vec3, base: f32, from: Vec2, to: Vec2) -> Moments {
 }
 
 /// Coordinates about a pole.
+#[derive(Clone, Copy)]
 struct Coordinates {
     x: Vec3,
     y: Vec3,
@@ -156,8 +157,12 @@ impl Coordinates {
         }
     }
 
-    fn to_local(&self, v: Vec3) -> Vec3 {
+    fn to_local(self, v: Vec3) -> Vec3 {
         Vec3::new(v.dot(self.x), v.dot(self.y), v.dot(self.z))
+    }
+
+    fn to_world(self, v: Vec3) -> Vec3 {
+        v.x * self.x + v.y * self.y + v.z * self.z
     }
 }
 
@@ -263,6 +268,83 @@ pub fn integrate(
     lobes: &[SphericalGaussian],
     options: &CellsOptions,
 ) -> Vec3 {
+    let mut radiance = Vec3::ZERO;
+    divide(
+        field,
+        (pole, reach),
+        normal,
+        lobes,
+        options,
+        |_, _, part| {
+            radiance += part;
+        },
+    );
+    radiance.max(Vec3::ZERO)
+}
+
+/// A cell that was integrated, for those who want to know how well.
+pub struct Leaf {
+    coordinates: Coordinates,
+    cell: Cell,
+    /// None where all is visible.
+    boundary: Option<Boundary>,
+}
+
+impl Leaf {
+    /// Least and greatest (φ, θ), radians.
+    pub fn extent(&self) -> [Vec2; 2] {
+        [self.cell.low, self.cell.high]
+    }
+
+    /// The unit vector of (φ, θ), world space.
+    pub fn direction(&self, at: Vec2) -> Vec3 {
+        self.coordinates.to_world(direction(at))
+    }
+
+    /// Whether (φ, θ) is on the visible side of the cell's straight boundary.
+    pub fn visible(&self, at: Vec2) -> bool {
+        (self.boundary.as_ref()).is_none_or(|boundary| boundary.contains(at))
+    }
+
+    /// α and β of `exp(λ(p·ω − 1)) ≈ α + β p·ω` in the cell.
+    pub fn linear(&self, lobe: &SphericalGaussian) -> [f32; 2] {
+        let [alpha, beta, _] = self
+            .cell
+            .fit(self.coordinates.to_local(lobe.axis), lobe.sharpness);
+        [alpha, beta]
+    }
+}
+
+/// The cells that [`integrate`] adds up. They hold all that is visible.
+pub fn leaves(
+    field: &impl SignedDistance,
+    about: (Vec3, f32),
+    normal: Vec3,
+    lobes: &[SphericalGaussian],
+    options: &CellsOptions,
+) -> Vec<Leaf> {
+    let coordinates = Coordinates::about(about.0);
+    let mut leaves = Vec::new();
+    divide(field, about, normal, lobes, options, |cell, boundary, _| {
+        leaves.push(Leaf {
+            coordinates,
+            cell,
+            boundary,
+        });
+    });
+    leaves
+}
+
+/// Calls `accept` with every cell that is not divided further, its boundary where it has one, and
+/// what it carries.
+fn divide<F: SignedDistance>(
+    field: &F,
+    (pole, reach): (Vec3, f32),
+    normal: Vec3,
+    lobes: &[SphericalGaussian],
+    options: &CellsOptions,
+    accept: impl FnMut(Cell, Option<Boundary>, Vec3),
+) {
     let frame = Coordinates::about(pole);
     let local = |v| frame.to_local(v);
     let carried: f32 = lobes.iter().map(|lobe| luminance(lobe.integral())).sum();
@@ -279,7 +361,7 @@ pub fn integrate(
             .collect(),
         allowed: options.lobe_error * carried,
         options,
-        radiance: Vec3::ZERO,
+        accept,
     };
     let [rows, columns] = options.partition().unwrap_or([1, 4]);
     let cells = Vec2::new(columns as f32, rows as f32);
@@ -291,7 +373,7 @@ pub fn integrate(
                 let place = Vec2::new(column as f32, row as f32);
                 let cell = Cell::new(place * size, (place + 1.0) * size);
                 let may_divide = options.uniform.is_none() && level < MAX_LEVEL;
-                if integral.add(&cell, may_divide) {
+                if integral.add(cell, may_divide) {
                     for (dx, dy) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
                         stack.push([level + 1, 2 * column + dx, 2 * row + dy]);
                     }
@@ -299,14 +381,13 @@ pub fn integrate(
             }
         }
     }
-    integral.radiance.max(Vec3::ZERO)
 }
 
 fn luminance(color: Vec3) -> f32 {
     color.dot(Vec3::new(0.2126, 0.7152, 0.0722))
 }
 
-struct Integral<'a, F> {
+struct Integral<'a, F, A> {
     field: &'a F,
     frame: &'a Coordinates,
     /// Normal and lobes are in the cells' frame.
@@ -314,27 +395,27 @@ struct Integral<'a, F> {
     lobes: Vec<SphericalGaussian>,
     allowed: f32,
     options: &'a CellsOptions,
-    radiance: Vec3,
+    accept: A,
 }
 
-impl<F: SignedDistance> Integral<'_, F> {
+impl<F: SignedDistance, A: FnMut(Cell, Option<Boundary>, Vec3)> Integral<'_, F, A> {
     /// The lesser of the distances to the visibility boundary and to the horizon.
     fn distance(&self, direction: Vec3) -> f32 {
-        let Coordinates { x, y, z } = *self.frame;
-        let world = direction.x * x + direction.y * y + direction.z * z;
+        let world = self.frame.to_world(direction);
         let horizon = self.normal.dot(direction).clamp(-1.0, 1.0).asin();
         self.field.distance(world).min(horizon)
     }
 
     /// Adds what a cell carries, unless it has to be divided.
-    fn add(&mut self, cell: &Cell, may_divide: bool) -> bool {
+    fn add(&mut self, cell: Cell, may_divide: bool) -> bool {
         let centre = self.distance(cell.directions[1][1]);
         let radius = cell.radius() + MARGIN;
         if centre <= -radius {
             return false;
         }
         if centre >= radius {
-            return self.add_lobes(cell, &whole(cell, self.normal), may_divide);
+            let moments = whole(&cell, self.normal);
+            return self.add_lobes(cell, None, &moments, may_divide);
         }
         let mut distances = [[0.0; 3]; 3];
         for (distances, directions) in distances.iter_mut().zip(&cell.directions) {
@@ -342,16 +423,23 @@ impl<F: SignedDistance> Integral<'_, F> {
                 *distance = self.distance(*direction);
             }
         }
-        let boundary = Boundary::new(cell, &distances);
-        if may_divide && boundary.error(cell, &distances) > self.options.boundary_error {
+        let boundary = Boundary::new(&cell, &distances);
+        if may_divide && boundary.error(&cell, &distances) > self.options.boundary_error {
             return true;
         }
-        let moments = boundary.moments(cell, self.normal);
-        self.add_lobes(cell, &moments, may_divide)
+        let moments = boundary.moments(&cell, self.normal);
+        self.add_lobes(cell, Some(boundary), &moments, may_divide)
     }
 
-    fn add_lobes(&mut self, cell: &Cell, moments: &Moments, may_divide: bool) -> bool {
+    fn add_lobes(
+        &mut self,
+        cell: Cell,
+        boundary: Option<Boundary>,
+        moments: &Moments,
+        may_divide: bool,
+    ) -> bool {
         if *moments == Moments::default() {
+            (self.accept)(cell, boundary, Vec3::ZERO);
             return false;
         }
         let mut radiance = Vec3::ZERO;
@@ -364,7 +452,7 @@ impl<F: SignedDistance> Integral<'_, F> {
         if may_divide && error * cell.solid_angle() > self.allowed {
             return true;
         }
-        self.radiance += radiance;
+        (self.accept)(cell, boundary, radiance);
         false
     }
 }
@@ -426,15 +514,33 @@ impl Boundary {
         self.inside[side] != self.inside[(side + 1) % 4]
     }
 
-    /// Sum over the sides of the visible polygon, whose inner sides are straight lines.
+    /// Moments of the visible polygon, whose inner sides are straight lines.
     fn moments(&self, cell: &Cell, normal: Vec3) -> Moments {
         let mut sum = Moments::default();
         // The strip under a side; around a polygon they add up to its moments, negative.
-        let mut side = |from: Vec2, to: Vec2| {
+        self.visit_sides(|from, to| {
             if from.x != to.x {
                 sum.add(&strip(normal, cell.low.y, to, from));
             }
-        };
+        });
+        sum
+    }
+
+    /// Whether a point of the cell is in the visible polygon: whether a ray from it crosses an
+    /// odd number of sides.
+    fn contains(&self, at: Vec2) -> bool {
+        let mut inside = false;
+        self.visit_sides(|from, to| {
+            if (from.y > at.y) != (to.y > at.y) {
+                let along = (at.y - from.y) / (to.y - from.y);
+                inside ^= from.x + along * (to.x - from.x) > at.x;
+            }
+        });
+        inside
+    }
+
+    /// The sides of the visible polygon, or of both.
+    fn visit_sides(&self, mut side: impl FnMut(Vec2, Vec2)) {
         let diagonal = (0..4).all(|i| self.crossed(i));
         // Where a line that leaves the visible part at side i comes back to it.
         let back = |i: usize| {
@@ -454,7 +560,6 @@ impl Boundary {
                 (false, false) => {}
             }
         }
-        sum
     }
 
     /// Root mean square over the centre and the middles of the sides of the difference
@@ -670,6 +775,37 @@ mod tests {
                 assert!(error < 0.012, "{sharpness} {about:?}: {}", found / whole);
             }
         }
+    }
+
+    #[test]
+    fn leaves_add_up_to_the_integral() {
+        let wall = HalfSpace(Vec3::new(0.6, 0.5, -0.3).normalize());
+        let lobes = [lobe(Vec3::new(0.3, 1.0, 0.4), 6.0)];
+        let about = (Vec3::Y, FRAC_PI_2);
+        let options = CellsOptions {
+            uniform: Some([4, 16]),
+            ..FINE
+        };
+        let found = integrate(&wall, about, Vec3::Y, &lobes, &options);
+        let mut sum = 0.0;
+        for leaf in leaves(&wall, about, Vec3::Y, &lobes, &options) {
+            const STEPS: usize = 40;
+            let [low, high] = leaf.extent();
+            let size = (high - low) / STEPS as f32;
+            let [alpha, beta] = leaf.linear(&lobes[0]);
+            for i in 0..STEPS * STEPS {
+                let place = Vec2::new((i % STEPS) as f32, (i / STEPS) as f32) + 0.5;
+                let at = low + place * size;
+                if leaf.visible(at) {
+                    let direction = leaf.direction(at);
+                    let area = size.x * size.y * at.y.sin();
+                    sum += (alpha + beta * lobes[0].axis.dot(direction)) * area * direction.y;
+                }
+            }
+        }
+        let expected = sum * lobes[0].amplitude;
+        let error = (found - expected).length() / expected.length();
+        assert!(error < 2e-3, "{found} for {expected}");
     }
 
     #[test]

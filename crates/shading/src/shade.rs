@@ -104,12 +104,27 @@ pub fn shade(
     field: &impl SignedDistance,
     method: &Method,
 ) -> Vec3 {
+    shade_counting(point, lighting, field, method, &mut 0)
+}
+
+/// The same; adds the number of lobes or groups of lobes that were integrated.
+pub fn shade_counting(
+    point: &SurfacePoint,
+    lighting: &Lighting,
+    field: &impl SignedDistance,
+    method: &Method,
+    integrals: &mut u64,
+) -> Vec3 {
     let mut radiance = Vec3::ZERO;
     if let Method::Cells(options) = method {
-        radiance = shade_cells(point, lighting, field, options);
+        cell_groups(point, lighting, |about, lobes| {
+            *integrals += 1;
+            radiance += cells::integrate(field, about, point.normal, lobes, options);
+        });
     } else {
         product_lobes(point, lighting, |lobe| {
             if !negligible(&lobe, radiance) {
+                *integrals += 1;
                 radiance += lobe.amplitude * visible(&lobe, point.normal, field, *method);
             }
         });
@@ -119,6 +134,7 @@ pub fn shade(
     {
         for reflection in point.appearance.reflections() {
             for lobe in brdf::specular_lobes(point, reflection).as_slice() {
+                *integrals += 1;
                 radiance += reflected(point, lobe, lighting.lights, reflections, field, *method);
             }
         }
@@ -126,23 +142,21 @@ pub fn shade(
     radiance
 }
 
-/// Radiance by cells: about the normal for all wide lobes of diffuse reflection, about their
-/// own axes for the narrow ones, about the mean axis of every specular reflection's lobes
-/// for its products (Wang et al. 2013, §5.1).
-fn shade_cells(
+/// Calls `visit` with lobes that share cells, the cells' pole and how far they reach: about the
+/// normal all wide lights' diffuse reflection, about the mean axis of every specular reflection's
+/// lobes its products with them, about their own axes all that is of narrow lights (Wang et al.
+/// 2013, §5.1).
+pub fn cell_groups(
     point: &SurfacePoint,
     lighting: &Lighting,
-    field: &impl SignedDistance,
-    options: &CellsOptions,
-) -> Vec3 {
-    let mut radiance = Vec3::ZERO;
-    let normal = point.normal;
-    if normal.dot(point.view) <= 0.0 {
-        return radiance;
+    mut visit: impl FnMut((Vec3, f32), &[SphericalGaussian]),
+) {
+    if point.normal.dot(point.view) <= 0.0 {
+        return;
     }
     let mut add = |about, lobes: &[SphericalGaussian]| {
         if !lobes.is_empty() {
-            radiance += cells::integrate(field, about, normal, lobes, options);
+            visit(about, lobes);
         }
     };
     let diffuse = point.appearance.diffuse * FRAC_1_PI;
@@ -159,7 +173,7 @@ fn shade_cells(
                 ..light
             });
         }
-        add((normal, FRAC_PI_2), &wide);
+        add((point.normal, FRAC_PI_2), &wide);
         for lobe in narrow {
             add((lobe.axis, polar::support_radius(lobe.sharpness)), &[lobe]);
         }
@@ -167,13 +181,26 @@ fn shade_cells(
     for reflection in point.appearance.reflections() {
         let specular = brdf::specular_lobes(point, reflection);
         let specular = specular.as_slice();
-        let mut products = Vec::new();
+        let (mut wide, mut narrow) = (Vec::new(), Vec::new());
+        let mut carried = Vec3::ZERO;
         for light in lighting.reflected_at(point.position) {
-            products.extend(specular.iter().map(|lobe| light.product(lobe)));
+            for lobe in specular {
+                let product = light.product(lobe);
+                carried += product.integral();
+                if light.sharpness > cells::NARROW {
+                    narrow.push(product);
+                } else {
+                    wide.push(product);
+                }
+            }
         }
-        add(cells::around(specular), &products);
+        add(cells::around(specular), &wide);
+        for lobe in narrow {
+            if !negligible(&lobe, carried) {
+                add((lobe.axis, polar::support_radius(lobe.sharpness)), &[lobe]);
+            }
+        }
     }
-    radiance
 }
 
 /// What one specular lobe reflects of a prefiltered image: what it reflects of the lights,

@@ -3,7 +3,7 @@
 
 use std::f32::consts::PI;
 
-use glam::{Vec2, Vec3, Vec4};
+use glam::{Vec3, Vec4};
 use relight_format::{CHANNELS_PER_TILE, MAX_TILES_PER_CLUSTER, Scene};
 
 use crate::octahedral;
@@ -21,28 +21,71 @@ pub trait SignedDistance {
     }
 }
 
+/// A scene's basis images, each in a gutter of one texel that continues it as the octahedral map
+/// does: an interpolation's four texels are two pairs of neighbours.
+pub struct Basis {
+    /// Tile after tile, row 0 first, four channels per texel; −128 is −127.
+    texels: Vec<i8>,
+    /// Texels per side of a tile, without its gutter.
+    resolution: usize,
+}
+
+impl Basis {
+    /// Copies the images of a scene.
+    pub fn new(scene: &Scene) -> Self {
+        let resolution = scene.visibility.basis_resolution;
+        let n = resolution as usize;
+        let tiles = scene.basis.chunks_exact(n * n * CHANNELS_PER_TILE);
+        let mut texels = Vec::with_capacity(tiles.len() * Self::tile_length(n));
+        for tile in tiles {
+            for y in -1..=n as i32 {
+                for x in -1..=n as i32 {
+                    let (x, y) = octahedral::wrap(x, y, resolution);
+                    let first = (y as usize * n + x as usize) * CHANNELS_PER_TILE;
+                    let quad = &tile[first..first + CHANNELS_PER_TILE];
+                    texels.extend(quad.iter().map(|&value| value.max(-127)));
+                }
+            }
+        }
+        Self {
+            texels,
+            resolution: n,
+        }
+    }
+
+    fn tile_length(resolution: usize) -> usize {
+        (resolution + 2) * (resolution + 2) * CHANNELS_PER_TILE
+    }
+}
+
 /// The SSDF of a point on a triangle, interpolated from the triangle's vertices.
 pub struct Ssdf<'a> {
-    /// The cluster's tiles, row 0 first, four signed bytes per texel.
-    basis: &'a [i8],
+    /// The cluster's tiles.
+    texels: &'a [i8],
     /// Texels per side of a tile.
-    resolution: u32,
+    resolution: usize,
     tiles: usize,
     limit: f32,
+    /// Of bytes.
     coefficients: [Vec4; MAX_TILES],
 }
 
 impl<'a> Ssdf<'a> {
-    /// The SSDF at `barycentrics` of triangle `triangle` of `scene`: all vertices of a
-    /// triangle share their cluster's basis, so interpolating coefficients interpolates
-    /// distances.
-    pub fn interpolate(scene: &'a Scene, triangle: usize, barycentrics: Vec3) -> Self {
+    /// The SSDF at `barycentrics` of triangle `triangle` of `scene`, whose `basis` it is: all
+    /// vertices of a triangle share their cluster's basis, so interpolating coefficients
+    /// interpolates distances.
+    pub fn interpolate(
+        scene: &Scene,
+        basis: &'a Basis,
+        triangle: usize,
+        barycentrics: Vec3,
+    ) -> Self {
         let triangle = &scene.triangles[triangle];
         let cluster = &scene.clusters[triangle.cluster as usize];
         let tiles = cluster.tiles as usize;
         let mut coefficients = [Vec4::ZERO; MAX_TILES];
         for (corner, &vertex) in triangle.vertices.iter().enumerate() {
-            let weight = barycentrics[corner] * cluster.coefficient_scale;
+            let weight = barycentrics[corner] * cluster.coefficient_scale * SNORM8_STEP;
             let first = cluster.first_coefficient as usize
                 + (vertex - cluster.first_vertex) as usize * tiles * CHANNELS_PER_TILE;
             for (tile, coefficient) in coefficients[..tiles].iter_mut().enumerate() {
@@ -50,49 +93,45 @@ impl<'a> Ssdf<'a> {
                 *coefficient += weight * Vec4::from_array([0, 1, 2, 3].map(|c| snorm16(quad[c])));
             }
         }
-        let resolution = scene.visibility.basis_resolution;
-        let tile_length = (resolution * resolution) as usize * CHANNELS_PER_TILE;
-        let basis =
-            &scene.basis[cluster.first_tile as usize * tile_length..][..tiles * tile_length];
-        let limit = scene.visibility.distance_clamp;
+        let tile_length = Basis::tile_length(basis.resolution);
+        let first = cluster.first_tile as usize * tile_length;
         Self {
-            basis,
-            resolution,
+            texels: &basis.texels[first..first + tiles * tile_length],
+            resolution: basis.resolution,
             tiles,
-            limit,
+            limit: scene.visibility.distance_clamp,
             coefficients,
         }
     }
 
-    /// The distance at texel (`x`, `y`), which may lie one texel outside the map.
     /// Texels of four basis images that one distance interpolates.
     pub fn tiles(&self) -> usize {
         self.tiles
-    }
-
-    fn texel(&self, x: i32, y: i32) -> f32 {
-        let n = self.resolution as usize;
-        let (x, y) = octahedral::wrap(x, y, self.resolution);
-        let first = (y as usize * n + x as usize) * CHANNELS_PER_TILE;
-        let tile_length = n * n * CHANNELS_PER_TILE;
-        let mut distance = 0.0;
-        for (tile, coefficient) in self.coefficients[..self.tiles].iter().enumerate() {
-            let quad = &self.basis[tile * tile_length + first..][..4];
-            distance += coefficient.dot(Vec4::from_array([0, 1, 2, 3].map(|c| snorm8(quad[c]))));
-        }
-        distance
     }
 }
 
 impl SignedDistance for Ssdf<'_> {
     fn distance(&self, direction: Vec3) -> f32 {
-        let texel = octahedral::encode(direction) * self.resolution as f32 - 0.5;
-        let corner = texel.floor();
-        let (x, y) = (corner.x as i32, corner.y as i32);
-        let Vec2 { x: u, y: v } = texel - corner;
-        let top = self.texel(x, y) * (1.0 - u) + self.texel(x + 1, y) * u;
-        let bottom = self.texel(x, y + 1) * (1.0 - u) + self.texel(x + 1, y + 1) * u;
-        top * (1.0 - v) + bottom * v
+        // The gutter moves the map by a texel.
+        let texel = octahedral::encode(direction) * self.resolution as f32 + 0.5;
+        let last = self.resolution as i32;
+        // Truncated, which is the floor of what is not negative.
+        let (x, y) = ((texel.x as i32).min(last), (texel.y as i32).min(last));
+        let (u, v) = (texel.x - x as f32, texel.y - y as f32);
+        let weights = [(1.0 - u) * (1.0 - v), u * (1.0 - v), (1.0 - u) * v, u * v];
+        let stride = (self.resolution + 2) * CHANNELS_PER_TILE;
+        let first = y as usize * stride + x as usize * CHANNELS_PER_TILE;
+        let mut sum = Vec4::ZERO;
+        let tiles = self
+            .texels
+            .chunks_exact(Basis::tile_length(self.resolution));
+        for (tile, coefficient) in tiles.zip(&self.coefficients) {
+            let [a, b] = pair(&tile[first..]);
+            let [c, d] = pair(&tile[first + stride..]);
+            let basis = a * weights[0] + b * weights[1] + c * weights[2] + d * weights[3];
+            sum += *coefficient * basis;
+        }
+        sum.element_sum()
     }
 
     fn limit(&self) -> f32 {
@@ -100,14 +139,27 @@ impl SignedDistance for Ssdf<'_> {
     }
 }
 
+/// Two neighbouring texels.
+#[inline(always)]
+fn pair(bytes: &[i8]) -> [Vec4; 2] {
+    let mut values = [0.0; 2 * CHANNELS_PER_TILE];
+    if let Some(bytes) = bytes.first_chunk::<{ 2 * CHANNELS_PER_TILE }>() {
+        for i in 0..values.len() {
+            values[i] = f32::from(bytes[i]);
+        }
+    }
+    [
+        Vec4::from_slice(&values[..4]),
+        Vec4::from_slice(&values[4..]),
+    ]
+}
+
+/// What a byte counts where an `rgba8snorm` texture holds it.
+const SNORM8_STEP: f32 = 1.0 / 127.0;
+
 /// As `unpack2x16snorm` reads it.
 fn snorm16(value: i16) -> f32 {
     (f32::from(value) / 32767.0).max(-1.0)
-}
-
-/// As an `rgba8snorm` texture reads it.
-fn snorm8(value: i8) -> f32 {
-    (f32::from(value) / 127.0).max(-1.0)
 }
 
 #[cfg(test)]
@@ -188,7 +240,8 @@ mod tests {
     fn texel_centres_hold_the_interpolated_definition() {
         let scene = scene();
         let weights = Vec3::new(0.2, 0.3, 0.5);
-        let ssdf = Ssdf::interpolate(&scene, 1, weights);
+        let basis = Basis::new(&scene);
+        let ssdf = Ssdf::interpolate(&scene, &basis, 1, weights);
         assert_eq!(ssdf.limit(), 0.5);
         for y in 0..RESOLUTION {
             for x in 0..RESOLUTION {
@@ -208,7 +261,8 @@ mod tests {
     #[test]
     fn the_seam_is_continuous() {
         let scene = scene();
-        let ssdf = Ssdf::interpolate(&scene, 0, Vec3::new(0.1, 0.1, 0.8));
+        let basis = Basis::new(&scene);
+        let ssdf = Ssdf::interpolate(&scene, &basis, 0, Vec3::new(0.1, 0.1, 0.8));
         // The border of the map is where the lower half's great circles x = 0 and z = 0 lie.
         let step = 1e-5;
         for i in 1..100 {

@@ -8,7 +8,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 use relight_format::Scene;
 use relight_shading::shade::{self, Lighting, Reflections};
-use relight_shading::ssdf::{SignedDistance, Ssdf};
+use relight_shading::ssdf::{Basis, SignedDistance, Ssdf};
 use relight_shading::surface::{SurfacePoint, surface_point};
 
 pub use visibility_buffer::visibility_buffer;
@@ -19,7 +19,7 @@ use crate::{Error, Frame, Image};
 /// The linear radiance of one frame, not exposed. The scene is one that
 /// [`relight_format::read_scene`] returned or [`relight_format::write_scene`] accepts.
 pub fn render(scene: &Scene, frame: &Frame, width: u32, height: u32) -> Result<Image, Error> {
-    let pixels = for_each_pixel(scene, frame, [width, height], |point, lighting, field| {
+    let pixels = map_pixels(scene, frame, [width, height], |point, lighting, field| {
         shade::shade(point, lighting, field, &frame.method)
             .extend(1.0)
             .to_array()
@@ -36,6 +36,8 @@ pub fn render(scene: &Scene, frame: &Frame, width: u32, height: u32) -> Result<I
 pub struct Work {
     /// Pixels that the scene covers.
     pub pixels: u64,
+    /// Lobes integrated over what is visible of them; with `cells` groups of lobes.
+    pub integrals: u64,
     /// Directions in which an SSDF was evaluated.
     pub samples: u64,
     /// Texels of four basis images that were interpolated for it.
@@ -44,20 +46,22 @@ pub struct Work {
 
 /// Counts what [`render`] does.
 pub fn work(scene: &Scene, frame: &Frame, width: u32, height: u32) -> Result<Work, Error> {
-    let counts = for_each_pixel(scene, frame, [width, height], |point, lighting, field| {
+    let counts = map_pixels(scene, frame, [width, height], |point, lighting, field| {
         let counted = Counted {
             field,
             samples: Cell::new(0),
         };
-        shade::shade(point, lighting, &counted, &frame.method);
+        let mut integrals = 0;
+        shade::shade_counting(point, lighting, &counted, &frame.method, &mut integrals);
         let samples = counted.samples.get();
-        [1, samples, samples * field.tiles() as u64]
+        [1, integrals, samples, samples * field.tiles() as u64]
     })?;
     let sum = |index: usize| counts.iter().map(|counts| counts[index]).sum();
     Ok(Work {
         pixels: sum(0),
-        samples: sum(1),
-        fetches: sum(2),
+        integrals: sum(1),
+        samples: sum(2),
+        fetches: sum(3),
     })
 }
 
@@ -77,9 +81,9 @@ impl SignedDistance for Counted<'_> {
     }
 }
 
-/// What `shade` makes of the surface under every pixel, row by row; the default where there is
-/// none.
-fn for_each_pixel<T: Default + Send>(
+/// What `shade` makes of the surface under every pixel, its light and its visibility, row by
+/// row; the default where there is none.
+pub fn map_pixels<T: Default + Send>(
     scene: &Scene,
     frame: &Frame,
     [width, height]: [u32; 2],
@@ -101,6 +105,7 @@ fn for_each_pixel<T: Default + Send>(
             rotation: frame.reflection_rotation(),
         }),
     };
+    let basis = Basis::new(scene);
     let shade_pixel = |(index, &id): (usize, &u32)| {
         let Some(triangle) = (id as usize).checked_sub(1) else {
             return T::default();
@@ -111,7 +116,7 @@ fn for_each_pixel<T: Default + Send>(
         let (x, y) = (index as u32 % width, index as u32 / width);
         let weights = view.barycentrics([a, b, c], view.pixel_direction(x, y));
         let point = surface_point(scene, triangle, weights, view.eye);
-        let field = Ssdf::interpolate(scene, triangle, weights);
+        let field = Ssdf::interpolate(scene, &basis, triangle, weights);
         shade(&point, &lighting, &field)
     };
     Ok(visible

@@ -9,7 +9,7 @@ use relight_runtime::{PolarOptions, wgpu};
 use relight_shading::camera::View;
 use relight_shading::gpu::{self, pack_scene};
 use relight_shading::spherical_gaussian::energy;
-use relight_shading::ssdf::{SignedDistance as _, Ssdf};
+use relight_shading::ssdf::{Basis, SignedDistance as _, Ssdf};
 use relight_shading::tables::Tables;
 use relight_shading::wgsl::{Entry, source};
 use relight_shading::{ambient, polar};
@@ -46,11 +46,12 @@ pub fn ssdf_and_integrators_match_twins(gpu: &mut Gpu) -> Result<(), Failed> {
     ] {
         let queries = queries(&scene);
         let answers = probe(gpu, &scene, &queries)?;
+        let basis = Basis::new(&scene);
         let mut grazing = [0; 2];
         let mut worst = 0f32;
         for (query, answer) in queries.iter().zip(&answers) {
-            let field =
-                Ssdf::interpolate(&scene, query.triangle as usize, query.barycentrics.into());
+            let triangle = query.triangle as usize;
+            let field = Ssdf::interpolate(&scene, &basis, triangle, query.barycentrics.into());
             let (axis, normal) = (Vec3::from(query.axis), Vec3::from(query.normal));
             let options = PolarOptions { spokes: SPOKES };
             worst = worst.max((field.distance(axis) - answer[0]).abs());

@@ -53,7 +53,8 @@ fn cells_lobe(index: u32) -> SphericalGaussian {
         light.amplitude *= select(cells_diffuse, vec3(0.0), light.sharpness > CELLS_NARROW);
         return light;
     }
-    let light = shade_light(cells_first_light + index / specular_count, cells_position);
+    var light = shade_light(cells_first_light + index / specular_count, cells_position);
+    light.amplitude *= select(vec3(1.0), vec3(0.0), light.sharpness > CELLS_NARROW);
     return spherical_gaussian_product(light, specular_lobes[index % specular_count]);
 }
 

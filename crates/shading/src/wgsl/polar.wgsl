@@ -22,57 +22,73 @@ fn polar_integrate(sharpness: f32, axis: vec3<f32>, normal: vec3<f32>, spokes: u
     }
     let bitangent = cross(axis, tangent);
     let shortest = min(POLAR_SHORTEST_STEP * radius, POLAR_SHORTEST_STEP_LIMIT);
-    let wedge = POLAR_WEDGE * PI / f32(spokes);
+    let count = f32(spokes);
+    let wedge = POLAR_WEDGE * PI / count;
+    let at_radius = polar_moments(sharpness, radius);
+    // Spokes turn by one angle.
+    let turn = vec2(cos(2.0 * PI / count), sin(2.0 * PI / count));
+    let phase = 2.0 * PI * POLAR_PHASE / count;
+    var azimuth = vec2(cos(phase), sin(phase));
     var visible = 0.0;
     var whole = 0.0;
     for (var spoke = 0u; spoke < spokes; spoke++) {
-        let azimuth = 2.0 * PI * (f32(spoke) + POLAR_PHASE) / f32(spokes);
-        let outward = cos(azimuth) * tangent + sin(azimuth) * bitangent;
+        let outward = azimuth.x * tangent + azimuth.y * bitangent;
         // Along the spoke n·ω = cosine cos θ + slope sin θ, which changes sign once.
-        let slope = sine * cos(azimuth);
+        let weights = vec2(cosine, sine * azimuth.x);
+        azimuth = vec2(
+            turn.x * azimuth.x - turn.y * azimuth.y,
+            turn.y * azimuth.x + turn.x * azimuth.y,
+        );
         var start = 0.0;
         var end = radius;
-        if cosine >= 0.0 {
-            end = min(end, atan2(abs(cosine), -slope));
-        } else {
-            start = atan2(abs(cosine), slope);
+        var last = dot(weights, at_radius);
+        if cosine < 0.0 {
+            start = atan2(-cosine, weights.y);
+        } else if dot(weights, vec2(cos(radius), sin(radius))) < 0.0 {
+            end = min(end, atan2(cosine, -weights.y));
+            last = dot(weights, polar_moments(sharpness, end));
         }
         if start >= end {
             continue;
         }
         var theta = start;
+        var sine_here = 0.0;
         var here = distance;
         var first = 0.0;
         if start > 0.0 {
-            here = ssdf_distance(axis * cos(start) + outward * sin(start));
-            first = polar_moment(sharpness, cosine, slope, start);
+            sine_here = sin(start);
+            here = ssdf_distance(axis * cos(start) + outward * sine_here);
+            first = dot(weights, polar_moments(sharpness, start));
         }
-        let last = polar_moment(sharpness, cosine, slope, end);
         // ∫ c dM over the spoke, c the covered fraction of the wedge and M the moment, is by
         // parts the last c M less ∫ M dc, and c seldom changes.
         var covered = select(0.0, 1.0, here > 0.0);
         var sum = -covered * first;
         while theta + POLAR_RELAXATION * abs(here) < end {
             let next = min(theta + max(POLAR_RELAXATION * abs(here), shortest), end);
-            let there = ssdf_distance(axis * cos(next) + outward * sin(next));
+            let sine_there = sin(next);
+            let there = ssdf_distance(axis * cos(next) + outward * sine_there);
             let rise = (there - here) / (next - theta);
             let aside = sqrt(max(1.0 - rise * rise, 0.0));
-            let width_here = aside * min(wedge * sin(theta), POLAR_WEDGE_LIMIT);
-            let width_there = aside * min(wedge * sin(next), POLAR_WEDGE_LIMIT);
+            let width_here = aside * min(wedge * sine_here, POLAR_WEDGE_LIMIT);
+            let width_there = aside * min(wedge * sine_there, POLAR_WEDGE_LIMIT);
             let covered_here = polar_coverage(here, width_here);
             let covered_there = polar_coverage(there, width_there);
             if covered_here != covered {
-                sum -= (covered_here - covered) * polar_moment(sharpness, cosine, slope, theta);
+                let at_here = dot(weights, polar_moments(sharpness, theta));
+                sum -= (covered_here - covered) * at_here;
             }
             if covered_there != covered_here {
                 let falls = covered_there < covered_here;
                 let full = polar_root(here - width_here, there - width_there, !falls);
                 let empty = polar_root(here + width_here, there + width_there, falls);
                 let middle = theta + 0.5 * (full + empty) * (next - theta);
-                sum -= (covered_there - covered_here) * polar_moment(sharpness, cosine, slope, middle);
+                let at_middle = dot(weights, polar_moments(sharpness, middle));
+                sum -= (covered_there - covered_here) * at_middle;
             }
             covered = covered_there;
             theta = next;
+            sine_here = sine_there;
             here = there;
         }
         visible += sum + covered * last;
@@ -103,10 +119,12 @@ fn polar_support_radius(sharpness: f32) -> f32 {
     return 2.0 * asin(min(half_chord, 1.0));
 }
 
-fn polar_moment(sharpness: f32, cosine: f32, slope: f32, theta: f32) -> f32 {
+fn polar_moments(sharpness: f32, theta: f32) -> vec2<f32> {
     let half_chord = sin(0.5 * theta);
-    return cosine * spherical_gaussian_cosine_moment(sharpness, 2.0 * half_chord * half_chord)
-        + slope * tables_sine_squared_moment(sharpness, half_chord);
+    return vec2(
+        spherical_gaussian_cosine_moment(sharpness, 2.0 * half_chord * half_chord),
+        tables_sine_squared_moment(sharpness, half_chord),
+    );
 }
 
 fn polar_any_orthogonal(axis: vec3<f32>) -> vec3<f32> {

@@ -22,6 +22,34 @@ fn shade_lobes(point: SurfacePoint) -> vec3<f32> {
         cells_kind = CELLS_PRODUCTS;
         let around = cells_around();
         sum += cells_integrate(around.xyz, around.w, point.normal);
+        sum += shade_narrow(point.normal);
+    }
+    return sum;
+}
+
+// Products of narrow lights with `specular_lobes`.
+fn shade_narrow(normal: vec3<f32>) -> vec3<f32> {
+    var sum = vec3(0.0);
+    let all = frame.light_count + frame.local_light_count;
+    var carried = vec3(0.0);
+    for (var i = cells_first_light; i < all; i++) {
+        let light = shade_light(i, cells_position);
+        for (var j = 0u; j < specular_count; j++) {
+            let product = spherical_gaussian_product(light, specular_lobes[j]);
+            carried += spherical_gaussian_integral(product);
+        }
+    }
+    for (var i = cells_first_light; i < all; i++) {
+        let light = shade_light(i, cells_position);
+        if light.sharpness <= CELLS_NARROW {
+            continue;
+        }
+        for (var j = 0u; j < specular_count; j++) {
+            let product = spherical_gaussian_product(light, specular_lobes[j]);
+            if !shade_negligible(product, carried) {
+                sum += shade_single(product, normal);
+            }
+        }
     }
     return sum;
 }

@@ -29,6 +29,9 @@
 //! # }
 //! ```
 //!
+//! A device that is lost makes calls fail with [`Error::DeviceFailed`]; a renderer and an upload
+//! on a new one go on from there. Targets may have another size in every call.
+//!
 //! Without a GPU, [`twin::render`] draws the same frame. [`offscreen`] serves tools and
 //! tests that have no device of their own.
 
@@ -37,8 +40,8 @@ mod frame;
 mod image;
 pub mod offscreen;
 mod pass_times;
-mod read_back;
 mod renderer;
+mod transfer;
 pub mod twin;
 mod upload;
 

@@ -2,7 +2,7 @@
 
 use relight_format::Scene;
 
-use crate::read_back::read_buffer;
+use crate::transfer::read_buffer;
 use crate::{Error, Frame, GpuScene, Image, Options, Renderer};
 
 /// A graphics device of its own with a renderer.

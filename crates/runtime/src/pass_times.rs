@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use crate::Error;
-use crate::read_back::read_buffer;
+use crate::transfer::read_buffer;
 
 /// Times of the passes of one frame on the GPU.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -11,6 +11,7 @@ use wgpu::util::DeviceExt as _;
 
 use crate::frame::check_local_lights;
 use crate::pass_times::{Pass, PassTimes, Timestamps};
+use crate::transfer::filled_buffer;
 use crate::upload::{GpuScene, check_storage};
 use crate::{Error, Frame};
 
@@ -87,6 +88,12 @@ impl Renderer {
         options: Options,
     ) -> Result<Self, Error> {
         check_device(device)?;
+        let tables = filled_buffer(
+            device,
+            "relight tables",
+            bytemuck::cast_slice(&shade::gpu_tables()),
+            wgpu::BufferUsages::STORAGE,
+        )?;
         let frame_layout = frame_layout(device);
         let scene_layout = scene_layout(device);
         let image_layout = image_layout(device);
@@ -100,11 +107,7 @@ impl Renderer {
             ),
             cells_pipeline: std::sync::OnceLock::new(),
             tonemap_pipeline: tonemap_pipeline(device, &tonemap_layout, options.target_format),
-            tables: device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
-                label: Some("relight tables"),
-                contents: bytemuck::cast_slice(&shade::gpu_tables()),
-                usage: wgpu::BufferUsages::STORAGE,
-            }),
+            tables,
             prefiltered: (None, prefiltered_texture(device, queue, &[0])),
             device: device.clone(),
             queue: queue.clone(),
@@ -143,8 +146,9 @@ impl Renderer {
             .max(1)
             .next_multiple_of(WORKGROUP);
         let bands = height.div_ceil(band);
+        let buffers = self.frame_buffers(scene, frame, [width, height], band)?;
         self.upload_reflections(frame)?;
-        let frame_group = self.frame_group(scene, frame, [width, height], band)?;
+        let frame_group = self.frame_group(&buffers);
         if self
             .images
             .as_ref()
@@ -205,7 +209,7 @@ impl Renderer {
                 pass.dispatch_workgroups(width.div_ceil(WORKGROUP), rows.div_ceil(WORKGROUP), 1);
             }
         }
-        self.tonemap(encoder, &images.radiance_view, frame.exposure, target);
+        self.tonemap(encoder, &images.radiance_view, frame.exposure, target)?;
         if let Some(timestamps) = &self.timestamps {
             timestamps.resolve(encoder);
         }
@@ -283,15 +287,15 @@ impl Renderer {
         Ok(())
     }
 
-    /// Uniforms and lights of one call, in buffers of its own, so that several calls may
-    /// share one encoder.
-    fn frame_group(
+    /// Uniforms, lights and local lights of one call, in buffers of its own, so that several calls
+    /// may share one encoder.
+    fn frame_buffers(
         &self,
         scene: &GpuScene,
         frame: &Frame,
         [width, height]: [u32; 2],
         band: u32,
-    ) -> Result<wgpu::BindGroup, Error> {
+    ) -> Result<[wgpu::Buffer; 3], Error> {
         let view = frame.view(width, height, scene.near);
         let mut uniform = gpu::Frame::new(&view, &scene.atlas, scene.distance_clamp);
         match frame.method {
@@ -338,35 +342,26 @@ impl Renderer {
             lights.push(bytemuck::Zeroable::zeroed());
         }
         check_storage(&self.device, size_of_val(&lights[..]) as u64).map_err(Error::Frame)?;
-        let uniforms = self
-            .device
-            .create_buffer_init(&wgpu::util::BufferInitDescriptor {
-                label: Some("relight frame"),
-                contents: &uniforms,
-                usage: wgpu::BufferUsages::UNIFORM,
-            });
-        let local_lights = self
-            .device
-            .create_buffer_init(&wgpu::util::BufferInitDescriptor {
-                label: Some("relight local lights"),
-                contents: bytemuck::cast_slice(&local_lights),
-                usage: wgpu::BufferUsages::UNIFORM,
-            });
-        let lights = self
-            .device
-            .create_buffer_init(&wgpu::util::BufferInitDescriptor {
-                label: Some("relight lights"),
-                contents: bytemuck::cast_slice(&lights),
-                usage: wgpu::BufferUsages::STORAGE,
-            });
-        Ok(self.device.create_bind_group(&wgpu::BindGroupDescriptor {
+        let buffer = |label, contents, usage| filled_buffer(&self.device, label, contents, usage);
+        let uniform = wgpu::BufferUsages::UNIFORM;
+        let local_lights = bytemuck::cast_slice(&local_lights);
+        let (lights, storage) = (bytemuck::cast_slice(&lights), wgpu::BufferUsages::STORAGE);
+        Ok([
+            buffer("relight frame", &uniforms, uniform)?,
+            buffer("relight lights", lights, storage)?,
+            buffer("relight local lights", local_lights, uniform)?,
+        ])
+    }
+
+    fn frame_group(&self, [uniforms, lights, local_lights]: &[wgpu::Buffer; 3]) -> wgpu::BindGroup {
+        self.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("relight frame"),
             layout: &self.frame_layout,
             entries: &[
                 wgpu::BindGroupEntry {
                     binding: 0,
                     resource: wgpu::BindingResource::Buffer(wgpu::BufferBinding {
-                        buffer: &uniforms,
+                        buffer: uniforms,
                         offset: 0,
                         size: std::num::NonZeroU64::new(size_of::<gpu::Frame>() as u64),
                     }),
@@ -388,7 +383,7 @@ impl Renderer {
                     resource: wgpu::BindingResource::TextureView(&self.prefiltered.1),
                 },
             ],
-        }))
+        })
     }
 
     fn tonemap(
@@ -397,18 +392,17 @@ impl Renderer {
         radiance: &wgpu::TextureView,
         exposure: f32,
         target: &wgpu::TextureView,
-    ) {
+    ) -> Result<(), Error> {
         let uniform = gpu::Tonemap {
             exposure,
             encode_srgb: u32::from(!self.options.target_format.is_srgb()),
         };
-        let uniform = self
-            .device
-            .create_buffer_init(&wgpu::util::BufferInitDescriptor {
-                label: Some("relight tonemap"),
-                contents: bytemuck::bytes_of(&uniform),
-                usage: wgpu::BufferUsages::UNIFORM,
-            });
+        let uniform = filled_buffer(
+            &self.device,
+            "relight tonemap",
+            bytemuck::bytes_of(&uniform),
+            wgpu::BufferUsages::UNIFORM,
+        )?;
         let bind_group = self.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("relight tonemap"),
             layout: &self.tonemap_layout,
@@ -441,6 +435,7 @@ impl Renderer {
         pass.set_pipeline(&self.tonemap_pipeline);
         pass.set_bind_group(0, &bind_group, &[]);
         pass.draw(0..3, 0..1);
+        Ok(())
     }
 }
 

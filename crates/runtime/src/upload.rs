@@ -7,6 +7,7 @@ use wgpu::util::{DeviceExt as _, TextureDataOrder};
 
 use crate::Error;
 use crate::frame::near_plane;
+use crate::transfer::filled_buffer;
 
 /// A scene on the GPU. Dropping it frees its memory.
 #[derive(Debug)]
@@ -169,13 +170,8 @@ fn storage<T: Pod>(device: &wgpu::Device, label: &str, data: &[T]) -> Result<wgp
     let one = [T::zeroed()];
     let data = if data.is_empty() { &one } else { data };
     check_storage(device, size_of_val(data) as u64).map_err(Error::Scene)?;
-    Ok(
-        device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
-            label: Some(label),
-            contents: bytemuck::cast_slice(data),
-            usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
-        }),
-    )
+    let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST;
+    filled_buffer(device, label, bytemuck::cast_slice(data), usage)
 }
 
 /// Checks that a storage buffer of `bytes` can be created and bound.

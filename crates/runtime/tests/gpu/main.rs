@@ -10,7 +10,7 @@ use std::sync::{Mutex, PoisonError};
 
 use glam::{Quat, Vec3};
 use libtest_mimic::{Completion, Failed, Trial};
-use relight_format::{Camera, FieldOfView, Surface};
+use relight_format::{Camera, FieldOfView, Material, Surface};
 use relight_runtime::offscreen::{Gpu, Picture};
 use relight_runtime::{
     CellsOptions, Error, Frame, Image, LocalLight, MAX_LOCAL_LIGHTS, Method, Options, PolarOptions,
@@ -98,6 +98,9 @@ fn main() -> ExitCode {
         with_gpu("passes_are_timed", passes_are_timed),
         with_gpu("errors_name_what_is_wrong", errors_name_what_is_wrong),
         with_gpu("limits_are_checked", limits_are_checked),
+        with_gpu("large_scenes_are_drawn", large_scenes_are_drawn),
+        with_gpu("sizes_may_change", sizes_may_change),
+        with_gpu("lost_devices_are_errors", lost_devices_are_errors),
     ];
     libtest_mimic::run(&libtest_mimic::Arguments::from_args(), trials).exit_code()
 }
@@ -652,5 +655,84 @@ fn limits_are_checked(_: &mut Gpu) -> Outcome {
         ..wgpu::Limits::default()
     };
     assert!(matches!(Gpu::new(&many), Err(Error::NoAdapter { found }) if !found.is_empty()));
+    Ok(())
+}
+
+/// A million triangles, 64 materials and 128 lights at WebGPU's default limits.
+fn large_scenes_are_drawn(gpu: &mut Gpu) -> Outcome {
+    let mut scene = scenes::sphere_over_plane();
+    scene.materials = (0..64)
+        .map(|index| Material {
+            name: format!("material {index}"),
+            ..scene.materials[index % 2].clone()
+        })
+        .collect();
+    for (material, index) in scene.materials.iter_mut().zip(0u8..) {
+        if let Surface::Layered { diffuse, .. } = &mut material.surface {
+            *diffuse = [f32::from(index) / 64.0, 0.5, 1.0 - f32::from(index) / 64.0];
+        }
+    }
+    let own = scene.triangles.len();
+    for (index, triangle) in scene.triangles.iter_mut().enumerate() {
+        triangle.material = (index % 64) as u16;
+    }
+    // Copies lie where their originals do, so that it does not matter which is drawn.
+    scene.triangles = (0..1_000_000)
+        .map(|index| scene.triangles[index % own])
+        .collect();
+    let lights: Vec<SphericalGaussian> = (0..128)
+        .map(|index| {
+            let height = 1.0 - (index as f32 + 0.5) / 80.0;
+            let (sine, cosine) = (2.4 * index as f32).sin_cos();
+            let radius = (1.0 - height * height).max(0.0).sqrt();
+            SphericalGaussian {
+                axis: Vec3::new(radius * cosine, height, radius * sine).normalize(),
+                sharpness: 2.0 + index as f32,
+                amplitude: Vec3::splat(0.05),
+            }
+        })
+        .collect();
+    let frame = frame(&lights, Method::Polar(PolarOptions::DRAFT));
+    let uploaded = gpu.upload(&scene)?;
+    let drawn = gpu.render(&uploaded, &frame, 64, 48)?.linear;
+    let expected = twin::render(&scene, &frame, 64, 48)?;
+    let error = relative_rmse(&drawn, &expected);
+    println!("relative RMSE {error:e}");
+    assert!(error < FRAME_RELATIVE_RMSE, "{error}");
+    Ok(())
+}
+
+/// As windows do.
+fn sizes_may_change(gpu: &mut Gpu) -> Outcome {
+    let lights = lights();
+    let frame = frame(&lights, Method::Ambient);
+    let first = render(gpu, &frame, 40, 30)?;
+    let other = render(gpu, &frame, 70, 20)?;
+    assert_eq!((other.linear.width, other.linear.height), (70, 20));
+    let again = render(gpu, &frame, 40, 30)?;
+    assert_eq!(first.linear.pixels, again.linear.pixels);
+    Ok(())
+}
+
+/// Whatever is asked of a device that is gone is an error; a new one goes on where it ended.
+fn lost_devices_are_errors(gpu: &mut Gpu) -> Outcome {
+    let lights = lights();
+    let frame = frame(&lights, Method::Ambient);
+    let scene = scenes::sphere_over_plane();
+    let mut lost = Gpu::new(&wgpu::Limits::default())?;
+    let uploaded = lost.upload(&scene)?;
+    let before = lost.render(&uploaded, &frame, 40, 30)?;
+    lost.device.destroy();
+    for _ in 0..2 {
+        match lost.render(&uploaded, &frame, 40, 30) {
+            Err(Error::DeviceFailed(reason)) => println!("{reason}"),
+            other => return Err(format!("drawn on a lost device: {}", other.is_ok()).into()),
+        }
+    }
+    assert!(matches!(lost.upload(&scene), Err(Error::DeviceFailed(_))));
+    assert_eq!(
+        before.linear.pixels,
+        render(gpu, &frame, 40, 30)?.linear.pixels
+    );
     Ok(())
 }

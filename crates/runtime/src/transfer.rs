@@ -1,6 +1,30 @@
-//! From the GPU to memory.
+//! From memory to the GPU and back.
 
 use crate::Error;
+
+/// A buffer that holds `contents`. On a device that is lost this is an error, where
+/// `create_buffer_init` panics.
+pub(crate) fn filled_buffer(
+    device: &wgpu::Device,
+    label: &str,
+    contents: &[u8],
+    usage: wgpu::BufferUsages,
+) -> Result<wgpu::Buffer, Error> {
+    let size = (contents.len() as u64).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT);
+    let buffer = device.create_buffer(&wgpu::BufferDescriptor {
+        label: Some(label),
+        size,
+        usage,
+        mapped_at_creation: true,
+    });
+    buffer
+        .get_mapped_range_mut(..)
+        .map_err(|error| Error::DeviceFailed(error.to_string()))?
+        .slice(..contents.len())
+        .copy_from_slice(contents);
+    buffer.unmap();
+    Ok(buffer)
+}
 
 /// Maps a `MAP_READ` buffer once all submitted work is done, and unmaps it.
 pub(crate) fn read_buffer(device: &wgpu::Device, buffer: &wgpu::Buffer) -> Result<Vec<u8>, Error> {

@@ -11,7 +11,7 @@ use relight_lab::image_file::{Image, read_exr, write_exr};
 use serde_json::Value;
 
 use crate::meshes::sphere_over_ground;
-use crate::support::{Outcome, binary, describe};
+use crate::support::{Outcome, binary, describe, with_browser, with_data};
 
 /// Exit codes of `lab`, as its help lists them.
 const OK: i32 = 0;
@@ -25,6 +25,9 @@ pub fn trials() -> Vec<Trial> {
         Trial::test("lab::compare", compare),
         Trial::test("lab::render_and_truth", render_and_truth),
         Trial::test("lab::compression", compression),
+        with_browser("lab::report_in_a_browser", report),
+        with_data("lab::boundary", boundary),
+        Trial::test("lab::results_in_the_readme", results),
     ]
 }
 
@@ -220,10 +223,9 @@ fn compression() -> Outcome {
     let mut lab = binary("lab");
     lab.args(["experiments", "compression", "--json", "--device", "cpu"]);
     lab.args(["--size", "48x36", "--samples", "32", "--environment"]);
-    lab.arg(path("environment.relight"))
-        .arg("--out")
-        .arg(path("out"));
-    lab.arg(path("scene.toml"));
+    lab.arg(path("environment.relight"));
+    lab.arg("--out").arg(path("out"));
+    lab.arg("--scenes").arg(path("scene.toml"));
     let report: Value = serde_json::from_str(&expect(OK, &mut lab))?;
     let rows = report["rows"].as_array().ok_or("rows")?;
     let table = std::fs::read_to_string(path("out/compression.csv"))?;
@@ -250,6 +252,138 @@ fn compression() -> Outcome {
         let errors = [pair[0], pair[1]].map(|row| number(row, "boundary_rms_error"));
         assert!(errors[1] < errors[0], "{errors:?}");
     }
+    Ok(())
+}
+
+/// Experiments that need no data, in one page that needs nothing else.
+fn report(browser: &str) -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let out = folder.path().join("out");
+    for name in ["penumbra", "brdf"] {
+        let mut lab = binary("lab");
+        lab.args(["experiments", name, "--device", "cpu", "--size", "96x72"]);
+        lab.args(["--samples", "64", "--preset", "draft", "--json", "--out"]);
+        let found: Value = serde_json::from_str(&expect(OK, lab.arg(&out)))?;
+        assert_eq!(found["sections"][0]["name"], name);
+    }
+    let table = std::fs::read_to_string(out.join("penumbra/penumbra.csv"))?;
+    let rows: Vec<Vec<&str>> = (table.lines().skip(1))
+        .map(|line| line.split(',').collect())
+        .collect();
+    // Three angles, three methods: polar is closest to truth at each.
+    assert_eq!(rows.len(), 9, "{table}");
+    for angle in rows.chunks(3) {
+        let error = |row: usize| angle[row][5].parse::<f64>();
+        assert_eq!([angle[0][1], angle[2][1]], ["ambient", "polar"]);
+        assert!(error(2)? < 0.8 * error(0)?, "{table}");
+        assert!(angle[2][2].parse::<f64>()? > 100.0, "{table}");
+    }
+    let page = out.join("report.html");
+    let browse = |arguments: &[&str]| {
+        let mut browser = Command::new(browser);
+        browser.args(["--headless", "--no-sandbox", "--disable-gpu"]);
+        browser.args([
+            "--hide-scrollbars",
+            "--enable-logging=stderr",
+            "--log-level=0",
+        ]);
+        browser.arg(format!(
+            "--user-data-dir={}",
+            folder.path().join("profile").display()
+        ));
+        browser.args(arguments);
+        browser.arg(format!("file://{}", page.display()));
+        browser.output()
+    };
+    let loaded = browse(&["--dump-dom"])?;
+    let dom = String::from_utf8_lossy(&loaded.stdout);
+    assert!(loaded.status.success(), "{}", describe(&loaded));
+    let console = String::from_utf8_lossy(&loaded.stderr);
+    assert!(!console.contains("ERR_"), "{console}");
+    // Both sections, and no picture, style or script from elsewhere.
+    for text in [
+        "id=\"penumbra\"",
+        "id=\"brdf\"",
+        "AshikhminShirley isotropic",
+    ] {
+        assert!(dom.contains(text), "{text} is missing");
+    }
+    assert_eq!(dom.matches("<img").count(), 3);
+    assert_eq!(dom.matches("src=\"data:image/png;base64,").count(), 3);
+    for text in ["<script", "<link", "src=\"http", "url("] {
+        assert!(!dom.contains(text), "{text} is there");
+    }
+    // The pictures show: the sphere's lights are coloured, the page is grey.
+    let screenshot = folder.path().join("page.png");
+    let argument = format!("--screenshot={}", screenshot.display());
+    let shot = browse(&[&argument, "--window-size=900,2400"])?;
+    assert!(shot.status.success(), "{}", describe(&shot));
+    let picture = image::open(&screenshot)?.into_rgb8();
+    let coloured = |pixel: &&image::Rgb<u8>| pixel.0[0].abs_diff(pixel.0[2]) > 60;
+    let count = picture.pixels().filter(coloured).count();
+    assert!(count > 2000, "{count} coloured pixels");
+    Ok(())
+}
+
+/// Fig. 6 on real input: both errors fall with the size of cells.
+fn boundary(data: &Path) -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let mut lab = binary("lab");
+    lab.args([
+        "experiments",
+        "boundary",
+        "--device",
+        "cpu",
+        "--size",
+        "96x72",
+    ]);
+    lab.args(["--samples", "8", "--preset", "draft", "--data"]);
+    lab.arg(data).arg("--out").arg(folder.path());
+    expect(OK, &mut lab);
+    let table = std::fs::read_to_string(folder.path().join("boundary/boundary.csv"))?;
+    let rows = (table.lines().skip(1)).map(|line| {
+        let cells: Vec<&str> = line.split(',').collect();
+        [1, 2, 3].map(|column| cells[column].parse::<f64>().unwrap_or(f64::NAN))
+    });
+    let rows: Vec<[f64; 3]> = rows.collect();
+    for pair in rows[..3].windows(2) {
+        let [[_, boundary, lobes], [_, finer_boundary, finer_lobes]] = [pair[0], pair[1]];
+        assert!(
+            finer_boundary < 0.7 * boundary && finer_lobes < 0.7 * lobes,
+            "{table}"
+        );
+    }
+    // Adaptive cells are better than as many even ones.
+    let [even, adaptive] = [rows[2], rows[3]];
+    assert!(
+        adaptive[0] < even[0] && adaptive[1] < even[1] && adaptive[2] < even[2],
+        "{table}"
+    );
+    Ok(())
+}
+
+/// The README's tables are those of the results that are kept beside the laboratory. With
+/// `RELIGHT_RESULTS` naming a folder of experiments, both are made anew from it.
+fn results() -> Outcome {
+    const MARKERS: [&str; 2] = ["<!-- experiments -->\n", "<!-- /experiments -->"];
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let (kept, readme) = (root.join("tools/lab/results.json"), root.join("README.md"));
+    let text = std::fs::read_to_string(&readme)?;
+    let (before, rest) = text.split_once(MARKERS[0]).ok_or("no first marker")?;
+    let (shown, after) = rest.split_once(MARKERS[1]).ok_or("no second marker")?;
+    if let Some(folder) = std::env::var_os("RELIGHT_RESULTS") {
+        let sections = relight_lab::experiments::sections(Path::new(&folder))?;
+        let digest = relight_lab::experiments::digest(&sections);
+        std::fs::write(&kept, serde_json::to_string_pretty(&digest)? + "\n")?;
+        let made = relight_lab::experiments::readme(&digest);
+        std::fs::write(
+            &readme,
+            [before, MARKERS[0], &made, MARKERS[1], after].concat(),
+        )?;
+        return Ok(());
+    }
+    let digest: Vec<_> = serde_json::from_slice(&std::fs::read(&kept)?)?;
+    assert_eq!(shown, relight_lab::experiments::readme(&digest));
     Ok(())
 }
 

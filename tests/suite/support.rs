@@ -49,6 +49,26 @@ pub fn with_data_and_gpu(
     })
 }
 
+/// A trial that opens a page in Chromium, whose name it gets. Where there is none it fails,
+/// unless `RELIGHT_NO_BROWSER=1` skips it.
+pub fn with_browser(
+    name: impl Into<String>,
+    run: impl FnOnce(&str) -> Outcome + Send + 'static,
+) -> Trial {
+    Trial::ignorable_test(name, move || {
+        if std::env::var_os("RELIGHT_NO_BROWSER").is_some_and(|value| value == "1") {
+            return Ok(Completion::ignored_with("RELIGHT_NO_BROWSER=1"));
+        }
+        let names = ["chromium", "chromium-browser", "google-chrome"];
+        let found = names.into_iter().find(|name| {
+            let version = Command::new(name).arg("--version").output();
+            version.is_ok_and(|output| output.status.success())
+        });
+        let browser = found.ok_or("no Chromium, and no RELIGHT_NO_BROWSER=1")?;
+        run(browser).map(|()| Completion::Completed)
+    })
+}
+
 fn no_data() -> Completion {
     Completion::ignored_with("no RELIGHT_DATA and no ../shared/data")
 }

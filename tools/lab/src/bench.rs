@@ -10,7 +10,7 @@ use serde::Serialize;
 use crate::compare::compare;
 use crate::image_file::Image;
 use crate::render::Renderer;
-use crate::truth::lobes;
+use crate::truth::lobes::{self, Visibility};
 
 /// One integrator on one frame.
 #[derive(Debug, Serialize)]
@@ -24,6 +24,8 @@ pub struct Row {
     pub time_over_ambient: f64,
     /// Seconds of all passes on a GPU that tells.
     pub frame_seconds: Option<f64>,
+    /// Lobes, or with `cells` groups of them, integrated per covered pixel.
+    pub integrals: f64,
     /// SSDF samples per covered pixel.
     pub samples: f64,
     /// Interpolated texels of four basis images per covered pixel.
@@ -65,12 +67,12 @@ pub fn run(
     settings: &Settings,
 ) -> anyhow::Result<Vec<Row>> {
     let [width, height] = settings.size;
-    let truth = lobes::of_scene(
+    let truth = lobes::of_frame(
         scene,
-        &camera,
-        lights,
+        &Frame::new(camera, lights),
         settings.size,
         settings.samples,
+        Visibility::Exact,
         &|| (),
     );
     let mut rows: Vec<Row> = Vec::new();
@@ -79,7 +81,11 @@ pub fn run(
             method,
             ..Frame::new(camera, lights)
         };
-        let (image, shading, passes) = draw(scene, &frame, renderer, settings)?;
+        let Timed {
+            image,
+            shading,
+            passes,
+        } = draw(scene, &frame, renderer, settings.size, settings.repetitions)?;
         let found = compare(&image, &truth)?;
         let work = twin::work(scene, &frame, width, height)?;
         let pixels = work.pixels.max(1) as f64;
@@ -91,6 +97,7 @@ pub fn run(
             seconds,
             time_over_ambient: first.map_or(1.0, |first| seconds / first.seconds),
             frame_seconds: passes.map(|passes| passes.total().as_secs_f64()),
+            integrals: work.integrals as f64 / pixels,
             samples: work.samples as f64 / pixels,
             fetches: work.fetches as f64 / pixels,
             relative_rmse,
@@ -101,14 +108,25 @@ pub fn run(
     Ok(rows)
 }
 
-/// The frame, the least time that shading took, and the pass times of that repetition.
-fn draw(
+/// A frame and how long it took.
+pub struct Timed {
+    /// What was drawn.
+    pub image: Image,
+    /// Shading alone on a GPU that tells, else the whole frame.
+    pub shading: Duration,
+    /// All passes of that frame, on a GPU that tells.
+    pub passes: Option<PassTimes>,
+}
+
+/// Draws a frame once to make pipelines and images, then `repetitions` times, of which the
+/// fastest counts.
+pub fn draw(
     scene: &Scene,
     frame: &Frame,
     renderer: &mut Renderer,
-    settings: &Settings,
-) -> anyhow::Result<(Image, Duration, Option<PassTimes>)> {
-    let [width, height] = settings.size;
+    [width, height]: [u32; 2],
+    repetitions: u32,
+) -> anyhow::Result<Timed> {
     let mut draw: Box<dyn FnMut() -> Result<_, relight_runtime::Error>> = match renderer {
         Renderer::Gpu(gpu) => {
             let uploaded = gpu.upload(scene)?;
@@ -119,22 +137,24 @@ fn draw(
         }
         Renderer::Cpu => Box::new(|| Ok((twin::render(scene, frame, width, height)?, None))),
     };
-    // The first frame makes pipelines and images.
     let (image, _) = draw()?;
-    let mut least = (Duration::MAX, None);
-    for _ in 0..settings.repetitions {
+    let mut timed = Timed {
+        image: Image {
+            width,
+            height,
+            pixels: image.pixels,
+            variance: None,
+        },
+        shading: Duration::MAX,
+        passes: None,
+    };
+    for _ in 0..repetitions {
         let start = Instant::now();
         let (_, passes) = draw()?;
-        let time = passes.map_or(start.elapsed(), |passes| passes.shade);
-        if time < least.0 {
-            least = (time, passes);
+        let shading = passes.map_or(start.elapsed(), |passes| passes.shade);
+        if shading < timed.shading {
+            (timed.shading, timed.passes) = (shading, passes);
         }
     }
-    let image = Image {
-        width,
-        height,
-        pixels: image.pixels,
-        variance: None,
-    };
-    Ok((image, least.0, least.1))
+    Ok(timed)
 }

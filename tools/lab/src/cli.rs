@@ -10,7 +10,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use glam::Vec3;
 use indicatif::{ProgressBar, ProgressStyle};
 use relight_bake::monitor::{Monitor, Progress};
-use relight_bake::{hdr, scene_file, scene_input};
+use relight_bake::{hdr, scene, scene_file, scene_input};
 use relight_format::{Camera, Environment, FieldOfView, Limits, Scene};
 use relight_lab::truth::{self, Filter, Geometry, full, lobes};
 use relight_lab::{bench, camera, compare, demo, experiments, image_file, render};
@@ -72,40 +72,59 @@ enum Command {
     Bench(Bench),
     /// Generate a scene and an environment, bake both, render ambient, polar and truth.
     Demo(Demo),
-    /// Measure one part of the method over a range of parameters.
-    #[command(subcommand)]
-    Experiments(Experiment),
+    /// The paper's experiments and our own: tables, plots, pictures and report.html.
+    Experiments(Experiments),
 }
 
-#[derive(Subcommand)]
-enum Experiment {
-    /// Reflection models against the spherical Gaussians they become: brdf.csv.
-    Brdf {
-        /// Folder for the table.
-        #[arg(long)]
-        out: PathBuf,
-    },
-    /// Bytes of a scene against its errors, every representation: compression.csv, plots.
-    Compression {
-        /// Scene files with a camera.
-        #[arg(required = true)]
-        scenes: Vec<PathBuf>,
-        /// Baked environment.
-        #[arg(long)]
-        environment: PathBuf,
-        /// Folder for the table and the plots.
-        #[arg(long)]
-        out: PathBuf,
-        /// Width and height of the pictures that are compared.
-        #[arg(long, default_value = "400x300", value_parser = parse_size)]
-        size: [u32; 2],
-        /// Truth samples per pixel.
-        #[arg(long, default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..))]
-        samples: u32,
-        /// Where to render.
-        #[arg(long, value_enum, default_value = "auto")]
-        device: DeviceName,
-    },
+#[derive(Args)]
+struct Experiments {
+    /// Which one. `all` runs all but `compression`, which takes hours.
+    #[arg(value_parser = experiment_names())]
+    name: String,
+    /// Folder for everything that is written; the report has what is in it from earlier runs
+    /// as well.
+    #[arg(long)]
+    out: PathBuf,
+    /// Folder of meshes, environments and measured BRDFs.
+    #[arg(long, default_value = "../shared/data", env = "RELIGHT_DATA")]
+    data: PathBuf,
+    /// Width and height of the pictures.
+    #[arg(long, default_value = "400x300", value_parser = parse_size)]
+    size: [u32; 2],
+    /// Truth samples per pixel.
+    #[arg(long, default_value_t = 512, value_parser = clap::value_parser!(u32).range(1..))]
+    samples: u32,
+    /// Where every bake starts from.
+    #[arg(long, value_enum, default_value = "standard")]
+    preset: PresetName,
+    /// Where to render; `auto` takes a GPU if there is one, else the CPU.
+    #[arg(long, value_enum, default_value = "auto")]
+    device: DeviceName,
+    /// `compression`: scene files with a camera, in place of five of the laboratory's.
+    #[arg(long, num_args = 1..)]
+    scenes: Vec<PathBuf>,
+    /// `compression`: a baked environment, in place of grace with 16 lobes.
+    #[arg(long)]
+    environment: Option<PathBuf>,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum PresetName {
+    Draft,
+    Standard,
+    High,
+}
+
+fn experiment_names() -> clap::builder::PossibleValuesParser {
+    let own = experiments::ALL.iter().map(|experiment| {
+        clap::builder::PossibleValue::new(experiment.name).help(experiment.title)
+    });
+    let others = [
+        clap::builder::PossibleValue::new("all").help("All but compression"),
+        clap::builder::PossibleValue::new("compression")
+            .help("Bytes of scenes against their errors, every representation of visibility"),
+    ];
+    own.chain(others).collect::<Vec<_>>().into()
 }
 
 #[derive(Args)]
@@ -191,6 +210,10 @@ struct Truth {
     /// environment and reflection models.
     #[arg(long, value_enum)]
     kind: Kind,
+    /// `lobes`: rays against the mesh, or the signed distances of the asset, which isolates
+    /// integration.
+    #[arg(long, value_enum, default_value = "exact")]
+    visibility: VisibilityName,
     /// Baked environment for `lobes`; lat-long .hdr or .exr for `full`, by default that of
     /// the scene file.
     #[arg(long)]
@@ -313,6 +336,21 @@ enum Kind {
 }
 
 #[derive(Clone, Copy, ValueEnum)]
+enum VisibilityName {
+    Exact,
+    Baked,
+}
+
+impl From<VisibilityName> for lobes::Visibility {
+    fn from(name: VisibilityName) -> Self {
+        match name {
+            VisibilityName::Exact => Self::Exact,
+            VisibilityName::Baked => Self::Baked,
+        }
+    }
+}
+
+#[derive(Clone, Copy, ValueEnum)]
 enum FilterName {
     Center,
     Box,
@@ -327,7 +365,7 @@ pub fn run() -> ExitCode {
         Command::Compare(arguments) => run_compare(arguments),
         Command::Bench(arguments) => run_bench(arguments, cli.json),
         Command::Demo(arguments) => run_demo(arguments, cli.json),
-        Command::Experiments(experiment) => run_experiment(experiment, cli.json),
+        Command::Experiments(arguments) => run_experiments(arguments, cli.json),
     };
     match result {
         Ok(report) if cli.json => println!("{report}"),
@@ -498,7 +536,15 @@ fn run_truth(arguments: &Truth) -> anyhow::Result<Value> {
                 local: &local,
                 reflections: None,
             };
-            lobes::render(&geometry, &lighting, picture.size, &options, &row_done)
+            let visibility = arguments.visibility.into();
+            lobes::render(
+                &geometry,
+                &lighting,
+                visibility,
+                picture.size,
+                &options,
+                &row_done,
+            )
         }
         Kind::Full => {
             let loaded = scene_input::load(&arguments.scene)?;
@@ -584,7 +630,7 @@ fn run_demo(arguments: &Demo, json: bool) -> anyhow::Result<Value> {
         lobes: 8,
         samples: arguments.samples,
         device: arguments.device.into(),
-        bake: relight_bake::scene::Options::standard(),
+        bake: scene::Options::standard(),
     };
     let report = demo::run(
         &options,
@@ -625,78 +671,112 @@ fn run_demo(arguments: &Demo, json: bool) -> anyhow::Result<Value> {
     Ok(json!({ "ambient, polar, truth": report.triptych }))
 }
 
-fn run_experiment(experiment: &Experiment, json: bool) -> anyhow::Result<Value> {
-    match experiment {
-        Experiment::Brdf { out } => {
-            let (table, summaries) = experiments::brdf::run(out)?;
-            if json {
-                return Ok(json!({ "table": table, "summaries": summaries }));
-            }
-            println!("model                        lobes  relative L2, to 40°  albedo to 70°, all");
-            for s in summaries {
-                println!(
-                    "{:<28} {:>5}  {:>9.1} % {:>6.1} %  {:>11.2} % {:>5.1} %",
-                    s.name,
-                    s.lobes,
-                    100.0 * s.relative_l2,
-                    100.0 * s.relative_l2_to_40_degrees,
-                    100.0 * s.albedo_error_to_70_degrees,
-                    100.0 * s.albedo_error,
-                );
-            }
-            Ok(json!({ "table": table }))
+fn run_experiments(arguments: &Experiments, json: bool) -> anyhow::Result<Value> {
+    let bake = match arguments.preset {
+        PresetName::Draft => scene::Options::draft(),
+        PresetName::Standard => scene::Options::standard(),
+        PresetName::High => scene::Options::high(),
+    };
+    let bar = stage_bar();
+    let stop = std::sync::atomic::AtomicBool::new(false);
+    let report = |progress| show_stage(&bar, progress);
+    let monitor = Monitor {
+        report: &report,
+        stop: &stop,
+    };
+    if arguments.name == "compression" {
+        return run_compression(arguments, bake, monitor, json);
+    }
+    let command: Vec<String> = std::env::args().skip(1).collect();
+    let settings = experiments::Settings {
+        folder: arguments.out.clone(),
+        data: arguments.data.clone(),
+        size: arguments.size,
+        samples: arguments.samples,
+        bake,
+        command: format!("lab {}", command.join(" ")),
+    };
+    let renderer = render::Renderer::open(arguments.device.into()).map_err(NoGpu)?;
+    let mut laboratory = experiments::Laboratory::new(settings, renderer, monitor);
+    let mut sections = Vec::new();
+    for experiment in &experiments::ALL {
+        if arguments.name != "all" && arguments.name != experiment.name {
+            continue;
         }
-        Experiment::Compression {
-            scenes,
-            environment,
-            out,
-            size,
-            samples,
-            device,
-        } => {
-            let bar = stage_bar();
-            let settings = experiments::compression::Settings {
-                folder: out.clone(),
-                scenes: scenes.clone(),
-                size: *size,
-                samples: *samples,
-                device: (*device).into(),
-                bake: relight_bake::scene::Options::standard(),
-            };
-            let rows = experiments::compression::run(
-                &settings,
-                &read_environment(environment)?.0,
-                Monitor {
-                    report: &|progress| show_stage(&bar, progress),
-                    stop: &std::sync::atomic::AtomicBool::new(false),
-                },
-            );
-            bar.finish_and_clear();
-            let rows = rows?;
-            if json {
-                return Ok(json!({ "rows": rows }));
-            }
-            println!(
-                "{:<14} {:<28} {:>7} {:>9} {:>6} {:>6} {:>8} {:>8} {:>8}",
-                "scene", "", "setting", "bytes", "/vert.", "tiles", "seam", "diffuse", "specular"
-            );
-            for row in rows {
+        let start = Instant::now();
+        let section = laboratory
+            .run(experiment)
+            .with_context(|| experiment.name)?;
+        bar.suspend(|| {
+            if !json {
                 println!(
-                    "{:<14} {:<28} {:>7} {:>9} {:>6.1} {:>6.2} {:>8.4} {:>6.2} % {:>6.2} %",
-                    row.scene,
-                    row.curve,
-                    row.setting,
-                    row.bytes,
-                    row.bytes_per_vertex,
-                    row.tiles_per_sample,
-                    row.seam_rms,
-                    100.0 * row.diffuse,
-                    100.0 * row.specular,
+                    "{} ({:.0} s)\n",
+                    section.title,
+                    start.elapsed().as_secs_f64()
                 );
+                for table in section.tables.iter().filter(|table| table.rows.len() <= 48) {
+                    println!("{}\n\n{}", table.caption, table.markdown());
+                }
             }
-            Ok(json!({ "table": out.join("compression.csv") }))
+        });
+        sections.push(section);
+    }
+    bar.finish_and_clear();
+    let page = experiments::write_report(&arguments.out)?;
+    Ok(json!({
+        "report": page,
+        "sections": if json { json!(sections) } else { Value::Null },
+    }))
+}
+
+fn run_compression(
+    arguments: &Experiments,
+    bake: scene::Options,
+    monitor: Monitor,
+    json: bool,
+) -> anyhow::Result<Value> {
+    let out = &arguments.out;
+    let mut scenes = arguments.scenes.clone();
+    if scenes.is_empty() {
+        for name in experiments::compression::SCENES {
+            scenes.push(experiments::scene_file(name, out, &arguments.data)?);
         }
     }
+    let lights = match &arguments.environment {
+        Some(path) => read_environment(path)?.0,
+        None => experiments::fit_light(&arguments.data, "grace", 16, monitor)?,
+    };
+    let settings = experiments::compression::Settings {
+        folder: out.clone(),
+        scenes,
+        size: arguments.size,
+        samples: arguments.samples,
+        device: arguments.device.into(),
+        bake,
+    };
+    let rows = experiments::compression::run(&settings, &lights, monitor)?;
+    if json {
+        return Ok(json!({ "rows": rows }));
+    }
+    println!(
+        "{:<14} {:<28} {:>7} {:>9} {:>6} {:>6} {:>8} {:>8} {:>8}",
+        "scene", "", "setting", "bytes", "/vert.", "tiles", "seam", "diffuse", "specular"
+    );
+    for row in rows {
+        println!(
+            "{:<14} {:<28} {:>7} {:>9} {:>6.1} {:>6.2} {:>8.4} {:>6.2} % {:>6.2} %",
+            row.scene,
+            row.curve,
+            row.setting,
+            row.bytes,
+            row.bytes_per_vertex,
+            row.tiles_per_sample,
+            row.seam_rms,
+            100.0 * row.diffuse,
+            100.0 * row.specular,
+        );
+    }
+    Ok(json!({ "table": out.join("compression.csv") }))
 }
 
 fn read_scene(path: &Path) -> anyhow::Result<Scene> {

@@ -1,21 +1,19 @@
 //! The whole path on a scene of its own making: mesh and HDR environment, bake, assets,
 //! runtime, ray-traced truth, and the errors between them.
 
-use std::f32::consts::{PI, TAU};
+use std::f32::consts::TAU;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::Context as _;
-use glam::{Quat, Vec3};
+use glam::Vec3;
 use relight_bake::hdr::LatLong;
-use relight_bake::import::{ImportedTriangle, Mesh};
+use relight_bake::import::Mesh;
 use relight_bake::monitor::Monitor;
 use relight_bake::scene_file::Ground;
 use relight_bake::scene_input::SceneInput;
-use relight_bake::{environment, ground, scene};
-use relight_format::{
-    self as format, Camera, FieldOfView, Limits, Material, Specular, Surface, Vertex,
-};
+use relight_bake::{environment, scene};
+use relight_format::{self as format, Camera, FieldOfView, Limits, Material, Specular, Surface};
 use relight_runtime::Frame;
 use relight_shading::polar::PolarOptions;
 use relight_shading::shade::Method;
@@ -26,7 +24,8 @@ use crate::compare::{Comparison, compare};
 use crate::display;
 use crate::image_file;
 use crate::render::{Device, Renderer};
-use crate::truth::lobes;
+use crate::shapes::{over_ground, sphere, tube};
+use crate::truth::lobes::{self, Visibility};
 
 /// What to trade for time.
 #[derive(Clone, Debug)]
@@ -124,12 +123,12 @@ pub fn run(options: &Options, monitor: Monitor) -> anyhow::Result<Report> {
         let done = rows.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
         let _ = monitor.step("trace truth", done as f32 / height as f32);
     };
-    let truth = lobes::of_scene(
+    let truth = lobes::of_frame(
         &scene,
-        &camera,
-        &lights,
+        &Frame::new(camera, &lights),
         options.size,
         options.samples,
+        Visibility::Exact,
         &row_done,
     );
     monitor.step("trace truth", 1.0)?;
@@ -192,7 +191,6 @@ fn scene_input() -> anyhow::Result<SceneInput> {
         let base = Vec3::new(x, 0.0, 0.3);
         tube(&mut mesh, 2, 24, 12, 0.05, |t| base + 1.5 * Vec3::Y * t);
     }
-    let (low, high) = mesh.bounds().context("the demo mesh has vertices")?;
     let surface = Surface::Layered {
         diffuse: [0.45; 3],
         specular: Specular::Ggx {
@@ -200,101 +198,20 @@ fn scene_input() -> anyhow::Result<SceneInput> {
             alpha: [0.25; 2],
         },
     };
-    let options = Ground {
+    let ground = Ground {
         size: Some(6.0),
         height: Some(0.0),
         center: None,
         spacing: Some(0.06),
         material: None,
     };
-    let material = relight_bake::import::plain_material("ground", surface);
-    ground::append(&mut mesh, &options, material)
-        .map_err(|(place, expected, found)| anyhow::anyhow!("{place}: {expected}, {found}"))?;
-    Ok(SceneInput {
-        name: "demo".into(),
-        object_diagonal: low.distance(high),
-        mesh,
-        camera: Some(Camera {
-            position: [0.4, 2.3, 4.4],
-            target: [0.0, 0.45, 0.0],
-            up: [0.0, 1.0, 0.0],
-            field_of_view: FieldOfView::Y(0.62),
-        }),
-        environment: None,
-        lights: Vec::new(),
-        refinement: None,
-        measured: Vec::new(),
-        warnings: Vec::new(),
-    })
-}
-
-/// A grid of vertices, `columns + 1` per row, joined by triangles.
-fn grid(
-    mesh: &mut Mesh,
-    material: u16,
-    [columns, rows]: [u32; 2],
-    at: impl Fn(f32, f32) -> Vertex,
-) {
-    let base = mesh.vertices.len() as u32;
-    for row in 0..=rows {
-        for column in 0..=columns {
-            mesh.vertices
-                .push(at(column as f32 / columns as f32, row as f32 / rows as f32));
-        }
-    }
-    for row in 0..rows {
-        for column in 0..columns {
-            let a = base + row * (columns + 1) + column;
-            let (b, c, d) = (a + 1, a + columns + 1, a + columns + 2);
-            for vertices in [[a, c, b], [b, c, d]] {
-                let [p, q, r] = vertices.map(|v| Vec3::from(mesh.vertices[v as usize].position));
-                if (q - p).cross(r - p).length_squared() > 0.0 {
-                    mesh.triangles.push(ImportedTriangle { vertices, material });
-                }
-            }
-        }
-    }
-}
-
-fn sphere(mesh: &mut Mesh, material: u16, centre: Vec3, radius: f32, rows: u32) {
-    grid(mesh, material, [2 * rows, rows], |u, v| {
-        let (phi, theta) = (TAU * u, PI * v);
-        let normal = Vec3::new(
-            phi.sin() * theta.sin(),
-            theta.cos(),
-            phi.cos() * theta.sin(),
-        );
-        let tangent = Vec3::new(phi.cos(), 0.0, -phi.sin());
-        vertex(centre + radius * normal, normal, tangent, [u, v])
-    });
-}
-
-fn tube(
-    mesh: &mut Mesh,
-    material: u16,
-    along: u32,
-    around: u32,
-    radius: f32,
-    curve: impl Fn(f32) -> Vec3,
-) {
-    grid(mesh, material, [around, along], |u, v| {
-        let step = 1e-3;
-        let tangent = (curve(v + step) - curve(v - step)).normalize();
-        // Any direction that the curve is never parallel to makes a frame without twist.
-        let helper = Vec3::new(0.31, 0.11, 0.94).normalize();
-        let side = tangent.cross(helper).normalize();
-        let normal = Quat::from_axis_angle(tangent, -TAU * u) * side;
-        vertex(curve(v) + radius * normal, normal, tangent, [u, v])
-    });
-}
-
-fn vertex(position: Vec3, normal: Vec3, tangent: Vec3, uv: [f32; 2]) -> Vertex {
-    Vertex {
-        position: position.into(),
-        normal: normal.into(),
-        tangent: tangent.extend(1.0).into(),
-        uv,
-    }
+    let camera = Camera {
+        position: [0.4, 2.3, 4.4],
+        target: [0.0, 0.45, 0.0],
+        up: [0.0, 1.0, 0.0],
+        field_of_view: FieldOfView::Y(0.62),
+    };
+    over_ground("demo", mesh, &ground, surface, camera)
 }
 
 /// Three coloured lights of different size over a dim sky, lat-long.

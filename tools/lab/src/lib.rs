@@ -9,4 +9,5 @@ pub mod display;
 pub mod experiments;
 pub mod image_file;
 pub mod render;
+pub mod shapes;
 pub mod truth;

@@ -36,6 +36,9 @@ pub enum Filter {
     Box,
 }
 
+/// Random numbers of everything that asks for no others.
+pub const SEED: u32 = 0;
+
 /// How much work to do and where.
 #[derive(Clone, Copy, Debug)]
 pub struct Options {
@@ -57,6 +60,14 @@ pub struct Geometry<'a> {
     facing: RayCaster,
     /// Their indices in the scene.
     facing_triangles: Vec<usize>,
+}
+
+/// What is under a pixel.
+struct Seen {
+    point: SurfacePoint,
+    /// Index in the scene.
+    triangle: usize,
+    barycentrics: Vec3,
 }
 
 impl<'a> Geometry<'a> {
@@ -82,14 +93,17 @@ impl<'a> Geometry<'a> {
         }
     }
 
-    /// The surface seen through a point of the image, in pixels from its upper left corner,
-    /// and the index of its triangle.
-    fn seen(&self, x: f32, y: f32) -> Option<(SurfacePoint, usize)> {
+    /// The surface seen through a point of the image, in pixels from its upper left corner.
+    fn seen(&self, x: f32, y: f32) -> Option<Seen> {
         let direction = self.view.corner + x * self.view.right + y * self.view.down;
         let hit = self.facing.closest_hit(self.view.eye, direction)?;
         let triangle = self.facing_triangles[hit.triangle];
         let point = surface_point(self.scene, triangle, hit.barycentrics, self.view.eye);
-        Some((point, triangle))
+        Some(Seen {
+            point,
+            triangle,
+            barycentrics: hit.barycentrics,
+        })
     }
 
     /// Whether distant light from `direction` reaches `point`.
@@ -258,7 +272,9 @@ mod tests {
     fn backs_are_not_seen_but_block() {
         let scene = test_scene::scene([0.5; 3], &test_scene::plane_and_wall());
         let geometry = Geometry::new(&scene, test_scene::view(4));
-        let (point, triangle) = geometry.seen(2.0, 2.0).unwrap();
+        let Seen {
+            point, triangle, ..
+        } = geometry.seen(2.0, 2.0).unwrap();
         assert!(triangle < 2, "the plane's");
         assert!(point.position.distance(Vec3::new(0.5, 0.0, 0.0)) < 1e-5);
         assert!(geometry.visible(&point, Vec3::new(0.1, 1.0, 0.0)));

@@ -13,7 +13,8 @@ runs every test, and checks dependencies if cargo-deny is there.
 environment:
   RELIGHT_DATA=FOLDER   test data; default ../shared/data beside the checkout
   RELIGHT_NO_GPU=1      skip the tests that need a Vulkan adapter; without it they fail
-                        where there is none";
+                        where there is none
+  RELIGHT_NO_BROWSER=1  skip the test that needs Chromium, likewise";
 
 fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -179,6 +180,11 @@ fn install(root: &Path) -> Outcome {
     let no_gpu = std::env::var_os("RELIGHT_NO_GPU").is_some_and(|value| value == "1");
     if !no_gpu && !has_vulkan() {
         packages.extend(["mesa-vulkan-drivers", "libvulkan1"]);
+    }
+    let no_browser = std::env::var_os("RELIGHT_NO_BROWSER").is_some_and(|value| value == "1");
+    let browsers = ["chromium", "chromium-browser", "google-chrome"];
+    if !no_browser && !(browsers.iter()).any(|name| succeeds(Command::new(name).arg("--version"))) {
+        packages.push("chromium");
     }
     if packages.is_empty() {
         return Outcome::Passed;

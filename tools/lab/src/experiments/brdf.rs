@@ -1,13 +1,13 @@
 //! How far the spherical Gaussians of each reflection model are from the model itself, over
 //! roughness and incidence.
 
-use std::path::{Path, PathBuf};
-
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use relight_shading::accuracy::{Accuracy, accuracy};
 use relight_shading::surface::{MAX_EXPONENT, Model, Reflection};
-use serde::Serialize;
+
+use super::Laboratory;
+use super::report::{Section, Table};
 
 /// Roughnesses, on the scale of GGX alpha: an exponent n counts as √(2/n).
 const ROUGHNESSES: [f32; 8] = [0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 0.7, 1.0];
@@ -42,25 +42,20 @@ struct Row {
     accuracy: Accuracy,
 }
 
-/// Worst and mean errors of one kind of material.
-#[derive(Debug, Serialize)]
-pub struct Summary {
-    /// Model and whether it is anisotropic.
-    pub name: String,
-    /// Most spherical Gaussians.
-    pub lobes: usize,
-    /// Root mean square over roughness, azimuth and incidence of the relative L2 error.
-    pub relative_l2: f64,
-    /// The same up to 40 degrees.
-    pub relative_l2_to_40_degrees: f64,
-    /// Largest absolute albedo error up to 70 degrees.
-    pub albedo_error_to_70_degrees: f64,
-    /// Largest absolute albedo error.
-    pub albedo_error: f64,
+pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result<()> {
+    laboratory.monitor.step("compare lobes with models", 0.0)?;
+    let rows = rows();
+    section.text = vec![
+        "Every model over roughness 0.05 to 1 and incidence 0 to 80° against the spherical \
+         Gaussians that the runtime makes of it: relative L2 error of the cosine-weighted lobe, \
+         and error of the albedo."
+            .to_owned(),
+    ];
+    section.tables = vec![summary(&rows), table(&rows)];
+    Ok(())
 }
 
-/// Writes `brdf.csv` into `folder` and sums it up.
-pub fn run(folder: &Path) -> anyhow::Result<(PathBuf, Vec<Summary>)> {
+fn rows() -> Vec<Row> {
     let mut cases = Vec::new();
     for model in [
         Model::BlinnPhong,
@@ -88,7 +83,7 @@ pub fn run(folder: &Path) -> anyhow::Result<(PathBuf, Vec<Summary>)> {
             }
         }
     }
-    let rows: Vec<Row> = cases
+    cases
         .into_par_iter()
         .map(|(model, reflectance, alpha, incidence, azimuth)| {
             let stored = match model {
@@ -107,60 +102,91 @@ pub fn run(folder: &Path) -> anyhow::Result<(PathBuf, Vec<Summary>)> {
                 accuracy: accuracy(&reflection, view),
             }
         })
-        .collect();
-    let mut text = "model,reflectance,alpha_x,alpha_y,incidence_degrees,azimuth_degrees,lobes,\
-                    relative_l2,albedo_error\n"
-        .to_owned();
-    for row in &rows {
+        .collect()
+}
+
+fn table(rows: &[Row]) -> Table {
+    let columns = [
+        "model",
+        "reflectance",
+        "alpha x",
+        "alpha y",
+        "incidence, °",
+        "azimuth, °",
+        "lobes",
+        "relative L2",
+        "albedo error",
+    ];
+    let mut table = Table::new("brdf", "Every case", &columns);
+    for row in rows {
         let Accuracy {
             relative_l2,
             albedo_error,
             lobes,
         } = row.accuracy;
-        let [x, y] = row.alpha;
-        text += &format!(
-            "{:?},{},{x},{y},{},{},{lobes},{relative_l2:.5},{albedo_error:.5}\n",
-            row.model, row.reflectance, row.incidence, row.azimuth,
-        );
+        let [x, y] = row.alpha.map(f64::from);
+        table.row([
+            format!("{:?}", row.model).as_str().into(),
+            f64::from(row.reflectance).into(),
+            x.into(),
+            y.into(),
+            f64::from(row.incidence).into(),
+            f64::from(row.azimuth).into(),
+            lobes.into(),
+            relative_l2.into(),
+            albedo_error.into(),
+        ]);
     }
-    std::fs::create_dir_all(folder)?;
-    let path = folder.join("brdf.csv");
-    relight_format::write_file(&path, text.as_bytes())?;
-    Ok((path, summaries(&rows)))
+    table
 }
 
-fn summaries(rows: &[Row]) -> Vec<Summary> {
+/// Worst and mean errors of each kind of material.
+fn summary(rows: &[Row]) -> Table {
+    let columns = [
+        "model",
+        "lobes, at most",
+        "relative L2, %",
+        "to 40°, %",
+        "albedo error to 70°, %",
+        "to 80°, %",
+    ];
+    let mut table = Table::new(
+        "models",
+        "Root mean square of the relative L2 error over all cases, largest error of the albedo",
+        &columns,
+    );
     let mut names: Vec<String> = rows.iter().map(name).collect();
-    names.dedup();
     names.sort();
     names.dedup();
-    names
-        .into_iter()
-        .map(|kind| {
-            let rows = || rows.iter().filter(|row| name(row) == kind);
-            let rms = |most: f32| {
-                let squares = rows()
-                    .filter(|row| row.incidence <= most)
-                    .map(|row| row.accuracy.relative_l2.powi(2));
-                let (count, sum) = squares.fold((0.0, 0.0), |(n, sum), x| (n + 1.0, sum + x));
-                f64::sqrt(sum / count)
-            };
-            let albedo = |most: f32| {
-                rows()
-                    .filter(|row| row.incidence <= most)
-                    .map(|row| row.accuracy.albedo_error.abs())
-                    .fold(0.0, f64::max)
-            };
-            Summary {
-                lobes: rows().map(|row| row.accuracy.lobes).max().unwrap_or(0),
-                relative_l2: rms(90.0),
-                relative_l2_to_40_degrees: rms(40.0),
-                albedo_error_to_70_degrees: albedo(ALBEDO_INCIDENCE),
-                albedo_error: albedo(90.0),
-                name: kind,
-            }
-        })
-        .collect()
+    for kind in names {
+        let to = |most: f32| {
+            let kind = &kind;
+            rows.iter()
+                .filter(move |row| name(row) == *kind && row.incidence <= most)
+        };
+        let rms = |most: f32| {
+            let squares = to(most).map(|row| row.accuracy.relative_l2.powi(2));
+            let (count, sum) = squares.fold((0.0, 0.0), |(n, sum), x| (n + 1.0, sum + x));
+            100.0 * f64::sqrt(sum / count)
+        };
+        let albedo = |most: f32| {
+            let errors = to(most).map(|row| row.accuracy.albedo_error.abs());
+            100.0 * errors.fold(0.0, f64::max)
+        };
+        table.row([
+            kind.as_str().into(),
+            to(90.0)
+                .map(|row| row.accuracy.lobes)
+                .max()
+                .unwrap_or(0)
+                .into(),
+            rms(90.0).into(),
+            rms(40.0).into(),
+            albedo(ALBEDO_INCIDENCE).into(),
+            albedo(90.0).into(),
+        ]);
+    }
+    table
 }
 
 fn name(row: &Row) -> String {

@@ -19,7 +19,16 @@ use serde::Serialize;
 
 use crate::compare::compare;
 use crate::render::{Device, Renderer};
-use crate::truth::lobes;
+use crate::truth::lobes::{self, Visibility};
+
+/// The laboratory's scenes that are measured where none are named.
+pub const SCENES: [&str; 5] = [
+    "bunny",
+    "armadillo",
+    "dragon_100k",
+    "walk_1",
+    "FlightHelmet",
+];
 
 /// What to measure.
 #[derive(Clone, Debug)]
@@ -119,6 +128,21 @@ pub fn run(
     Ok(rows)
 }
 
+/// The diffuse material that errors are measured with.
+const DIFFUSE: Surface = Surface::Layered {
+    diffuse: [0.5; 3],
+    specular: Specular::None,
+};
+
+/// The glossy one.
+const GLOSSY: Surface = Surface::Layered {
+    diffuse: [0.0; 3],
+    specular: Specular::Ggx {
+        f0: [0.5; 3],
+        alpha: [0.25; 2],
+    },
+};
+
 fn measure(
     path: &Path,
     settings: &Settings,
@@ -127,20 +151,7 @@ fn measure(
     rows: &mut Vec<Row>,
     monitor: Monitor,
 ) -> anyhow::Result<()> {
-    let surfaces = [
-        (0.5, Specular::None),
-        (
-            0.0,
-            Specular::Ggx {
-                f0: [0.5; 3],
-                alpha: [0.25; 2],
-            },
-        ),
-    ]
-    .map(|(diffuse, specular)| Surface::Layered {
-        diffuse: [diffuse; 3],
-        specular,
-    });
+    let surfaces = [DIFFUSE, GLOSSY];
     let mut truths = Vec::new();
     for (curve, setting, options) in curves(&settings.bake) {
         let start = Instant::now();
@@ -159,14 +170,18 @@ fn measure(
                 path.display()
             )
         })?;
+        let frame = Frame::new(camera, lights);
         let seams = seam::measure(&scene);
         let mut errors = Vec::new();
         for (index, surface) in surfaces.iter().enumerate() {
             put_on(&mut scene, surface);
             if truths.len() == index {
-                truths.push(trace(&scene, &camera, lights, settings, monitor)?);
+                monitor.step("trace truth", 0.0)?;
+                let Settings { size, samples, .. } = *settings;
+                let exact = Visibility::Exact;
+                let truth = lobes::of_frame(&scene, &frame, size, samples, exact, &|| ());
+                truths.push(truth);
             }
-            let frame = Frame::new(camera, lights);
             let image = renderer.render(&scene, &frame, settings.size)?;
             let found = compare(&image, &truths[index])?;
             errors.push(found.relative_rmse_corrected.unwrap_or(found.relative_rmse));
@@ -193,31 +208,16 @@ fn measure(
     Ok(())
 }
 
+/// Makes everything diffuse.
+pub fn put_diffuse(scene: &mut format::Scene) {
+    put_on(scene, &DIFFUSE);
+}
+
 /// Gives everything the same surface.
 fn put_on(scene: &mut format::Scene, surface: &Surface) {
     for material in &mut scene.materials {
         *material = plain_material("plain", surface.clone());
     }
-}
-
-fn trace(
-    scene: &format::Scene,
-    camera: &format::Camera,
-    lights: &[SphericalGaussian],
-    settings: &Settings,
-    monitor: Monitor,
-) -> anyhow::Result<crate::image_file::Image> {
-    monitor.step("trace truth", 0.0)?;
-    let image = lobes::of_scene(
-        scene,
-        camera,
-        lights,
-        settings.size,
-        settings.samples,
-        &|| (),
-    );
-    monitor.step("trace truth", 1.0)?;
-    Ok(image)
 }
 
 fn write_table(path: &Path, rows: &[Row]) -> anyhow::Result<()> {

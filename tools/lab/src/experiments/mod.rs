@@ -1,4 +1,529 @@
-//! Measurements behind the numbers that the documentation states, one module each.
+//! The experiments of Wang et al. (2013) and our own, one module each, and what they share: a
+//! laboratory that bakes scenes, draws them and ray-traces truth.
 
-pub mod brdf;
+mod adaptive;
+mod boundary;
+mod brdf;
 pub mod compression;
+mod contours;
+mod edits;
+mod end_to_end;
+mod interpolation;
+mod occluders;
+mod penumbra;
+pub mod report;
+mod scenes;
+mod speed;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::rc::Rc;
+
+use anyhow::Context as _;
+use relight_bake::environment::{self, FitOptions};
+use relight_bake::hdr::{self, LatLong};
+use relight_bake::monitor::Monitor;
+use relight_bake::scene_input::SceneInput;
+use relight_bake::{scene, scene_input};
+use relight_format::{self as format, Camera, Environment, Limits, Scene};
+use relight_runtime::{CellsOptions, Frame, Method, PolarOptions};
+use relight_shading::spherical_gaussian::SphericalGaussian;
+
+use self::report::{Figure, Section};
+use crate::bench::{self, Timed};
+use crate::compare::{Comparison, compare};
+use crate::image_file::{self, Image};
+use crate::render::Renderer;
+use crate::truth::lobes::{self, Visibility};
+use crate::{display, truth};
+
+/// An experiment.
+pub struct Experiment {
+    /// Name on the command line.
+    pub name: &'static str,
+    /// Heading.
+    pub title: &'static str,
+    /// Adds what it finds.
+    run: fn(&mut Laboratory, &mut Section) -> anyhow::Result<()>,
+}
+
+/// All of them but `compression`, in the order of the report.
+pub const ALL: [Experiment; 11] = [
+    Experiment {
+        name: "boundary",
+        title: "Errors of boundaries and of lobes (Fig. 6)",
+        run: boundary::run,
+    },
+    Experiment {
+        name: "adaptive",
+        title: "Adaptive against uniform cells (Fig. 7)",
+        run: adaptive::run,
+    },
+    Experiment {
+        name: "penumbra",
+        title: "The colour of a penumbra (Fig. 8)",
+        run: penumbra::run,
+    },
+    Experiment {
+        name: "occluders",
+        title: "Concave and convex occluders (Fig. 9)",
+        run: occluders::run,
+    },
+    Experiment {
+        name: "edits",
+        title: "Materials, bumps and local lights that change (Figs. 10 and 11)",
+        run: edits::run,
+    },
+    Experiment {
+        name: "interpolation",
+        title: "What interpolation between vertices misses (Figs. 12 and 13)",
+        run: interpolation::run,
+    },
+    Experiment {
+        name: "scenes",
+        title: "Five scenes (Table 1)",
+        run: scenes::run,
+    },
+    Experiment {
+        name: "speed",
+        title: "Quality against speed",
+        run: speed::run,
+    },
+    Experiment {
+        name: "end-to-end",
+        title: "From image and reflection model to pixel",
+        run: end_to_end::run,
+    },
+    Experiment {
+        name: "contours",
+        title: "Contours between texels",
+        run: contours::run,
+    },
+    Experiment {
+        name: "brdf",
+        title: "Reflection models as spherical Gaussians",
+        run: brdf::run,
+    },
+];
+
+/// What to draw, where and how well.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// Folder for everything that is written.
+    pub folder: PathBuf,
+    /// Folder of meshes, environments and measured BRDFs.
+    pub data: PathBuf,
+    /// Picture size, pixels.
+    pub size: [u32; 2],
+    /// Truth samples per pixel.
+    pub samples: u32,
+    /// Start of every bake.
+    pub bake: scene::Options,
+    /// The command that runs the experiment, for the report.
+    pub command: String,
+}
+
+/// All sections in a folder, of whatever runs, in the order of the report.
+pub fn sections(folder: &Path) -> anyhow::Result<Vec<Section>> {
+    let mut sections = Vec::new();
+    for experiment in &ALL {
+        let path = folder.join(experiment.name).join("section.json");
+        if path.exists() {
+            let text = std::fs::read(&path).with_context(|| path.display().to_string())?;
+            let section = serde_json::from_slice(&text);
+            sections.push(section.with_context(|| path.display().to_string())?);
+        }
+    }
+    Ok(sections)
+}
+
+/// Writes `report.html` from all sections in a folder. Its path.
+pub fn write_report(folder: &Path) -> anyhow::Result<PathBuf> {
+    let path = folder.join("report.html");
+    let page = report::page(folder, &sections(folder)?)?;
+    format::write_file(&path, page.as_bytes())?;
+    Ok(path)
+}
+
+/// Tables that a README has room for, and the columns of them.
+const SHORT: [(&str, &[&str]); 8] = [
+    ("boundary", &[]),
+    (
+        "penumbra",
+        &["angle, °", "method", "hue, ΔH*ab", "penumbra RMSE, %"],
+    ),
+    (
+        "occluders",
+        &["scene", "environment", "method", "relative RMSE, %"],
+    ),
+    (
+        "scenes",
+        &[
+            "scene",
+            "reflection",
+            "vertices",
+            "asset, MB",
+            "method",
+            "samples per pixel",
+            "time over ambient",
+            "relative RMSE, %",
+        ],
+    ),
+    ("interpolation", &[]),
+    ("readings", &[]),
+    ("end-to-end", &[]),
+    ("contours", &[]),
+];
+
+/// The tables that [`readme`] shows, without anything else.
+pub fn digest(sections: &[Section]) -> Vec<Section> {
+    let short = |section: &Section| {
+        let tables = section.tables.iter().filter_map(|table| {
+            let (_, columns) = SHORT.iter().find(|(name, _)| *name == table.name)?;
+            Some(table.with(columns))
+        });
+        Section {
+            tables: tables.collect(),
+            // Sizes are in the commands, and times are ratios.
+            provenance: (section.provenance.iter())
+                .filter(|(key, _)| ["Relight", "seed"].contains(&key.as_str()))
+                .cloned()
+                .collect(),
+            text: Vec::new(),
+            figures: Vec::new(),
+            ..section.clone()
+        }
+    };
+    let digests = sections.iter().map(short);
+    digests
+        .filter(|section| !section.tables.is_empty())
+        .collect()
+}
+
+/// A digest as Markdown.
+pub fn readme(digest: &[Section]) -> String {
+    let mut text = String::new();
+    for section in digest {
+        text += &format!("\n**{}** (`{}`)\n", section.title, section.command);
+        for table in &section.tables {
+            text += &format!("\n{}:\n\n{}", table.caption, table.markdown());
+        }
+    }
+    if let Some(section) = digest.first() {
+        let made: Vec<String> = (section.provenance.iter())
+            .map(|(key, value)| format!("{key} {value}"))
+            .collect();
+        text += &format!("\nMade with {}.\n", made.join(", "));
+    }
+    text
+}
+
+fn create(folder: &Path) -> anyhow::Result<()> {
+    std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())
+}
+
+/// Versions, machine and random numbers.
+fn provenance(settings: &Settings, renderer: &Renderer) -> Vec<(String, String)> {
+    let processor = std::fs::read_to_string("/proc/cpuinfo")
+        .ok()
+        .and_then(|text| {
+            let line = text.lines().find(|line| line.starts_with("model name"))?;
+            Some(line.split_once(':')?.1.trim().to_owned())
+        });
+    let [width, height] = settings.size;
+    let entries = [
+        ("Relight", env!("CARGO_PKG_VERSION").to_owned()),
+        ("commit", env!("RELIGHT_COMMIT").to_owned()),
+        ("wgpu", env!("RELIGHT_WGPU").to_owned()),
+        ("device", renderer.name().to_owned()),
+        (
+            "processor",
+            processor.unwrap_or_else(|| std::env::consts::ARCH.to_owned()),
+        ),
+        ("threads", rayon::current_num_threads().to_string()),
+        ("pictures", format!("{width}x{height}")),
+        ("truth samples per pixel", settings.samples.to_string()),
+        ("seed", truth::SEED.to_string()),
+    ];
+    entries.map(|(key, value)| (key.to_owned(), value)).into()
+}
+
+/// Scene files; `$DATA` in them is the folder of data.
+const SCENES: [(&str, &str); 8] = [
+    ("teapot", include_str!("../../scenes/teapot.toml")),
+    ("duck", include_str!("../../scenes/duck.toml")),
+    ("spot", include_str!("../../scenes/spot.toml")),
+    ("bunny", include_str!("../../scenes/bunny.toml")),
+    ("walk_1", include_str!("../../scenes/walk_1.toml")),
+    ("armadillo", include_str!("../../scenes/armadillo.toml")),
+    ("dragon_100k", include_str!("../../scenes/dragon_100k.toml")),
+    (
+        "FlightHelmet",
+        include_str!("../../scenes/FlightHelmet.toml"),
+    ),
+];
+
+/// Environment maps in the folder of data.
+const ENVIRONMENTS: [(&str, &str); 3] = [
+    ("grace", "env/debevec/grace_latlong.hdr"),
+    ("stpeters", "env/debevec/stpeters_latlong.hdr"),
+    ("studio", "env/polyhaven/studio.hdr"),
+];
+
+fn known<'a>(list: &[(&str, &'a str)], name: &str) -> anyhow::Result<&'a str> {
+    let found = list.iter().find(|(known, _)| *known == name);
+    Ok(found
+        .with_context(|| format!("{name}: not a name of the laboratory"))?
+        .1)
+}
+
+/// Writes one of the laboratory's scene files, with what it refers to, for people to open and
+/// for [`scene_input::load`].
+pub fn scene_file(name: &str, folder: &Path, data: &Path) -> anyhow::Result<PathBuf> {
+    let data = data
+        .canonicalize()
+        .with_context(|| data.display().to_string())?;
+    let text = known(&SCENES, name)?.replace("$DATA", &data.to_string_lossy());
+    let folder = folder.join("scenes");
+    create(&folder)?;
+    if text.contains("stain.png") {
+        edits::write_stain(&folder.join("stain.png"))?;
+    }
+    let path = folder.join(name).with_extension("toml");
+    format::write_file(&path, text.as_bytes())?;
+    Ok(path)
+}
+
+/// An environment as image and as lobes.
+struct Light {
+    image: LatLong,
+    environment: Environment,
+    lobes: Vec<SphericalGaussian>,
+}
+
+impl Light {
+    /// One of [`ENVIRONMENTS`].
+    fn new(data: &Path, name: &str, lobes: usize, monitor: Monitor) -> anyhow::Result<Self> {
+        let image = hdr::load(&data.join(known(&ENVIRONMENTS, name)?))?;
+        let options = FitOptions {
+            lobes,
+            max_error: None,
+        };
+        let environment = environment::fit(&image, &options, monitor)?.environment;
+        Ok(Self {
+            lobes: environment.lobes.iter().map(Into::into).collect(),
+            image,
+            environment,
+        })
+    }
+}
+
+/// The lobes of one of the laboratory's environments.
+pub fn fit_light(
+    data: &Path,
+    name: &str,
+    lobes: usize,
+    monitor: Monitor,
+) -> anyhow::Result<Vec<SphericalGaussian>> {
+    Ok(Light::new(data, name, lobes, monitor)?.lobes)
+}
+
+/// A method by its name in tables.
+type Named = (&'static str, Method);
+
+/// The three that are always compared; the baseline first.
+const METHODS: [Named; 3] = [
+    ("ambient", Method::Ambient),
+    ("cells", Method::Cells(CellsOptions::STANDARD)),
+    ("polar", Method::Polar(PolarOptions::STANDARD)),
+];
+
+/// What experiments have to work with. Scenes and environments that several of them use are baked
+/// once.
+pub struct Laboratory<'a> {
+    settings: Settings,
+    /// Of the experiment.
+    folder: PathBuf,
+    renderer: Renderer,
+    monitor: Monitor<'a>,
+    scenes: BTreeMap<String, Rc<Scene>>,
+    environments: BTreeMap<(String, usize), Rc<Light>>,
+}
+
+impl<'a> Laboratory<'a> {
+    /// Draws with `renderer`.
+    pub fn new(settings: Settings, renderer: Renderer, monitor: Monitor<'a>) -> Self {
+        Self {
+            folder: settings.folder.clone(),
+            settings,
+            renderer,
+            monitor,
+            scenes: BTreeMap::new(),
+            environments: BTreeMap::new(),
+        }
+    }
+
+    /// Runs one experiment; writes its folder and `section.json` in it.
+    pub fn run(&mut self, experiment: &Experiment) -> anyhow::Result<Section> {
+        self.folder = self.settings.folder.join(experiment.name);
+        create(&self.folder)?;
+        let mut section = Section {
+            name: experiment.name.to_owned(),
+            title: experiment.title.to_owned(),
+            command: self.settings.command.clone(),
+            provenance: provenance(&self.settings, &self.renderer),
+            ..Section::default()
+        };
+        (experiment.run)(self, &mut section)?;
+        for table in &section.tables {
+            let path = self.folder.join(&table.name).with_extension("csv");
+            format::write_file(&path, table.csv().as_bytes())?;
+        }
+        let text = serde_json::to_string_pretty(&section)?;
+        format::write_file(&self.folder.join("section.json"), text.as_bytes())?;
+        Ok(section)
+    }
+
+    /// One of [`SCENES`] as an input.
+    fn input(&self, name: &str) -> anyhow::Result<SceneInput> {
+        let path = scene_file(name, &self.settings.folder, &self.settings.data)?;
+        Ok(scene_input::load(&path)?)
+    }
+
+    /// One of [`SCENES`], baked.
+    fn scene(&mut self, name: &str) -> anyhow::Result<Rc<Scene>> {
+        if let Some(scene) = self.scenes.get(name) {
+            return Ok(scene.clone());
+        }
+        let scene = Rc::new(self.bake(self.input(name)?, &self.settings.bake)?);
+        self.scenes.insert(name.to_owned(), scene.clone());
+        Ok(scene)
+    }
+
+    /// Bakes, writes and reads back.
+    fn bake(&self, input: SceneInput, options: &scene::Options) -> anyhow::Result<Scene> {
+        let name = input.name.clone();
+        let (baked, _) = scene::bake(input, options, self.monitor).context(name.clone())?;
+        let folder = self.settings.folder.join("assets");
+        create(&folder)?;
+        let bytes = format::write_scene(&baked)?;
+        format::write_file(&folder.join(name).with_extension("relight"), &bytes)?;
+        Ok(format::read_scene(&bytes, &Limits::default())?)
+    }
+
+    /// One of [`ENVIRONMENTS`].
+    fn light(&mut self, name: &str, lobes: usize) -> anyhow::Result<Rc<Light>> {
+        let key = (name.to_owned(), lobes);
+        if let Some(light) = self.environments.get(&key) {
+            return Ok(light.clone());
+        }
+        let light = Rc::new(Light::new(&self.settings.data, name, lobes, self.monitor)?);
+        self.environments.insert(key, light.clone());
+        Ok(light)
+    }
+
+    fn draw(&mut self, scene: &Scene, frame: &Frame) -> anyhow::Result<Image> {
+        Ok(self.renderer.render(scene, frame, self.settings.size)?)
+    }
+
+    fn time(&mut self, scene: &Scene, frame: &Frame) -> anyhow::Result<Timed> {
+        self.monitor.step("render", 0.0)?;
+        bench::draw(scene, frame, &mut self.renderer, self.settings.size, 1)
+    }
+
+    /// With the lobes of the frame.
+    fn truth(&self, scene: &Scene, frame: &Frame) -> anyhow::Result<Image> {
+        self.trace(scene, frame, Visibility::Exact)
+    }
+
+    fn trace(&self, scene: &Scene, frame: &Frame, visibility: Visibility) -> anyhow::Result<Image> {
+        self.monitor.step("trace truth", 0.0)?;
+        let Settings { size, samples, .. } = self.settings;
+        Ok(lobes::of_frame(
+            scene,
+            frame,
+            size,
+            samples,
+            visibility,
+            &|| (),
+        ))
+    }
+
+    /// Writes images side by side, all at the exposure of the last one.
+    fn strip(
+        &self,
+        section: &mut Section,
+        name: &str,
+        caption: &str,
+        images: &[&Image],
+    ) -> anyhow::Result<()> {
+        let last = images.last().context("a strip of images")?;
+        let exposure = display::automatic_exposure(last);
+        let (width, pixels) = display::side_by_side(images, exposure);
+        self.picture(section, name, caption, width, &pixels)
+    }
+
+    fn picture(
+        &self,
+        section: &mut Section,
+        name: &str,
+        caption: &str,
+        width: u32,
+        pixels: &[[u8; 3]],
+    ) -> anyhow::Result<()> {
+        let file = format!("{name}.png");
+        image_file::write_png(&self.folder.join(&file), width, pixels)?;
+        section.figures.push(Figure {
+            file,
+            caption: caption.to_owned(),
+        });
+        Ok(())
+    }
+
+    fn plot(
+        &self,
+        section: &mut Section,
+        name: &str,
+        caption: &str,
+        axes: [&str; 2],
+        curves: &[relight_bake::plot::Curve],
+    ) -> anyhow::Result<()> {
+        let file = format!("{name}.svg");
+        let svg = relight_bake::plot::svg(caption, axes, curves)
+            .with_context(|| format!("{file}: nothing to plot"))?;
+        format::write_file(&self.folder.join(&file), svg.as_bytes())?;
+        section.figures.push(Figure {
+            file,
+            caption: caption.to_owned(),
+        });
+        Ok(())
+    }
+}
+
+fn camera(scene: &Scene) -> anyhow::Result<Camera> {
+    (scene.camera).with_context(|| format!("{}: expected a camera, found none", scene.name))
+}
+
+/// Relative RMSE, noise removed.
+fn error(candidate: &Image, truth: &Image) -> anyhow::Result<f64> {
+    let found = compare(candidate, truth)?;
+    Ok(noiseless(&found))
+}
+
+fn noiseless(found: &Comparison) -> f64 {
+    found.relative_rmse_corrected.unwrap_or(found.relative_rmse)
+}
+
+/// |a − b| with the coverage of `b`, `scale` times.
+fn difference(a: &Image, b: &Image, scale: f32) -> Image {
+    let pixels = a.pixels.iter().zip(&b.pixels).map(|(a, b)| {
+        let [r, g, blue] = [0, 1, 2].map(|channel| scale * (a[channel] - b[channel]).abs());
+        [r, g, blue, b[3]]
+    });
+    Image {
+        width: b.width,
+        height: b.height,
+        pixels: pixels.collect(),
+        variance: None,
+    }
+}

@@ -17,7 +17,7 @@ use relight_shading::reference;
 use relight_shading::surface::SurfacePoint;
 
 use super::random::{hash, sobol_pair};
-use super::{Estimate, Filter, Geometry, Options, REPLICAS, estimate_image};
+use super::{Estimate, Filter, Geometry, Options, REPLICAS, Seen, estimate_image};
 use crate::display::luminance;
 use crate::image_file::Image;
 
@@ -85,7 +85,9 @@ pub fn render(
     estimate_image(size, row_done, |x, y| {
         let seed = hash(hash(options.seed, x), y);
         let at = |[u, v]: [f32; 2]| -> Option<Reflector> {
-            let (point, triangle) = geometry.seen(x as f32 + u, y as f32 + v)?;
+            let Seen {
+                point, triangle, ..
+            } = geometry.seen(x as f32 + u, y as f32 + v)?;
             let material = geometry.scene.triangles[triangle].material as usize;
             let table = measured.get(material).and_then(Option::as_ref);
             Some(Reflector {
@@ -496,7 +498,7 @@ mod tests {
             spot: None,
         });
         let patch = test_scene::scene([0.5; 3], &test_scene::plane());
-        let (point, _) = Geometry::new(&patch, test_scene::view(8))
+        let Seen { point, .. } = Geometry::new(&patch, test_scene::view(8))
             .seen(4.0, 4.0)
             .expect("the patch is seen");
         // Something between the patch and the light, or behind the light.
@@ -597,7 +599,9 @@ mod tests {
         };
         let view = test_scene::view(4);
         let tangent = |scene: &Scene| {
-            let (point, triangle) = Geometry::new(scene, view).seen(2.0, 2.0).unwrap();
+            let Seen {
+                point, triangle, ..
+            } = Geometry::new(scene, view).seen(2.0, 2.0).unwrap();
             let exact = exact_frame(&point, scene, triangle);
             assert_eq!(exact.bitangent, exact.normal.cross(exact.tangent));
             (point.tangent, exact.tangent)

@@ -4,38 +4,54 @@
 use std::f32::consts::TAU;
 
 use glam::{Vec2, Vec3};
-use relight_format::{Camera, Scene};
+use relight_format::Scene;
+use relight_runtime::Frame;
 use relight_shading::camera::View;
+use relight_shading::gpu;
 use relight_shading::octahedral;
 use relight_shading::shade::{Lighting, product_lobes};
 use relight_shading::spherical_gaussian::{SphericalGaussian, cosine_moment, first_moment};
+use relight_shading::ssdf::{Basis, SignedDistance as _, Ssdf};
 use relight_shading::surface::SurfacePoint;
 
 use super::random::{hash, kronecker_pair, sobol_pair, unit};
-use super::{Estimate, Filter, Geometry, Options, REPLICAS, estimate_image};
+use super::{Estimate, Filter, Geometry, Options, REPLICAS, SEED, estimate_image};
 use crate::display::luminance;
 use crate::image_file::Image;
 
-/// Estimates what the runtime would draw of a scene under distant lights, at pixel centres.
-pub fn of_scene(
+/// Where what is visible is known from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Visibility {
+    /// Rays against the mesh.
+    Exact,
+    /// The scene's SSDFs: what is left against a rendering is the error of its integrator.
+    Baked,
+}
+
+/// Estimates what the runtime would draw of a scene, at pixel centres. Whatever the frame says
+/// of methods and reflections has no part in it.
+pub fn of_frame(
     scene: &Scene,
-    camera: &Camera,
-    lights: &[SphericalGaussian],
+    frame: &Frame,
     [width, height]: [u32; 2],
     samples: u32,
+    visibility: Visibility,
     row_done: &(dyn Fn() + Sync),
 ) -> Image {
-    let geometry = Geometry::new(scene, View::new(camera, width, height, 1.0));
+    let geometry = Geometry::new(scene, View::new(&frame.camera, width, height, 1.0));
+    let local: Vec<gpu::LocalLight> = frame.local_lights.iter().map(Into::into).collect();
     let lighting = Lighting {
-        lights,
-        ..Lighting::default()
+        lights: &frame.rotated_lights(),
+        local: &local,
+        reflections: None,
     };
     let options = Options {
         samples,
         filter: Filter::Center,
-        seed: 0,
+        seed: SEED,
     };
-    render(&geometry, &lighting, [width, height], &options, row_done)
+    let size = [width, height];
+    render(&geometry, &lighting, visibility, size, &options, row_done)
 }
 
 /// Estimates the image. Local lights are seen as the runtime has them: as lobes, blocked by
@@ -44,16 +60,21 @@ pub fn of_scene(
 pub fn render(
     geometry: &Geometry,
     lighting: &Lighting,
+    visibility: Visibility,
     size: [u32; 2],
     options: &Options,
     row_done: &(dyn Fn() + Sync),
 ) -> Image {
     let rays = options.samples.div_ceil(REPLICAS);
+    let basis = (visibility == Visibility::Baked).then(|| Basis::new(geometry.scene));
     estimate_image(size, row_done, |x, y| {
         let seed = hash(hash(options.seed, x), y);
-        let at = |[u, v]: [f32; 2]| -> Option<Mixture> {
-            let (point, _) = geometry.seen(x as f32 + u, y as f32 + v)?;
-            Some(Mixture::new(&point, lighting))
+        let at = |[u, v]: [f32; 2]| -> Option<(Mixture, Option<Ssdf>)> {
+            let seen = geometry.seen(x as f32 + u, y as f32 + v)?;
+            let field = (basis.as_ref()).map(|basis| {
+                Ssdf::interpolate(geometry.scene, basis, seen.triangle, seen.barycentrics)
+            });
+            Some((Mixture::new(&seen.point, lighting), field))
         };
         let center = (options.filter == Filter::Center).then(|| at([0.5; 2]));
         let replicas: [_; REPLICAS as usize] = std::array::from_fn(|replica| {
@@ -65,9 +86,13 @@ pub fn render(
                 &boxed
             };
             let seed = hash(seed, replica as u32);
-            mixture
-                .as_ref()
-                .map(|mixture| mixture.trace(geometry, rays, seed))
+            mixture.as_ref().map(|(mixture, field)| {
+                let visible = |direction| match field {
+                    Some(field) => field.distance(direction) > 0.0,
+                    None => geometry.visible(&mixture.point, direction),
+                };
+                mixture.trace(visible, rays, seed)
+            })
         });
         combine(&replicas)
     })
@@ -166,7 +191,7 @@ impl Mixture {
     }
 
     /// Traces `count` rays.
-    fn trace(&self, geometry: &Geometry, count: u32, seed: u32) -> Gathered {
+    fn trace(&self, visible: impl Fn(Vec3) -> bool, count: u32, seed: u32) -> Gathered {
         let Some(&total) = self.cumulative.last() else {
             return Gathered::default();
         };
@@ -194,7 +219,7 @@ impl Mixture {
             if cosine > 0.0 {
                 let value = gaussian.integral() * (cosine / (probability * count as f32));
                 gathered.unoccluded += value;
-                if geometry.visible(&self.point, direction) {
+                if visible(direction) {
                     gathered.visible += value;
                 }
             }
@@ -309,7 +334,14 @@ mod tests {
             lights,
             ..Lighting::default()
         };
-        render(&geometry, &lighting, [8, 8], options, &|| ())
+        render(
+            &geometry,
+            &lighting,
+            Visibility::Exact,
+            [8, 8],
+            options,
+            &|| (),
+        )
     }
 
     #[test]

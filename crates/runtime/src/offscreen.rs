@@ -14,7 +14,7 @@ pub struct Gpu {
     pub queue: wgpu::Queue,
     /// The renderer; its targets are RGBA8, sRGB-encoded by the renderer.
     pub renderer: Renderer,
-    name: String,
+    adapter: wgpu::AdapterInfo,
 }
 
 /// One frame read back.
@@ -61,18 +61,22 @@ impl Gpu {
             })
             .await?;
         let renderer = Renderer::new(&device, &queue, Options::default())?;
-        let name = adapter.get_info().name;
         Ok(Self {
             device,
             queue,
             renderer,
-            name,
+            adapter: adapter.get_info(),
         })
     }
 
     /// Name of the adapter, as its driver gives it.
     pub fn name(&self) -> &str {
-        &self.name
+        &self.adapter.name
+    }
+
+    /// Whether it is a program on the processor that is drawn with.
+    pub fn is_software(&self) -> bool {
+        self.adapter.device_type == wgpu::DeviceType::Cpu
     }
 
     /// Copies a scene to the GPU.

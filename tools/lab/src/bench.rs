@@ -10,6 +10,7 @@ use serde::Serialize;
 use crate::compare::compare;
 use crate::image_file::Image;
 use crate::render::Renderer;
+use crate::truth::Options;
 use crate::truth::lobes::{self, Visibility};
 
 /// One integrator on one frame.
@@ -71,7 +72,7 @@ pub fn run(
         scene,
         &Frame::new(camera, lights),
         settings.size,
-        settings.samples,
+        &Options::centers(settings.samples),
         Visibility::Exact,
         &|| (),
     );

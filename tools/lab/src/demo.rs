@@ -25,6 +25,7 @@ use crate::display;
 use crate::image_file;
 use crate::render::{Device, Renderer};
 use crate::shapes::{over_ground, sphere, tube};
+use crate::truth;
 use crate::truth::lobes::{self, Visibility};
 
 /// What to trade for time.
@@ -127,7 +128,7 @@ pub fn run(options: &Options, monitor: Monitor) -> anyhow::Result<Report> {
         &scene,
         &Frame::new(camera, &lights),
         options.size,
-        options.samples,
+        &truth::Options::centers(options.samples),
         Visibility::Exact,
         &row_done,
     );

@@ -9,9 +9,10 @@ use crate::image_file::Image;
 /// Where to render.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Device {
-    /// A GPU if there is one that can, else the CPU.
+    /// A GPU if there is one that can, else the CPU. Software is no GPU: the twin is as fast, and
+    /// some drivers end long loops.
     Auto,
-    /// A GPU or nothing.
+    /// A GPU, if only in software, or nothing.
     Gpu,
     /// The CPU.
     Cpu,
@@ -32,7 +33,10 @@ impl Renderer {
         match device {
             Device::Cpu => Ok(Self::Cpu),
             Device::Gpu => open(),
-            Device::Auto => Ok(open().unwrap_or(Self::Cpu)),
+            Device::Auto => Ok(match open() {
+                Ok(Self::Gpu(gpu)) if !gpu.is_software() => Self::Gpu(gpu),
+                _ => Self::Cpu,
+            }),
         }
     }
 

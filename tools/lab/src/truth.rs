@@ -50,6 +50,17 @@ pub struct Options {
     pub seed: u32,
 }
 
+impl Options {
+    /// At pixel centres, as the runtime shades.
+    pub fn centers(samples: u32) -> Self {
+        Self {
+            samples,
+            filter: Filter::Center,
+            seed: SEED,
+        }
+    }
+}
+
 /// A scene that rays can be traced in, seen by one camera.
 pub struct Geometry<'a> {
     scene: &'a Scene,

@@ -19,6 +19,7 @@ use serde::Serialize;
 
 use crate::compare::compare;
 use crate::render::{Device, Renderer};
+use crate::truth;
 use crate::truth::lobes::{self, Visibility};
 
 /// The laboratory's scenes that are measured where none are named.
@@ -178,8 +179,8 @@ fn measure(
             if truths.len() == index {
                 monitor.step("trace truth", 0.0)?;
                 let Settings { size, samples, .. } = *settings;
-                let exact = Visibility::Exact;
-                let truth = lobes::of_frame(&scene, &frame, size, samples, exact, &|| ());
+                let (options, exact) = (truth::Options::centers(samples), Visibility::Exact);
+                let truth = lobes::of_frame(&scene, &frame, size, &options, exact, &|| ());
                 truths.push(truth);
             }
             let image = renderer.render(&scene, &frame, settings.size)?;

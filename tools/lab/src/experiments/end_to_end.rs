@@ -12,7 +12,7 @@ use super::report::{Section, Table};
 use super::{Laboratory, METHODS, camera, error};
 use crate::image_file::Image;
 use crate::truth::lobes::Visibility;
-use crate::truth::{Filter, Geometry, Options, SEED, full};
+use crate::truth::{Geometry, Options, SEED, full};
 
 const LOBES: usize = 32;
 
@@ -47,11 +47,12 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
             let light = laboratory.light(light_name, LOBES)?;
             let (width, height) = (light.image.width, light.image.height);
             let fitted = environment::render(&light.environment.lobes, width, height);
-            let truth = full_truth(laboratory, &scene, &input, &light.image)?;
-            let under_lobes = full_truth(laboratory, &scene, &input, &fitted)?;
+            // With random numbers of their own, so that the noise of two differs.
+            let truth = full_truth(laboratory, &scene, &input, &light.image, SEED)?;
+            let under_lobes = full_truth(laboratory, &scene, &input, &fitted, SEED + 1)?;
             let frame = Frame::new(camera(&scene)?, &light.lobes);
             let exact = laboratory.truth(&scene, &frame)?;
-            let baked = laboratory.trace(&scene, &frame, Visibility::Baked)?;
+            let baked = laboratory.trace(&scene, &frame, Visibility::Baked, SEED + 1)?;
             let mut images = Vec::new();
             for (_, method) in METHODS {
                 let frame = Frame {
@@ -93,6 +94,7 @@ fn full_truth(
     scene: &Scene,
     input: &SceneInput,
     image: &LatLong,
+    seed: u32,
 ) -> anyhow::Result<Image> {
     laboratory.monitor.step("trace full truth", 0.0)?;
     let [width, height] = laboratory.settings.size;
@@ -100,9 +102,8 @@ fn full_truth(
     // The mesh that was baked: a refined one has the same surface, but other rounding.
     let geometry = Geometry::new(scene, View::new(&camera(scene)?, width, height, 1.0));
     let options = Options {
-        samples: laboratory.settings.samples,
-        filter: Filter::Center,
-        seed: SEED,
+        seed,
+        ..Options::centers(laboratory.settings.samples)
     };
     let environment = full::EnvironmentSampler::new(image, 0.0);
     Ok(full::render(

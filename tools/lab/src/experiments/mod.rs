@@ -433,17 +433,27 @@ impl<'a> Laboratory<'a> {
 
     /// With the lobes of the frame.
     fn truth(&self, scene: &Scene, frame: &Frame) -> anyhow::Result<Image> {
-        self.trace(scene, frame, Visibility::Exact)
+        self.trace(scene, frame, Visibility::Exact, truth::SEED)
     }
 
-    fn trace(&self, scene: &Scene, frame: &Frame, visibility: Visibility) -> anyhow::Result<Image> {
+    fn trace(
+        &self,
+        scene: &Scene,
+        frame: &Frame,
+        visibility: Visibility,
+        seed: u32,
+    ) -> anyhow::Result<Image> {
         self.monitor.step("trace truth", 0.0)?;
         let Settings { size, samples, .. } = self.settings;
+        let options = truth::Options {
+            seed,
+            ..truth::Options::centers(samples)
+        };
         Ok(lobes::of_frame(
             scene,
             frame,
             size,
-            samples,
+            &options,
             visibility,
             &|| (),
         ))

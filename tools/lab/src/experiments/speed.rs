@@ -14,7 +14,7 @@ use crate::bench;
 use crate::image_file::Image;
 use crate::render::Renderer;
 use crate::truth::lobes::{self, Visibility};
-use crate::truth::{Filter, Geometry, Options, REPLICAS, SEED};
+use crate::truth::{Geometry, Options, REPLICAS, SEED};
 
 /// One setting of a method.
 #[derive(Clone, Copy)]
@@ -192,10 +192,9 @@ fn ray_trace(scene: &Scene, frame: &Frame, size: [u32; 2], samples: u32) -> (f64
         ..Lighting::default()
     };
     let options = Options {
-        samples,
-        filter: Filter::Center,
         // Not the truth's rays.
         seed: SEED + 1,
+        ..Options::centers(samples)
     };
     let start = Instant::now();
     let visibility = Visibility::Exact;

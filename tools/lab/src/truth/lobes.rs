@@ -15,7 +15,7 @@ use relight_shading::ssdf::{Basis, SignedDistance as _, Ssdf};
 use relight_shading::surface::SurfacePoint;
 
 use super::random::{hash, kronecker_pair, sobol_pair, unit};
-use super::{Estimate, Filter, Geometry, Options, REPLICAS, SEED, estimate_image};
+use super::{Estimate, Filter, Geometry, Options, REPLICAS, estimate_image};
 use crate::display::luminance;
 use crate::image_file::Image;
 
@@ -28,13 +28,13 @@ pub enum Visibility {
     Baked,
 }
 
-/// Estimates what the runtime would draw of a scene, at pixel centres. Whatever the frame says
-/// of methods and reflections has no part in it.
+/// Estimates what the runtime would draw of a scene. Whatever the frame says of methods and
+/// reflections has no part in it.
 pub fn of_frame(
     scene: &Scene,
     frame: &Frame,
     [width, height]: [u32; 2],
-    samples: u32,
+    options: &Options,
     visibility: Visibility,
     row_done: &(dyn Fn() + Sync),
 ) -> Image {
@@ -45,13 +45,8 @@ pub fn of_frame(
         local: &local,
         reflections: None,
     };
-    let options = Options {
-        samples,
-        filter: Filter::Center,
-        seed: SEED,
-    };
     let size = [width, height];
-    render(&geometry, &lighting, visibility, size, &options, row_done)
+    render(&geometry, &lighting, visibility, size, options, row_done)
 }
 
 /// Estimates the image. Local lights are seen as the runtime has them: as lobes, blocked by

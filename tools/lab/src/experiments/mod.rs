@@ -146,8 +146,12 @@ pub fn write_report(folder: &Path) -> anyhow::Result<PathBuf> {
 }
 
 /// Tables that a README has room for, and the columns of them.
-const SHORT: [(&str, &[&str]); 8] = [
+const SHORT: [(&str, &[&str]); 9] = [
     ("boundary", &[]),
+    (
+        "adaptive",
+        &["partition", "cells per pixel", "relative RMSE, %"],
+    ),
     (
         "penumbra",
         &["angle, °", "method", "hue, ΔH*ab", "penumbra RMSE, %"],

@@ -227,7 +227,7 @@ impl Figure {
 const STYLE: &str = "\
 body{font:15px/1.5 system-ui,sans-serif;max-width:1100px;margin:2em auto;padding:0 1em;color:#222}\
 h2{margin-top:2.5em;border-bottom:1px solid #ccc}\
-table{border-collapse:collapse;margin:1em 0;font-size:13px}\
+table{display:block;overflow-x:auto;border-collapse:collapse;margin:1em 0;font-size:13px}\
 caption{text-align:left;padding:.3em 0;color:#555}\
 th,td{padding:.2em .7em;border-bottom:1px solid #e4e4e4;text-align:left}\
 td.number{text-align:right;font-variant-numeric:tabular-nums}\

@@ -6,7 +6,7 @@ use bytemuck::{Pod, Zeroable};
 use relight_format::{CHANNELS_PER_TILE, MAX_REFLECTIONS, Scene, Surface, TextureEncoding};
 
 use crate::camera::View;
-use crate::octahedral;
+use crate::ssdf::Basis;
 use crate::surface::{LayerParameters, visit_layers};
 
 /// `Material::surface`: base colour, metallic and roughness as in glTF.
@@ -567,25 +567,16 @@ fn fill_atlas(scene: &Scene, atlas: &AtlasLayout, clusters: &[Cluster]) -> Vec<i
     let n = atlas.basis_resolution;
     let row_length = atlas.width as usize * CHANNELS_PER_TILE;
     let mut texels = vec![0i8; row_length * atlas.height as usize * atlas.layers as usize];
-    let tile_length = (n * n) as usize * CHANNELS_PER_TILE;
+    let basis = Basis::new(scene);
     for (cluster, placed) in scene.clusters.iter().zip(clusters) {
         for tile in 0..cluster.tiles {
-            let source =
-                &scene.basis[(cluster.first_tile + tile) as usize * tile_length..][..tile_length];
             // Corner of the tile with its gutter.
             let left = placed.tile_origin[0] as u32 - 1 + tile * (n + 2);
             let top = placed.layer * atlas.height + placed.tile_origin[1] as u32 - 1;
             for y in 0..n + 2 {
-                for x in 0..n + 2 {
-                    let (from_x, from_y) = octahedral::wrap(x as i32 - 1, y as i32 - 1, n);
-                    let from = (from_y * n + from_x) as usize * CHANNELS_PER_TILE;
-                    let to =
-                        (top + y) as usize * row_length + (left + x) as usize * CHANNELS_PER_TILE;
-                    for channel in 0..CHANNELS_PER_TILE {
-                        // −128 has no place in basis values, and snorm decodes it as −127.
-                        texels[to + channel] = source[from + channel].max(-127);
-                    }
-                }
+                let row = basis.row((cluster.first_tile + tile) as usize, y as usize);
+                let to = (top + y) as usize * row_length + left as usize * CHANNELS_PER_TILE;
+                texels[to..to + row.len()].copy_from_slice(row);
             }
         }
     }
@@ -601,6 +592,7 @@ mod tests {
     };
 
     use super::*;
+    use crate::octahedral;
     use crate::wgsl::{Entry, source};
 
     /// Compares a Rust structure with the WGSL one of the same name, both ways round.

@@ -24,7 +24,8 @@ pub trait SignedDistance {
 /// A scene's basis images, each in a gutter of one texel that continues it as the octahedral map
 /// does: an interpolation's four texels are two pairs of neighbours.
 pub struct Basis {
-    /// Tile after tile, row 0 first, four channels per texel; −128 is −127.
+    /// Tile after tile, row 0 first, four channels per texel. −128 has no place in basis values;
+    /// snorm decodes it as −127, which stands here.
     texels: Vec<i8>,
     /// Texels per side of a tile, without its gutter.
     resolution: usize,
@@ -51,6 +52,12 @@ impl Basis {
             texels,
             resolution: n,
         }
+    }
+
+    /// Row `row` of tile `tile`, gutter included, row 0 of which is the gutter.
+    pub(crate) fn row(&self, tile: usize, row: usize) -> &[i8] {
+        let length = (self.resolution + 2) * CHANNELS_PER_TILE;
+        &self.texels[tile * Self::tile_length(self.resolution) + row * length..][..length]
     }
 
     fn tile_length(resolution: usize) -> usize {

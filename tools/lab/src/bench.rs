@@ -91,7 +91,7 @@ pub fn run(
         let work = twin::work(scene, &frame, width, height)?;
         let pixels = work.pixels.max(1) as f64;
         let seconds = shading.as_secs_f64();
-        let relative_rmse = (found.relative_rmse_corrected).unwrap_or(found.relative_rmse);
+        let relative_rmse = found.noiseless();
         let first = rows.first();
         rows.push(Row {
             method: name,

@@ -658,7 +658,7 @@ fn run_demo(arguments: &Demo, json: bool) -> anyhow::Result<Value> {
         println!(
             "{name:<18} {:>12.2} % {:>10.2} % {:>11.4} {:>13.4}",
             100.0 * c.relative_rmse,
-            100.0 * c.relative_rmse_corrected.unwrap_or(c.relative_rmse),
+            100.0 * c.noiseless(),
             c.mean_flip,
             c.energy_ratio,
         );

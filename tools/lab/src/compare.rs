@@ -33,6 +33,13 @@ pub struct Comparison {
     pub relative_rmse_corrected: Option<f64>,
 }
 
+impl Comparison {
+    /// `relative_rmse` with the noise taken out, where it is known.
+    pub fn noiseless(&self) -> f64 {
+        self.relative_rmse_corrected.unwrap_or(self.relative_rmse)
+    }
+}
+
 /// Why two images cannot be compared.
 #[derive(Debug, PartialEq, thiserror::Error)]
 pub enum Error {

@@ -185,7 +185,7 @@ fn measure(
             }
             let image = renderer.render(&scene, &frame, settings.size)?;
             let found = compare(&image, &truths[index])?;
-            errors.push(found.relative_rmse_corrected.unwrap_or(found.relative_rmse));
+            errors.push(found.noiseless());
         }
         let own = scene.vertices.len() - usize::try_from(seams.pairs)?;
         let fetches: f64 = (scene.clusters.iter())

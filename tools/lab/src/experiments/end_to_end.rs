@@ -3,7 +3,7 @@
 
 use relight_bake::environment;
 use relight_bake::hdr::LatLong;
-use relight_bake::scene_input::SceneInput;
+use relight_bake::measured;
 use relight_format::Scene;
 use relight_runtime::Frame;
 use relight_shading::camera::View;
@@ -42,14 +42,15 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
     );
     for scene_name in ["spot", "walk_1", "bunny"] {
         let input = laboratory.input(scene_name)?;
+        let tables = full::tables(&input)?;
         let scene = laboratory.scene(scene_name)?;
         for light_name in ["grace", "studio"] {
             let light = laboratory.light(light_name, LOBES)?;
             let (width, height) = (light.image.width, light.image.height);
             let fitted = environment::render(&light.environment.lobes, width, height);
             // With random numbers of their own, so that the noise of two differs.
-            let truth = full_truth(laboratory, &scene, &input, &light.image, SEED)?;
-            let under_lobes = full_truth(laboratory, &scene, &input, &fitted, SEED + 1)?;
+            let truth = full_truth(laboratory, &scene, &tables, &light.image, SEED)?;
+            let under_lobes = full_truth(laboratory, &scene, &tables, &fitted, SEED + 1)?;
             let frame = Frame::new(camera(&scene)?, &light.lobes);
             let exact = laboratory.truth(&scene, &frame)?;
             let baked = laboratory.trace(&scene, &frame, Visibility::Baked, SEED + 1)?;
@@ -92,13 +93,12 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
 fn full_truth(
     laboratory: &Laboratory,
     scene: &Scene,
-    input: &SceneInput,
+    tables: &[Option<measured::Table>],
     image: &LatLong,
     seed: u32,
 ) -> anyhow::Result<Image> {
     laboratory.monitor.step("trace full truth", 0.0)?;
     let [width, height] = laboratory.settings.size;
-    let tables = full::tables(input)?;
     // The mesh that was baked: a refined one has the same surface, but other rounding.
     let geometry = Geometry::new(scene, View::new(&camera(scene)?, width, height, 1.0));
     let options = Options {
@@ -108,7 +108,7 @@ fn full_truth(
     let environment = full::EnvironmentSampler::new(image, 0.0);
     Ok(full::render(
         &geometry,
-        &tables,
+        tables,
         &environment,
         &[],
         [width, height],

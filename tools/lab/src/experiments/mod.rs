@@ -31,7 +31,7 @@ use relight_shading::spherical_gaussian::SphericalGaussian;
 
 use self::report::{Figure, Section};
 use crate::bench::{self, Timed};
-use crate::compare::{Comparison, compare};
+use crate::compare::compare;
 use crate::image_file::{self, Image};
 use crate::render::Renderer;
 use crate::truth::lobes::{self, Visibility};
@@ -332,11 +332,8 @@ pub fn fit_light(
     Ok(Light::new(data, name, lobes, monitor)?.lobes)
 }
 
-/// A method by its name in tables.
-type Named = (&'static str, Method);
-
 /// The three that are always compared; the baseline first.
-const METHODS: [Named; 3] = [
+const METHODS: [(&str, Method); 3] = [
     ("ambient", Method::Ambient),
     ("cells", Method::Cells(CellsOptions::STANDARD)),
     ("polar", Method::Polar(PolarOptions::STANDARD)),
@@ -520,12 +517,7 @@ fn camera(scene: &Scene) -> anyhow::Result<Camera> {
 
 /// Relative RMSE, noise removed.
 fn error(candidate: &Image, truth: &Image) -> anyhow::Result<f64> {
-    let found = compare(candidate, truth)?;
-    Ok(noiseless(&found))
-}
-
-fn noiseless(found: &Comparison) -> f64 {
-    found.relative_rmse_corrected.unwrap_or(found.relative_rmse)
+    Ok(compare(candidate, truth)?.noiseless())
 }
 
 /// |a − b| with the coverage of `b`, `scale` times.

@@ -3,7 +3,7 @@
 use relight_runtime::{Frame, twin};
 
 use super::report::{Section, Table};
-use super::{Laboratory, METHODS, camera, noiseless};
+use super::{Laboratory, METHODS, camera};
 use crate::compare::compare;
 use crate::image_file::Image;
 
@@ -63,7 +63,7 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
             let work = twin::work(&scene, &frame, width, height)?;
             let pixels = work.pixels.max(1) as f64;
             let found = compare(&timed.image, &truth)?;
-            let (seconds, error) = (timed.shading.as_secs_f64(), noiseless(&found));
+            let (seconds, error) = (timed.shading.as_secs_f64(), found.noiseless());
             let (base_seconds, base_error) = *ambient.get_or_insert((seconds, error));
             table.row([
                 scene_name.into(),

@@ -4,8 +4,8 @@
 //! §4). The boundary is known where it passes between neighbouring sample texels of
 //! different class: at the contour that separates them where one was found
 //! ([`Crossings`]), midway otherwise. |D| is the angle to the nearest of these points,
-//! found exactly: directions that lie together look through bins of points in the order of
-//! what they can be at least away, until no bin that is left can hold a nearer one.
+//! found exactly: for directions that lie together, those chunks of points are looked
+//! through that can hold the nearest one.
 //!
 //! The distances may be wanted at fewer texels than were sampled. A texel then spans a
 //! block of samples. Where these are of one class, that gives the sign of the distance at
@@ -21,14 +21,26 @@ use crate::visibility::{Bitmap, Directions};
 /// Directions whose distances are computed side by side: those of 4 × 4 texels or samples.
 const LANES: usize = SIDE * SIDE;
 const SIDE: usize = 4;
-/// Bins per side of the map, about.
-const BINS: usize = 16;
+/// Points of the boundary that lie together.
+const CHUNK: usize = 8;
+/// Chunks that are chosen from at once.
+const WORD: usize = u64::BITS as usize;
+/// 1, 2, 4 …
+const POWERS: [f32; LANES] = {
+    let mut powers = [1.0; LANES];
+    let mut lane = 1;
+    while lane < LANES {
+        powers[lane] = 2.0 * powers[lane - 1];
+        lane += 1;
+    }
+    powers
+};
 /// Most samples per texel and side.
 pub const MAX_SPAN: u32 = 16;
 /// A coordinate of points that are nearest to nothing.
 const FAR: f32 = 1e3;
-/// Slack of what bins are away against rounding, radians.
-const ANGLE_SLACK: f32 = 1e-4;
+/// Slack of bounds against rounding, a chord.
+const SLACK: f32 = 1e-5;
 
 /// Tables for the transform between two resolutions.
 pub struct Transform {
@@ -38,15 +50,11 @@ pub struct Transform {
     resolution: usize,
     /// The texels' centres.
     tiles: Vec<Group>,
-    /// Per tile every bin: what it is away at least, as a squared chord, ascending.
-    order: Vec<(f32, u16)>,
-    /// The samples.
+    /// The samples, where there are more of them than texels.
     blocks: Vec<Block>,
-    /// The cell of each sample texel. A link belongs to the cell of its first texel. A bin
-    /// is a square of consecutive cells.
+    /// The cell of each sample texel. A link belongs to the cell of its first texel.
     cells: Vec<u16>,
     cell_count: usize,
-    cells_per_bin: usize,
     /// Pairs of texels that are neighbours over the border, and the midpoint between them.
     border: Vec<([u32; 2], Vec2)>,
 }
@@ -58,29 +66,24 @@ struct Group {
     columns: usize,
     rows: usize,
     centre: Vec3,
-    /// Largest angle between a direction and the centre.
+    /// Largest chord between a direction and the centre.
     radius: f32,
-    /// Directions less the centre: small numbers, whose products keep their precision.
-    offsets: [[f32; LANES]; 3],
-    /// Squared lengths of the offsets.
-    squares: [f32; LANES],
+    directions: [[f32; LANES]; 3],
 }
 
-/// Samples, and where the boundary may be that is nearest to them.
+/// Samples.
 struct Block {
     samples: Group,
     /// The texels that the samples belong to.
     texels: Vec<u32>,
-    /// Cells no farther away than the texels are wide.
-    cells: Vec<u16>,
 }
 
 /// Where contours cross the links between neighbouring sample texels of different class.
 #[derive(Debug, Default)]
 pub struct Crossings {
-    /// Per link, from its first texel to the other, 0 to 1; NaN where no contour was found.
-    /// The links to the right of every texel are followed by those to the texel below.
-    /// Empty if nothing is known.
+    /// Per link between texels of different class, from its first texel to the other, 0 to 1;
+    /// NaN where no contour was found. The links to the right of every texel are followed by
+    /// those to the texel below. Empty if nothing is known.
     pub(crate) positions: Vec<f32>,
 }
 
@@ -93,12 +96,18 @@ impl Crossings {
     }
 }
 
-/// Points of the boundary, cell after cell.
+/// Points of the boundary.
 struct Boundary {
-    /// Followed by [`LANES`] more, far from the sphere.
-    points: [Vec<f32>; 3],
-    /// First point of each cell, and the end of the last one.
-    starts: Vec<u32>,
+    points: Vec<[[f32; 3]; CHUNK]>,
+    /// One of the points of each chunk. Followed by points far from the sphere, to a
+    /// multiple of [`WORD`].
+    centres: [Vec<f32>; 3],
+    /// Largest chord between a chunk's centre and another of its points.
+    radii: Vec<f32>,
+    /// From some direction to the centres, squared.
+    chords: Vec<f32>,
+    /// Chunks that can hold the nearest point to some direction.
+    candidates: Vec<u32>,
 }
 
 impl Transform {
@@ -112,97 +121,21 @@ impl Transform {
             "{resolution} does not divide {n}, or into too small parts"
         );
         let (n, resolution) = (n as usize, resolution as usize);
-        let per_bin_side = n.div_ceil(BINS * SIDE);
-        let bins_per_side = n.div_ceil(per_bin_side * SIDE);
-        let cells_per_bin = per_bin_side * per_bin_side;
-        let cell = |i: usize| {
-            let (x, y) = (i % n / SIDE, i / n / SIDE);
-            let bin = y / per_bin_side * bins_per_side + x / per_bin_side;
-            bin * cells_per_bin + y % per_bin_side * per_bin_side + x % per_bin_side
-        };
-        let mut transform = Self {
+        let cells_per_side = n.div_ceil(SIDE);
+        let cell = |i: usize| i / n / SIDE * cells_per_side + i % n / SIDE;
+        Self {
             n,
             resolution,
             tiles: groups(resolution),
-            order: Vec::new(),
-            blocks: Vec::new(),
+            blocks: if n > resolution {
+                blocks(n, resolution)
+            } else {
+                Vec::new()
+            },
             cells: (0..n * n).map(|i| cell(i) as u16).collect(),
-            cell_count: bins_per_side * bins_per_side * cells_per_bin,
-            cells_per_bin,
+            cell_count: cells_per_side * cells_per_side,
             border: border(n),
-        };
-        let cells = transform.cell_points();
-        let bins: Vec<(Vec3, f32)> = (cells.chunks(cells_per_bin))
-            .map(|cells| bounds(cells.iter().flatten().copied()))
-            .collect();
-        for tile in &transform.tiles {
-            let start = transform.order.len();
-            let away = bins.iter().map(|bin| squared_chord(tile.away(*bin)));
-            transform.order.extend(away.zip(0..));
-            transform.order[start..].sort_by(|a, b| a.0.total_cmp(&b.0));
         }
-        if n > resolution {
-            let cells: Vec<(Vec3, f32)> = (cells.iter())
-                .map(|points| bounds(points.iter().copied()))
-                .collect();
-            transform.blocks = transform.blocks(&cells);
-        }
-        transform
-    }
-
-    /// Points near all those that each cell can hold.
-    fn cell_points(&self) -> Vec<Vec<Vec3>> {
-        let n = self.n;
-        let mut points = vec![Vec::new(); self.cell_count];
-        for (i, &cell) in self.cells.iter().enumerate() {
-            let first = Vec2::new((i % n) as f32, (i / n) as f32);
-            let reach = [Vec2::ZERO, Vec2::X, Vec2::Y, 0.5 * Vec2::X, 0.5 * Vec2::Y];
-            points[usize::from(cell)].extend(reach.map(|offset| direction(first + offset, n)));
-        }
-        for ([first, _], midpoint) in &self.border {
-            points[usize::from(self.cells[*first as usize])].push(direction(*midpoint, n));
-        }
-        points
-    }
-
-    /// `cells`: the bounds of each.
-    fn blocks(&self, cells: &[(Vec3, f32)]) -> Vec<Block> {
-        let span = self.n / self.resolution;
-        let texel_of = |x: usize, y: usize| y / span * self.resolution + x / span;
-        // The boundary crosses a link within every texel of mixed class.
-        let widths: Vec<f32> = (0..self.resolution.pow(2))
-            .map(|i| {
-                let (x, y) = (i % self.resolution * span, i / self.resolution * span);
-                let samples = (0..span * span).map(|j| {
-                    direction(
-                        Vec2::new((x + j % span) as f32, (y + j / span) as f32),
-                        self.n,
-                    )
-                });
-                2.0 * bounds(samples).1
-            })
-            .collect();
-        (groups(self.n).into_iter())
-            .map(|samples| {
-                let mut texels: Vec<u32> = (0..samples.rows * samples.columns)
-                    .map(|i| {
-                        let (x, y) = (i % samples.columns, i / samples.columns);
-                        texel_of(samples.x + x, samples.y + y) as u32
-                    })
-                    .collect();
-                texels.sort_unstable();
-                texels.dedup();
-                let width = |texel: &u32| widths[*texel as usize];
-                let reach = texels.iter().map(width).fold(0.0, f32::max);
-                let near = cells.iter().zip(0..);
-                let cells = near.filter(|(cell, _)| samples.away(**cell) <= reach);
-                Block {
-                    texels,
-                    cells: cells.map(|(_, cell)| cell).collect(),
-                    samples,
-                }
-            })
-            .collect()
     }
 
     /// The SSDF of a visibility bitmap, radians per texel, clamped to ± `limit`.
@@ -229,8 +162,9 @@ impl Transform {
             starts[usize::from(cell) + 1] += 1;
             found.push((cell, at));
         };
-        visible.for_links(n, |texel, below| {
-            let (x, y) = ((texel % n) as f32, (texel / n) as f32);
+        visible.for_links(n, |x, y, below| {
+            let texel = y * n + x;
+            let (x, y) = (x as f32, y as f32);
             add(
                 texel,
                 if below {
@@ -245,24 +179,30 @@ impl Transform {
                 add(*a as usize, midpoint.to_array());
             }
         }
+        // A cell's last chunk is filled up with its last point.
         for cell in 0..self.cell_count {
-            starts[cell + 1] += starts[cell];
+            starts[cell + 1] = starts[cell] + starts[cell + 1].next_multiple_of(CHUNK as u32);
         }
+        let padded = starts[self.cell_count] as usize;
         let mut next = starts.clone();
-        let padded = found.len() + LANES;
-        let [mut u, mut v] = [vec![0.0; found.len()], vec![0.0; found.len()]];
+        let [mut u, mut v] = [vec![0.0; padded], vec![0.0; padded]];
         for (cell, at) in found {
             let place = &mut next[usize::from(cell)];
             [u[*place as usize], v[*place as usize]] = at;
             *place += 1;
         }
-        let mut points = [(); 3].map(|()| vec![FAR; padded]);
-        let [x, y, z] = &mut points;
-        let scale = 2.0 / n as f32;
-        for i in 0..u.len() {
-            [x[i], y[i], z[i]] = decode([u[i], v[i]], scale);
+        for (next, end) in next.iter().zip(&starts[1..]) {
+            for place in *next as usize..*end as usize {
+                (u[place], v[place]) = (u[place - 1], v[place - 1]);
+            }
         }
-        Boundary { points, starts }
+        let mut points = vec![[[0.0; 3]; CHUNK]; padded / CHUNK];
+        let scale = 2.0 / n as f32;
+        let flat = points.as_flattened_mut();
+        for ((point, u), v) in flat.iter_mut().zip(u).zip(v) {
+            *point = decode([u, v], scale);
+        }
+        Boundary::new(points)
     }
 
     /// Visible samples per texel of a tile.
@@ -294,7 +234,7 @@ impl WithSimd for Apply<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) {
+    fn with_simd<S: Simd>(self, simd: S) {
         let Self {
             transform,
             visible,
@@ -305,13 +245,12 @@ impl WithSimd for Apply<'_> {
         let Transform { n, resolution, .. } = *transform;
         let span = n / resolution;
         let samples = (span * span) as u32;
-        let boundary = transform.boundary(visible, crossings);
+        let mut boundary = transform.boundary(visible, crossings);
+        let limit = [limit, squared_chord(limit).sqrt()];
         let mut mixed = vec![false; distances.len()];
-        let bins = transform.cell_count / transform.cells_per_bin;
-        let orders = transform.order.chunks_exact(bins);
-        for (tile, order) in transform.tiles.iter().zip(orders) {
+        for tile in &transform.tiles {
             let counts = transform.visible_samples(visible, tile);
-            let found = boundary.in_order(tile, order, transform.cells_per_bin, limit);
+            let found = boundary.nearest(simd, tile, limit);
             for row in 0..tile.rows {
                 let start = (tile.y + row) * resolution + tile.x;
                 for column in 0..tile.columns {
@@ -337,7 +276,7 @@ impl WithSimd for Apply<'_> {
                 continue;
             }
             let group = &block.samples;
-            let found = boundary.within(group, &block.cells, limit);
+            let found = boundary.nearest(simd, group, limit);
             for row in 0..group.rows {
                 let y = group.y + row;
                 let bits = visible.bits(y * n + group.x);
@@ -354,116 +293,117 @@ impl WithSimd for Apply<'_> {
 }
 
 impl Boundary {
-    /// Angle from each direction of a tile to the nearest point, at most `limit`.
     #[inline(always)]
-    fn in_order(
-        &self,
-        tile: &Group,
-        order: &[(f32, u16)],
-        cells_per_bin: usize,
-        limit: f32,
+    fn new(points: Vec<[[f32; 3]; CHUNK]>) -> Self {
+        let padded = points.len().next_multiple_of(WORD);
+        let mut centres = [(); 3].map(|()| vec![FAR; padded]);
+        let mut radii = vec![0.0; padded];
+        let [x, y, z] = &mut centres;
+        for (chunk, points) in points.iter().enumerate() {
+            let centre = points[CHUNK / 2];
+            [x[chunk], y[chunk], z[chunk]] = centre;
+            let mut largest = 0.0f32;
+            for point in points {
+                largest = largest.max(squared_distance(*point, centre));
+            }
+            radii[chunk] = largest.sqrt();
+        }
+        Self {
+            points,
+            chords: vec![0.0; padded],
+            candidates: Vec::with_capacity(padded),
+            centres,
+            radii,
+        }
+    }
+
+    /// Angle from each direction of a group to the nearest point, at most `limit`: an angle
+    /// and its chord.
+    #[inline(always)]
+    fn nearest<S: Simd>(
+        &mut self,
+        simd: S,
+        group: &Group,
+        [limit, limit_chord]: [f32; 2],
     ) -> [f32; LANES] {
-        let widest = squared_chord(limit);
-        let mut nearest = less(widest, tile.squares);
-        let (mut worst, mut looked) = (widest, false);
-        for &(away, bin) in order {
-            // Bins that overlap the tile are looked through in any case.
-            if looked && away > 0.0 {
-                worst = largest(add(nearest, tile.squares));
-                looked = false;
-            }
-            if away >= worst {
-                break;
-            }
-            let first = usize::from(bin) * cells_per_bin;
-            looked |= self.look(tile, first, first + cells_per_bin, &mut nearest);
-        }
-        angles(add(nearest, tile.squares), limit)
-    }
-
-    /// The same among some cells.
-    #[inline(always)]
-    fn within(&self, group: &Group, cells: &[u16], limit: f32) -> [f32; LANES] {
-        let widest = squared_chord(limit);
-        let mut nearest = less(widest, group.squares);
-        for &cell in cells {
-            let cell = usize::from(cell);
-            self.look(group, cell, cell + 1, &mut nearest);
-        }
-        angles(add(nearest, group.squares), limit)
-    }
-
-    /// Looks through the points of consecutive cells; whether there are any. `nearest` are
-    /// squared chords less the squares of the group's offsets: with p a point and t a
-    /// direction less the centre, |p − t|² − |t|² = |p|² − 2 p·t.
-    #[inline(always)]
-    fn look(&self, group: &Group, first: usize, past: usize, nearest: &mut [f32; LANES]) -> bool {
-        let (mut start, end) = (self.starts[first] as usize, self.starts[past] as usize);
-        let any = start < end;
-        let [px, py, pz] = &self.points;
-        let [tx, ty, tz] = &group.offsets;
-        while start < end {
-            // Arrays, as slices do not vectorise. The points are padded.
-            let (Some(xs), Some(ys), Some(zs)) = (
-                px[start..].first_chunk::<LANES>(),
-                py[start..].first_chunk::<LANES>(),
-                pz[start..].first_chunk::<LANES>(),
-            ) else {
-                break;
-            };
-            let mut terms = [[0.0; LANES]; 4];
-            for i in 0..LANES {
-                let x = xs[i] - group.centre.x;
-                let y = ys[i] - group.centre.y;
-                let z = zs[i] - group.centre.z;
-                terms[0][i] = -2.0 * x;
-                terms[1][i] = -2.0 * y;
-                terms[2][i] = -2.0 * z;
-                terms[3][i] = x * x + y * y + z * z;
-            }
-            let [xs, ys, zs, squares] = &terms;
-            // By pairs, as every minimum waits for the one before. What a last pair takes in
-            // addition is a point of the boundary too, or far away.
-            for i in (0..LANES.min(end - start)).step_by(2) {
-                let a = [xs[i], ys[i], zs[i], squares[i]];
-                let b = [xs[i + 1], ys[i + 1], zs[i + 1], squares[i + 1]];
-                for lane in 0..LANES {
-                    let offset = [tx[lane], ty[lane], tz[lane]];
-                    let (a, b) = (relative(a, offset), relative(b, offset));
-                    let least = if b < a { b } else { a };
-                    nearest[lane] = if least < nearest[lane] {
-                        least
-                    } else {
-                        nearest[lane]
-                    };
+        let from_centre = self.chords_from(simd, group.centre);
+        // No direction of the group is farther from the boundary than this.
+        let bound = (from_centre.sqrt() + group.radius).min(limit_chord);
+        self.choose(simd, bound + group.radius + SLACK);
+        let mut nearest = [0.0; LANES];
+        let [tx, ty, tz] = group.directions.each_ref().map(|axis| lanes::<S>(axis));
+        let found = S::as_mut_simd_f32s(&mut nearest).0;
+        for (((found, tx), ty), tz) in found.iter_mut().zip(tx).zip(ty).zip(tz) {
+            let mut least = simd.splat_f32s(limit_chord * limit_chord);
+            for &chunk in &self.candidates {
+                for [x, y, z] in self.points[chunk as usize] {
+                    let x = simd.sub_f32s(*tx, simd.splat_f32s(x));
+                    let y = simd.sub_f32s(*ty, simd.splat_f32s(y));
+                    let z = simd.sub_f32s(*tz, simd.splat_f32s(z));
+                    let squared = simd.mul_add_f32s(x, x, simd.mul_f32s(y, y));
+                    least = simd.min_f32s(least, simd.mul_add_f32s(z, z, squared));
                 }
             }
-            start += LANES;
+            *found = least;
         }
-        any
+        angles(nearest, limit)
+    }
+
+    /// Computes the chords to all centres; returns the least, squared.
+    #[inline(always)]
+    fn chords_from<S: Simd>(&mut self, simd: S, direction: Vec3) -> f32 {
+        let [tx, ty, tz] = direction.to_array().map(|axis| simd.splat_f32s(axis));
+        let [x, y, z] = self.centres.each_ref().map(|axis| lanes::<S>(axis));
+        let mut least = simd.splat_f32s(f32::MAX);
+        let chords = S::as_mut_simd_f32s(&mut self.chords).0;
+        for (((chord, x), y), z) in chords.iter_mut().zip(x).zip(y).zip(z) {
+            let (x, y, z) = (
+                simd.sub_f32s(*x, tx),
+                simd.sub_f32s(*y, ty),
+                simd.sub_f32s(*z, tz),
+            );
+            let squared = simd.mul_add_f32s(x, x, simd.mul_f32s(y, y));
+            *chord = simd.mul_add_f32s(z, z, squared);
+            least = simd.min_f32s(least, *chord);
+        }
+        simd.reduce_min_f32s(least)
+    }
+
+    /// Finds the chunks with points within `reach`, a chord.
+    #[inline(always)]
+    fn choose<S: Simd>(&mut self, simd: S, reach: f32) {
+        self.candidates.clear();
+        let (reach, none) = (simd.splat_f32s(reach), simd.splat_f32s(0.0));
+        let powers = lanes::<S>(&POWERS)[0];
+        let words = lanes::<S>(&self.chords).chunks_exact(WORD / S::F32_LANES);
+        let radii = lanes::<S>(&self.radii).chunks_exact(WORD / S::F32_LANES);
+        for ((chords, radii), first) in words.zip(radii).zip((0..).step_by(WORD)) {
+            // One bit per chunk, first summed as powers of two, which is exact.
+            let mut near = 0;
+            for (i, (chord, radius)) in chords.iter().zip(radii).enumerate() {
+                let reach = simd.add_f32s(reach, *radius);
+                let within = simd.less_than_f32s(*chord, simd.mul_f32s(reach, reach));
+                let bits = simd.reduce_sum_f32s(simd.select_f32s(within, powers, none));
+                near |= (bits as u64) << (i * S::F32_LANES);
+            }
+            while near != 0 {
+                self.candidates.push(first + near.trailing_zeros());
+                near &= near - 1;
+            }
+        }
     }
 }
 
-/// |p|² − 2 p·t.
+/// A slice whose length is a multiple of all vectors'.
 #[inline(always)]
-fn relative([x, y, z, square]: [f32; 4], t: [f32; 3]) -> f32 {
-    x.mul_add(t[0], y.mul_add(t[1], z.mul_add(t[2], square)))
+fn lanes<S: Simd>(values: &[f32]) -> &[S::f32s] {
+    S::as_simd_f32s(values).0
 }
 
 #[inline(always)]
-fn less(value: f32, mut squares: [f32; LANES]) -> [f32; LANES] {
-    for square in &mut squares {
-        *square = value - *square;
-    }
-    squares
-}
-
-#[inline(always)]
-fn add(mut a: [f32; LANES], b: [f32; LANES]) -> [f32; LANES] {
-    for lane in 0..LANES {
-        a[lane] += b[lane];
-    }
-    a
+fn squared_distance(a: [f32; 3], b: [f32; 3]) -> f32 {
+    let [x, y, z] = [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
+    x.mul_add(x, y.mul_add(y, z * z))
 }
 
 /// Angles of squared chords, at most `limit`.
@@ -484,13 +424,23 @@ fn angles(squared: [f32; LANES], limit: f32) -> [f32; LANES] {
     angles
 }
 
-impl Group {
-    /// The least angle between one of these directions and a point within `radius` of
-    /// another `centre`, or less.
-    fn away(&self, (centre, radius): (Vec3, f32)) -> f32 {
-        let angle = angle_of_squared_chord(self.centre.distance_squared(centre));
-        (angle - self.radius - radius - ANGLE_SLACK).max(0.0)
-    }
+/// The samples of an `n` × `n` map, which belong to fewer texels.
+fn blocks(n: usize, resolution: usize) -> Vec<Block> {
+    let span = n / resolution;
+    (groups(n).into_iter())
+        .map(|samples| {
+            let mut texels: Vec<u32> = (0..samples.rows * samples.columns)
+                .map(|i| {
+                    let (x, y) = (i % samples.columns, i / samples.columns);
+                    let texel = [samples.x + x, samples.y + y].map(|place| place / span);
+                    (texel[1] * resolution + texel[0]) as u32
+                })
+                .collect();
+            texels.sort_unstable();
+            texels.dedup();
+            Block { samples, texels }
+        })
+        .collect()
 }
 
 /// An `n` × `n` map's texels in groups.
@@ -514,13 +464,10 @@ fn groups(n: usize) -> Vec<Group> {
                 rows,
                 centre,
                 radius,
-                offsets: [[0.0; LANES]; 3],
-                squares: [0.0; LANES],
+                directions: [[0.0; LANES]; 3],
             };
             for (lane, direction) in directions.enumerate() {
-                let offset = direction - centre;
-                group.squares[lane] = offset.length_squared();
-                for (axis, value) in group.offsets.iter_mut().zip(offset.to_array()) {
+                for (axis, value) in group.directions.iter_mut().zip(direction.to_array()) {
                     axis[lane] = value;
                 }
             }
@@ -566,28 +513,12 @@ fn decode([u, v]: [f32; 2], scale: f32) -> [f32; 3] {
     [x * inverse, y * inverse, z * inverse]
 }
 
-/// A direction amid others and the largest angle to one of them, radians.
+/// A direction amid others and the largest chord to one of them.
 fn bounds(directions: impl Iterator<Item = Vec3> + Clone) -> (Vec3, f32) {
     let sum: Vec3 = directions.clone().sum();
     let centre = sum.normalize_or(Vec3::Y);
     let squared = directions.map(|direction| centre.distance_squared(direction));
-    (centre, angle_of_squared_chord(squared.fold(0.0, f32::max)))
-}
-
-/// By halves, which vectorises.
-#[inline(always)]
-fn largest(mut values: [f32; LANES]) -> f32 {
-    let mut half = LANES / 2;
-    while half > 0 {
-        for lane in 0..half {
-            let other = values[lane + half];
-            if other > values[lane] {
-                values[lane] = other;
-            }
-        }
-        half /= 2;
-    }
-    values[0]
+    (centre, squared.fold(0.0, f32::max).sqrt())
 }
 
 fn squared_chord(angle: f32) -> f32 {

@@ -72,9 +72,10 @@ impl Bitmap {
     }
 
     /// Calls back for every link between neighbours within the map, `n` texels to a row, that
-    /// differ: the first texel, and whether the other lies below it and not to its right.
+    /// differ: column and row of the first texel, and whether the other lies below it and not
+    /// to its right.
     #[inline(always)]
-    pub(crate) fn for_links(&self, n: usize, mut call: impl FnMut(usize, bool)) {
+    pub(crate) fn for_links(&self, n: usize, mut call: impl FnMut(usize, usize, bool)) {
         let texels = n * n;
         let differing = |index: usize, shift: usize| {
             let beyond = (texels - shift.min(texels)).saturating_sub(64 * index);
@@ -82,13 +83,24 @@ impl Bitmap {
             (self.words[index] ^ self.bits(64 * index + shift)) & within
         };
         for index in 0..self.words.len() {
+            let (first, row) = (64 * index % n, 64 * index / n);
+            let place = |bit: usize| {
+                let (mut x, mut y) = (first + bit, row);
+                while x >= n {
+                    (x, y) = (x - n, y + 1);
+                }
+                (x, y)
+            };
             for_bits(differing(index, 1), |bit| {
-                let texel = 64 * index + bit;
-                if (texel + 1) % n != 0 {
-                    call(texel, false);
+                let (x, y) = place(bit);
+                if x + 1 < n {
+                    call(x, y, false);
                 }
             });
-            for_bits(differing(index, n), |bit| call(64 * index + bit, true));
+            for_bits(differing(index, n), |bit| {
+                let (x, y) = place(bit);
+                call(x, y, true);
+            });
         }
     }
 

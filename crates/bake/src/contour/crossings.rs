@@ -16,13 +16,16 @@ pub(super) fn locate(
     n: usize,
     crossings: &mut Crossings,
 ) {
-    crossings.positions.clear();
-    crossings.positions.resize(2 * n * n, f32::NAN);
+    let positions = &mut crossings.positions;
+    positions.resize(2 * n * n, f32::NAN);
     let cells = Cells::new(visible, n);
+    visible.for_links(n, |x, y, below| {
+        positions[usize::from(below) * n * n + y * n + x] = f32::NAN;
+    });
     let mut links = Links {
         n,
         visible,
-        positions: &mut crossings.positions,
+        positions,
     };
     for &[a, b] in segments {
         let reach = (a[0] - b[0]).abs().max((a[1] - b[1]).abs());
@@ -42,9 +45,7 @@ impl Cells {
     fn new(visible: &Bitmap, n: usize) -> Self {
         let per_side = n.div_ceil(CELL);
         let mut mixed = vec![false; per_side * per_side];
-        visible.for_links(n, |texel, _| {
-            mixed[texel / n / CELL * per_side + texel % n / CELL] = true;
-        });
+        visible.for_links(n, |x, y, _| mixed[y / CELL * per_side + x / CELL] = true);
         let mut near = vec![false; per_side * per_side];
         for (i, _) in mixed.iter().enumerate().filter(|(_, mixed)| **mixed) {
             let (x, y) = (i % per_side, i / per_side);
@@ -95,33 +96,39 @@ impl Links<'_> {
     /// layer begins.
     #[inline(always)]
     fn cross(&mut self, axis: usize, line: usize, at: f32) {
-        let n = self.n;
         // Right at a texel's centre it belongs to the links on both sides. Coordinates are
         // above −1, and casts round towards zero.
-        let (low, high) = (at + 1.0 - CLEARANCE, at + 1.0 + CLEARANCE);
-        for past in (low as usize)..=(high as usize) {
-            if past == 0 || past >= n {
-                continue;
-            }
-            let start = past - 1;
-            let (texel, next, index) = if axis == 0 {
-                let texel = start * n + line;
-                (texel, texel + n, n * n + texel)
-            } else {
-                let texel = line * n + start;
-                (texel, texel + 1, texel)
-            };
-            let first = self.visible.get(texel);
-            if first != self.visible.get(next) {
-                let position = (at - start as f32).clamp(0.0, 1.0);
-                let nearest = &mut self.positions[index];
-                // Either takes the other operand where nothing was found yet.
-                *nearest = if first {
-                    nearest.min(position)
-                } else {
-                    nearest.max(position)
-                };
-            }
+        let low = (at + 1.0 - CLEARANCE) as usize;
+        let high = (at + 1.0 + CLEARANCE) as usize;
+        self.add(axis, line, low, at);
+        if high != low {
+            self.add(axis, line, high, at);
         }
+    }
+
+    /// Adds a crossing to the link before texel `past` of a line.
+    #[inline(always)]
+    fn add(&mut self, axis: usize, line: usize, past: usize, at: f32) {
+        let n = self.n;
+        if past == 0 || past >= n {
+            return;
+        }
+        let start = past - 1;
+        let (texel, next, index) = if axis == 0 {
+            let texel = start * n + line;
+            (texel, texel + n, n * n + texel)
+        } else {
+            let texel = line * n + start;
+            (texel, texel + 1, texel)
+        };
+        let first = self.visible.get(texel);
+        let differ = first != self.visible.get(next);
+        let position = (at - start as f32).clamp(0.0, 1.0);
+        let nearest = &mut self.positions[index];
+        // Either takes the other operand where nothing was found yet. Whether texels differ
+        // is as good as random: no branch depends on it.
+        let (less, more) = (nearest.min(position), nearest.max(position));
+        let changed = if first { less } else { more };
+        *nearest = if differ { changed } else { *nearest };
     }
 }

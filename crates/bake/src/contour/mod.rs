@@ -136,6 +136,8 @@ impl ContourMesh {
 
 #[cfg(test)]
 mod tests {
+    use relight_shading::octahedral;
+
     use super::*;
     use crate::ssdf;
 
@@ -285,21 +287,28 @@ mod tests {
         assert_same_bits(&triangles, &origins.map(Vec3::from), 64);
     }
 
-    /// Root mean square error of signed distances near the boundary, without and with the
-    /// contours' crossings, radians. What blocks is a sphere seen from outside.
-    fn errors_near_a_cap(sample_resolution: u32, resolution: u32) -> [f32; 2] {
+    /// A sphere seen from outside: its direction and angular radius, the bitmap and where its
+    /// contours cross.
+    fn ball(directions: &Directions) -> (Vec3, f32, Bitmap, Crossings) {
         let centre = Vec3::new(0.7, 1.9, -1.1);
         let triangles = sphere(centre, 1.0, 160);
         let caster = RayCaster::new(&triangles);
         let mesh = ContourMesh::new(&triangles);
-        let directions = Directions::new(sample_resolution);
-        let mut scratch = mesh.scratch(&directions);
-        let (bitmap, _) = mesh.sample(&caster, Vec3::ZERO, &directions, &mut scratch);
-        let crossings = mesh.crossings(&bitmap, &mut scratch);
-        let transform = ssdf::Transform::new(&directions, resolution);
+        let mut scratch = mesh.scratch(directions);
+        let (bitmap, _) = mesh.sample(&caster, Vec3::ZERO, directions, &mut scratch);
+        mesh.crossings(&bitmap, &mut scratch);
         let radius = (1.0 / centre.length()).asin();
-        [&Crossings::default(), crossings].map(|crossings| {
-            let distances = transform.apply(&bitmap, crossings, 0.5);
+        (centre, radius, bitmap, scratch.crossings)
+    }
+
+    /// Root mean square error of signed distances near the boundary, without and with the
+    /// contours' crossings, radians.
+    fn errors_near_a_cap(sample_resolution: u32, resolution: u32) -> [f32; 2] {
+        let directions = Directions::new(sample_resolution);
+        let (centre, radius, bitmap, crossings) = ball(&directions);
+        let transform = ssdf::Transform::new(&directions, resolution);
+        [&Crossings::default(), &crossings].map(|crossings| {
+            let distances = transform.at_centres(&bitmap, crossings, 0.5);
             let errors: Vec<f32> = (Directions::new(resolution).as_slice().iter())
                 .map(|direction| direction.angle_between(centre) - radius)
                 .zip(distances)
@@ -318,6 +327,46 @@ mod tests {
             let [without, with] = errors_near_a_cap(samples, resolution);
             println!("{samples} to {resolution}: {without} without, {with} with crossings");
             assert!(with < 0.4 * without, "{samples}: {with}, {without} without");
+        }
+    }
+
+    /// Mean distance that is interpolated where the boundary is, radians.
+    fn mean_at_the_boundary(distances: &[f32], resolution: u32, axis: Vec3, radius: f32) -> f32 {
+        let (tangent, axis) = (axis.any_orthonormal_vector(), axis.normalize());
+        let bitangent = axis.cross(tangent);
+        let at = |x: i32, y: i32| {
+            let (x, y) = octahedral::wrap(x, y, resolution);
+            distances[(y * resolution + x) as usize]
+        };
+        let points = 1000;
+        let sum: f32 = (0..points)
+            .map(|i| {
+                let angle = std::f32::consts::TAU * i as f32 / points as f32;
+                let side = angle.cos() * tangent + angle.sin() * bitangent;
+                let direction = radius.cos() * axis + radius.sin() * side;
+                let texel = octahedral::encode(direction) * resolution as f32 - 0.5;
+                let (low, t) = (texel.floor(), texel - texel.floor());
+                let (x, y) = (low.x as i32, low.y as i32);
+                let row = |y| at(x, y) * (1.0 - t.x) + at(x + 1, y) * t.x;
+                (row(y) * (1.0 - t.y) + row(y + 1) * t.y).abs()
+            })
+            .sum();
+        sum / points as f32
+    }
+
+    #[test]
+    fn interpolated_distances_vanish_at_the_boundary() {
+        for (samples, resolution) in [(128, 64), (128, 32)] {
+            let directions = Directions::new(samples);
+            let (centre, radius, bitmap, crossings) = ball(&directions);
+            let transform = ssdf::Transform::new(&directions, resolution);
+            let axis = centre.normalize();
+            let mean =
+                |distances: Vec<f32>| mean_at_the_boundary(&distances, resolution, axis, radius);
+            let exact = mean(transform.at_centres(&bitmap, &crossings, 0.5));
+            let fitted = mean(transform.apply(&bitmap, &crossings, 0.5));
+            println!("{samples} to {resolution}: {fitted}, {exact} at centres");
+            assert!(fitted < 0.5 * exact, "{fitted}, {exact} at centres");
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Signed distances to where contours cross between texels against distances to midpoints, on
+//! Boundaries from where contours cross between texels against boundaries from midpoints, on
 //! thin features.
 
 use glam::{Vec2, Vec3};
@@ -7,7 +7,8 @@ use relight_bake::contour::ContourMesh;
 use relight_bake::import;
 use relight_bake::ray::RayCaster;
 use relight_bake::ssdf::{Crossings, Transform};
-use relight_bake::visibility::Directions;
+use relight_bake::visibility::{Bitmap, Directions};
+use relight_shading::octahedral;
 
 use super::Laboratory;
 use super::report::{Section, Table};
@@ -18,32 +19,40 @@ const MESHES: [(&str, &str); 3] = [
     ("simple_pole", "meshes/thin/simple_pole.glb"),
     ("walk_1", "meshes/figures/cesium_man_walk/walk_1.obj"),
 ];
-/// Samples per side, and whether crossings are looked for.
-const VARIANTS: [(u32, bool); 4] = [(128, false), (128, true), (64, false), (64, true)];
-/// Samples per side of what counts as exact.
-const REFERENCE: u32 = 512;
-/// Texels per side of the distances.
-const RESOLUTION: u32 = 64;
+/// Samples and texels per side, whether crossings are looked for, and whether distances are
+/// fitted to vanish there.
+const VARIANTS: [(u32, u32, bool, bool); 6] = [
+    (128, 64, false, false),
+    (128, 64, true, false),
+    (128, 64, true, true),
+    (64, 64, true, true),
+    (128, 128, false, false),
+    (128, 128, true, true),
+];
+/// Directions per side whose visibility is compared.
+const REFERENCE: u32 = 1024;
 /// Points per side of the grid that looks at the mesh from below.
-const POINTS: u32 = 14;
-/// Distances that count, radians: those that shade.
-const NEAR: f32 = 0.1;
+const POINTS: u32 = 8;
 const LIMIT: f32 = 0.5;
 
 /// One way to make distances.
 struct Variant {
     directions: Directions,
     transform: Transform,
+    resolution: u32,
     crossings: bool,
+    fitted: bool,
 }
 
 impl Variant {
-    fn new(samples: u32, crossings: bool) -> Self {
+    fn new((samples, resolution, crossings, fitted): (u32, u32, bool, bool)) -> Self {
         let directions = Directions::new(samples);
         Self {
-            transform: Transform::new(&directions, RESOLUTION),
+            transform: Transform::new(&directions, resolution),
             directions,
+            resolution,
             crossings,
+            fitted,
         }
     }
 
@@ -56,31 +65,87 @@ impl Variant {
         } else {
             &none
         };
-        self.transform.apply(&bitmap, crossings, LIMIT)
+        if self.fitted {
+            self.transform.apply(&bitmap, crossings, LIMIT)
+        } else {
+            self.transform.at_centres(&bitmap, crossings, LIMIT)
+        }
     }
+
+    /// Solid angle where interpolated distances have the wrong sign, steradians.
+    fn wrong(&self, distances: &[f32], visible: &Bitmap, solid_angles: &[f64]) -> f64 {
+        let at = |x: i32, y: i32| {
+            let (x, y) = octahedral::wrap(x, y, self.resolution);
+            distances[(y * self.resolution + x) as usize]
+        };
+        let scale = self.resolution as f32 / REFERENCE as f32;
+        (solid_angles.iter().enumerate())
+            .filter(|(index, _)| {
+                let place = Vec2::new(
+                    (*index as u32 % REFERENCE) as f32,
+                    (*index as u32 / REFERENCE) as f32,
+                );
+                let texel = (place + 0.5) * scale - 0.5;
+                let (low, part) = (texel.floor(), texel - texel.floor());
+                let (x, y) = (low.x as i32, low.y as i32);
+                let row = |y| at(x, y) * (1.0 - part.x) + at(x + 1, y) * part.x;
+                let distance = row(y) * (1.0 - part.y) + row(y + 1) * part.y;
+                (distance > 0.0) != visible.get(*index)
+            })
+            .map(|(_, solid_angle)| solid_angle)
+            .sum()
+    }
+}
+
+/// Length of the boundary, radians: a line in any direction crosses π/4 links per texel's
+/// width, on average, in each of both directions of links.
+fn boundary_length(visible: &Bitmap, solid_angles: &[f64]) -> f64 {
+    let side = REFERENCE as usize;
+    let differ = |a: usize, b: usize| f64::from(u8::from(visible.get(a) != visible.get(b)));
+    (solid_angles.iter().enumerate())
+        .map(|(index, solid_angle)| {
+            let mut links = 0.0;
+            if (index + 1) % side != 0 {
+                links += differ(index, index + 1);
+            }
+            if index + side < solid_angles.len() {
+                links += differ(index, index + side);
+            }
+            links * solid_angle.sqrt() * std::f64::consts::FRAC_PI_4
+        })
+        .sum()
 }
 
 pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result<()> {
     section.text = vec![format!(
-        "Root mean square error of signed distances at {RESOLUTION}x{RESOLUTION} texels, where \
-         they are below {NEAR} rad, against {REFERENCE}x{REFERENCE} samples with crossings: from \
-         samples alone (the boundary lies midway between texels of different class) and from \
-         where contours cross between them. {} points under each mesh.",
+        "How far the boundary of visibility is off where interpolated distances vanish: the \
+         solid angle of the wrong class among {REFERENCE}x{REFERENCE} directions over the \
+         boundary's length. From samples alone the boundary lies midway between texels of \
+         different class; crossings are where contours separate them; fitted distances are \
+         moved to vanish there. {} points under each mesh.",
         POINTS * POINTS
     )];
     let mut table = Table::new(
         "contours",
-        "Errors of signed distances, thousandths of a radian",
+        "Mean displacement of the boundary, thousandths of a radian",
         &[
             "mesh",
-            "128x128",
-            "128x128, crossings",
-            "64x64",
-            "64x64, crossings",
+            "128 to 64",
+            "128 to 64, crossings",
+            "128 to 64, fitted",
+            "64 to 64, fitted",
+            "128 to 128",
+            "128 to 128, fitted",
         ],
     );
-    let variants = VARIANTS.map(|(samples, crossings)| Variant::new(samples, crossings));
-    let reference = Variant::new(REFERENCE, true);
+    let variants = VARIANTS.map(Variant::new);
+    let reference = Directions::new(REFERENCE);
+    // The octahedral map shrinks by the third power of the distance to the octahedron's face
+    // (Engelhardt & Dachsbacher 2008).
+    let texel = 4.0 / f64::from(REFERENCE).powi(2);
+    let solid_angles: Vec<f64> = (reference.as_slice().iter())
+        .map(|direction| texel * f64::from(direction.abs().element_sum()).powi(3))
+        .collect();
     for (name, path) in MESHES {
         laboratory.monitor.step("sample thin features", 0.0)?;
         let mesh = import::mesh(&laboratory.settings.data.join(path))?;
@@ -91,37 +156,29 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
         let (contours, caster) = (ContourMesh::new(&soup), RayCaster::new(&soup));
         let (low, high) = mesh.bounds().unwrap_or_default();
         let below = low.y - 0.02 * (high.y - low.y);
-        let squares: Vec<([f64; 4], u64)> = (0..POINTS * POINTS)
+        let found: Vec<([f64; VARIANTS.len()], f64)> = (0..POINTS * POINTS)
             .into_par_iter()
             .map(|index| {
                 let place = Vec2::new((index % POINTS) as f32, (index / POINTS) as f32) + 0.5;
                 let Vec2 { x, y } = place / POINTS as f32;
                 let at = low + (high - low) * Vec3::new(x, 0.0, y);
                 let origin = Vec3::new(at.x, below, at.z);
-                let exact = reference.distances(&contours, &caster, origin);
-                let sums = variants.each_ref().map(|variant| {
-                    let found = variant.distances(&contours, &caster, origin);
-                    let near = exact.iter().zip(&found);
-                    near.filter(|(exact, _)| exact.abs() < NEAR)
-                        .map(|(exact, found)| f64::from(found - exact).powi(2))
-                        .sum::<f64>()
+                let mut scratch = contours.scratch(&reference);
+                let (visible, _) = contours.sample(&caster, origin, &reference, &mut scratch);
+                let wrong = variants.each_ref().map(|variant| {
+                    let distances = variant.distances(&contours, &caster, origin);
+                    variant.wrong(&distances, &visible, &solid_angles)
                 });
-                let count = exact.iter().filter(|exact| exact.abs() < NEAR).count();
-                (sums, count as u64)
+                (wrong, boundary_length(&visible, &solid_angles))
             })
             .collect();
-        let count: u64 = squares.iter().map(|(_, count)| count).sum();
-        let rms = |variant: usize| {
-            let sum: f64 = squares.iter().map(|(sums, _)| sums[variant]).sum();
-            1e3 * (sum / count.max(1) as f64).sqrt()
-        };
-        table.row([
-            name.into(),
-            rms(0).into(),
-            rms(1).into(),
-            rms(2).into(),
-            rms(3).into(),
-        ]);
+        let length: f64 = found.iter().map(|(_, length)| length).sum();
+        let mut row = vec![name.into()];
+        for variant in 0..VARIANTS.len() {
+            let wrong: f64 = found.iter().map(|(wrong, _)| wrong[variant]).sum();
+            row.push((1e3 * wrong / length.max(f64::MIN_POSITIVE)).into());
+        }
+        table.rows.push(row);
     }
     section.tables.push(table);
     Ok(())

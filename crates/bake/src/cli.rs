@@ -138,7 +138,9 @@ pub(crate) struct SceneArguments {
     #[arg(long, value_name = "FRACTION")]
     max_edge: Option<f32>,
     /// Also cut edges where interpolated visibility is off by more than this: the angle by
-    /// which a wall's edge would have to be; a scene file's own bound wins.
+    /// which a wall's edge would have to be. It holds for edges of 0.02 of the diagonal of the
+    /// scene without its ground; one of half that length may be twice as wrong. A scene file's
+    /// own bound wins.
     #[arg(long, value_name = "RADIANS")]
     refine_error: Option<f32>,
     /// Refinement stops at this many vertices.

@@ -34,6 +34,8 @@ const CHUNK_BUDGET_BYTES: usize = 96 << 20;
 /// Edges up to this part of the object's diagonal are not cut for their error: shadows of
 /// contacts have no finest scale.
 const RELATIVE_MIN_EDGE: f32 = 0.004;
+/// The part of the object's diagonal that errors of edges are told for.
+const RELATIVE_EDGE: f32 = 0.02;
 /// Sine of the angle by which normal maps are taken to turn normals; texels that turn them
 /// further only see larger errors.
 const NORMAL_MAP_TILT: f32 = 0.35;
@@ -75,11 +77,13 @@ pub struct Options {
     /// Global: components besides the mean.
     pub global_rank: u32,
     /// Longest edge after refinement, as a fraction of the diagonal of the scene without
-    /// its ground. A scene file may set its own in metres. The default leaves the default
-    /// ground, of 1/80 of three extents, as it is.
+    /// its ground. A scene file may set its own in metres. Vertices that lie closer together
+    /// also see more alike, and share more of what is stored: half of the length costs twice
+    /// the bytes.
     pub max_edge: f32,
     /// Edges are cut further where interpolated visibility is off by more than this, radians
-    /// ([`refine::Bound::error`]); infinite for nowhere. A scene file may set its own.
+    /// ([`refine::Bound::error`], at a length of 0.02 of the diagonal); infinite
+    /// for nowhere. A scene file may set its own.
     pub refine_error: f32,
     /// Refinement stops here.
     pub max_vertices: usize,
@@ -110,7 +114,7 @@ impl Options {
             max_error: None,
             max_bytes: None,
             global_rank: 24,
-            max_edge: 0.04,
+            max_edge: 0.02,
             refine_error: f32::INFINITY,
             max_vertices: 1_000_000,
         }
@@ -121,7 +125,7 @@ impl Options {
         Self {
             aim: 0.0025,
             max_tiles: 6,
-            max_edge: 0.02,
+            max_edge: 0.014,
             ..Self::standard()
         }
     }
@@ -605,6 +609,7 @@ fn refinement(input: &SceneInput, options: &Options, ray_offset: f32) -> (f32, r
         error: file
             .and_then(|refinement| refinement.error)
             .unwrap_or(options.refine_error),
+        edge: RELATIVE_EDGE * input.object_diagonal,
         min_edge: RELATIVE_MIN_EDGE * input.object_diagonal,
         max_vertices: file
             .and_then(|refinement| refinement.max_vertices)

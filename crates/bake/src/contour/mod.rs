@@ -323,7 +323,7 @@ mod tests {
 
     #[test]
     fn crossings_make_distances_finer_than_texels() {
-        for (samples, resolution) in [(128, 128), (128, 64), (64, 64)] {
+        for (samples, resolution) in [(128, 128), (64, 64)] {
             let [without, with] = errors_near_a_cap(samples, resolution);
             println!("{samples} to {resolution}: {without} without, {with} with crossings");
             assert!(with < 0.4 * without, "{samples}: {with}, {without} without");

@@ -31,8 +31,12 @@ const MAX_ROUNDS: usize = 12;
 #[derive(Clone, Copy, Debug)]
 pub struct Bound {
     /// Edges are cut whose middle is more wrong than this: the angle by which a wall's edge
-    /// would have to be off for the same effect, radians.
+    /// would have to be off for the same effect, radians. That holds at the length `edge`.
+    /// What is wrong shows on an area that shrinks with the square of the length, and so do
+    /// squared errors count: an edge of half the length may be twice as wrong.
     pub error: f32,
+    /// Metres.
+    pub edge: f32,
     /// Edges up to this length are left alone, metres.
     pub min_edge: f32,
     /// Cuts stop before the mesh has more vertices.
@@ -91,17 +95,21 @@ pub fn refine(mut mesh: Mesh, bound: Bound, monitor: Monitor) -> Result<Mesh, In
             .iter()
             .map(|edge| middle(&mesh, edge, bound))
             .collect();
+        let length = |edge: &Edge| {
+            let [a, b] = edge.vertices.map(|vertex| position(&mesh, vertex));
+            a.distance(b)
+        };
         let found = sampler.sample(&points, monitor, |index, middle, normal| {
-            let ends = edges[index].vertices.map(|vertex| &ssdfs[&vertex]);
-            let error = sampler.error(&middle, ends, normal);
+            let edge = &edges[index];
+            let ends = edge.vertices.map(|vertex| &ssdfs[&vertex]);
+            let error = sampler.error(&middle, ends, normal) * (length(edge) / bound.edge);
             (error > bound.error).then(|| (error, coarse(&middle)))
         })?;
         let mut wrong: Vec<(f32, Key, usize)> = (found.iter().enumerate())
             .filter_map(|(index, found)| {
                 let [a, b] = edges[index].vertices.map(|vertex| position(&mesh, vertex));
-                // What an edge's error spreads over grows with its length.
                 let (error, _) = found.as_ref()?;
-                Some((error * a.distance(b), key(a, b), index))
+                Some((*error, key(a, b), index))
             })
             .collect();
         wrong.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)).then(a.2.cmp(&b.2)));
@@ -119,11 +127,12 @@ pub fn refine(mut mesh: Mesh, bound: Bound, monitor: Monitor) -> Result<Mesh, In
         if full {
             mesh.warnings.push(format!(
                 "refinement stopped at {} of at most {} vertices; {} edges are left that are \
-                 off by more than {} rad",
+                 off by more than {} rad, at {} m",
                 mesh.vertices.len(),
                 bound.max_vertices,
                 wrong.len().saturating_sub(room),
                 bound.error,
+                bound.edge,
             ));
             break;
         }
@@ -337,6 +346,7 @@ mod tests {
     fn bound(error: f32) -> Bound {
         Bound {
             error,
+            edge: 1.0,
             min_edge: 0.2,
             max_vertices: 100_000,
             ray_offset: 1e-3,

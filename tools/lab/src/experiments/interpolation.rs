@@ -19,7 +19,7 @@ use crate::shapes::{cuboid, over_ground};
 const BAKES: [(&str, Option<f32>, f32); 3] = [
     ("as it is", Some(f32::INFINITY), f32::INFINITY),
     ("default edges", None, f32::INFINITY),
-    ("refined to 0.03 rad", None, 0.03),
+    ("refined to 0.01 rad", None, 0.01),
 ];
 
 pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result<()> {
@@ -27,7 +27,7 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
         "Visibility lives at vertices. A slit between two boards (Fig. 12a) and a small board \
          (12b) over a plane with few vertices, and the walking man's legs (Fig. 13) under two \
          softboxes: on the mesh as it is, with `bake`'s default edges, with edges cut where \
-         interpolated visibility is off by more than 0.03 rad, and ray-traced."
+         interpolated visibility is off by more than 0.01 rad, and ray-traced."
             .to_owned(),
     ];
     section.tables.push(Table::new(

@@ -260,7 +260,8 @@ fn brdf_albedo(reflection: Reflection, wo: vec3<f32>) -> vec2<f32> {
             stride = 0u;
         }
     }
-    // Tabulated for a view in the plane of the first roughness, and half way between.
+    // Tabulated for a view in the plane of the first roughness and a quarter of the way to
+    // that of the second; the rest of the way by swapping them.
     let along_x = brdf_albedo_lookup(first, stride, position.x, position.y, angle);
     let ratio = max(alpha.x, alpha.y) / min(alpha.x, alpha.y);
     if stride == 0u || ratio < BRDF_ISOTROPIC_RATIO {
@@ -268,21 +269,24 @@ fn brdf_albedo(reflection: Reflection, wo: vec3<f32>) -> vec2<f32> {
         return vec2(along_x.x, white * white);
     }
     let along_y = brdf_albedo_lookup(first, stride, position.y, position.x, angle);
-    let half_way = first + 2u * BRDF_ALBEDO_BLOCK;
-    let between = brdf_albedo_lookup(half_way, stride, position.x, position.y, angle);
-    // What varies with azimuth is masking, by the roughness that the view is masked by:
-    // the parabola in it through the three that are tabulated.
+    let quarter = first + 2u * BRDF_ALBEDO_BLOCK;
+    let toward_x = brdf_albedo_lookup(quarter, stride, position.x, position.y, angle);
+    let toward_y = brdf_albedo_lookup(quarter, stride, position.y, position.x, angle);
+    // What varies with azimuth is masking, by the roughness that the view is masked by: the
+    // cubic in it through the four that are tabulated (Lagrange).
     let squares = wo.xy * wo.xy / max(1.0 - wo.z * wo.z, 1e-12);
     let alpha_squares = alpha * alpha;
     let projected = sqrt(dot(alpha_squares, squares));
-    let middle = sqrt(0.5 * (alpha_squares.x + alpha_squares.y));
-    let from_x = projected - alpha.x;
-    let from_m = projected - middle;
-    let from_y = projected - alpha.y;
-    let spread = alpha.x - alpha.y;
-    let mean = along_x * (from_m * from_y / ((alpha.x - middle) * spread))
-        + between * (from_x * from_y / ((middle - alpha.x) * (middle - alpha.y)))
-        - along_y * (from_x * from_m / ((alpha.y - middle) * spread));
+    let azimuth = vec2(BRDF_QUARTER_COSINE, BRDF_QUARTER_SINE);
+    let a = alpha.x;
+    let b = sqrt(dot(alpha_squares, azimuth * azimuth));
+    let c = sqrt(dot(alpha_squares, azimuth.yx * azimuth.yx));
+    let d = alpha.y;
+    let from = vec4(projected) - vec4(a, b, c, d);
+    let mean = along_x * (from.y / (a - b) * (from.z / (a - c)) * (from.w / (a - d)))
+        + toward_x * (from.x / (b - a) * (from.z / (b - c)) * (from.w / (b - d)))
+        + toward_y * (from.x / (c - a) * (from.y / (c - b)) * (from.w / (c - d)))
+        + along_y * (from.x / (d - a) * (from.y / (d - b)) * (from.z / (d - c)));
     let white = max(mean.y, 0.0) * max(mean.y, 0.0);
     return vec2(max(mean.x, 0.0), white * white);
 }

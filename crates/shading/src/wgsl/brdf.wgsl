@@ -282,11 +282,11 @@ fn brdf_albedo(reflection: Reflection, wo: vec3<f32>) -> vec2<f32> {
     let b = sqrt(dot(alpha_squares, azimuth * azimuth));
     let c = sqrt(dot(alpha_squares, azimuth.yx * azimuth.yx));
     let d = alpha.y;
-    let from = vec4(projected) - vec4(a, b, c, d);
-    let mean = along_x * (from.y / (a - b) * (from.z / (a - c)) * (from.w / (a - d)))
-        + toward_x * (from.x / (b - a) * (from.z / (b - c)) * (from.w / (b - d)))
-        + toward_y * (from.x / (c - a) * (from.y / (c - b)) * (from.w / (c - d)))
-        + along_y * (from.x / (d - a) * (from.y / (d - b)) * (from.z / (d - c)));
+    let beyond = vec4(projected) - vec4(a, b, c, d);
+    let mean = along_x * (beyond.y / (a - b) * (beyond.z / (a - c)) * (beyond.w / (a - d)))
+        + toward_x * (beyond.x / (b - a) * (beyond.z / (b - c)) * (beyond.w / (b - d)))
+        + toward_y * (beyond.x / (c - a) * (beyond.y / (c - b)) * (beyond.w / (c - d)))
+        + along_y * (beyond.x / (d - a) * (beyond.y / (d - b)) * (beyond.z / (d - c)));
     let white = max(mean.y, 0.0) * max(mean.y, 0.0);
     return vec2(max(mean.x, 0.0), white * white);
 }

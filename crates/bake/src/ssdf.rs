@@ -164,7 +164,7 @@ impl Transform {
 
     fn distances(&self, visible: &Bitmap, places: &[Place], limit: f32) -> Vec<f32> {
         let mut distances = vec![0.0; self.resolution * self.resolution];
-        Arch::new().dispatch(Distances {
+        Arch::new().dispatch(AtCentres {
             transform: self,
             visible,
             places,
@@ -290,7 +290,7 @@ impl Transform {
 }
 
 /// The vectorised body of [`Transform::distances`].
-struct Distances<'a> {
+struct AtCentres<'a> {
     transform: &'a Transform,
     visible: &'a Bitmap,
     places: &'a [Place],
@@ -298,7 +298,7 @@ struct Distances<'a> {
     distances: &'a mut [f32],
 }
 
-impl WithSimd for Distances<'_> {
+impl WithSimd for AtCentres<'_> {
     type Output = ();
 
     #[inline(always)]

@@ -1,9 +1,7 @@
 //! `lab` as a user meets it, and its pictures against each other.
 
-use std::io::Read;
 use std::path::Path;
-use std::process::{Command, Output, Stdio};
-use std::time::{Duration, Instant};
+use std::process::Command;
 
 use glam::Vec3;
 use libtest_mimic::Trial;
@@ -20,8 +18,6 @@ const OK: i32 = 0;
 const BAD_INPUT: i32 = 1;
 const USAGE: i32 = 2;
 const INPUT_OUTPUT: i32 = 3;
-/// Chromium has been seen to hang for good on a machine that was busy.
-const BROWSER_SECONDS: u64 = 120;
 
 pub fn trials() -> Vec<Trial> {
     vec![
@@ -284,20 +280,22 @@ fn report(browser: &str) -> Outcome {
     }
     let page = out.join("report.html");
     let browse = |arguments: &[&str]| {
-        let mut browser = Command::new(browser);
-        browser.args(["--headless", "--no-sandbox", "--disable-gpu"]);
-        browser.args([
+        // Chromium has been seen to hang for good on a machine that was busy.
+        let mut timed = Command::new("timeout");
+        timed.args(["--kill-after=5", "120", browser]);
+        timed.args(["--headless", "--no-sandbox", "--disable-gpu"]);
+        timed.args([
             "--hide-scrollbars",
             "--enable-logging=stderr",
             "--log-level=0",
         ]);
-        browser.arg(format!(
+        timed.arg(format!(
             "--user-data-dir={}",
             folder.path().join("profile").display()
         ));
-        browser.args(arguments);
-        browser.arg(format!("file://{}", page.display()));
-        output_in_time(&mut browser, BROWSER_SECONDS)
+        timed.args(arguments);
+        timed.arg(format!("file://{}", page.display()));
+        timed.output()
     };
     let loaded = browse(&["--dump-dom"])?;
     let dom = String::from_utf8_lossy(&loaded.stdout);
@@ -327,44 +325,6 @@ fn report(browser: &str) -> Outcome {
     let count = picture.pixels().filter(coloured).count();
     assert!(count > 2000, "{count} coloured pixels");
     Ok(())
-}
-
-/// What a command printed; an error if it takes longer than some seconds.
-fn output_in_time(command: &mut Command, seconds: u64) -> std::io::Result<Output> {
-    let mut child = (command.stdout(Stdio::piped()).stderr(Stdio::piped())).spawn()?;
-    let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
-    let read = |pipe: Option<Box<dyn Read + Send>>| {
-        std::thread::spawn(move || {
-            let mut bytes = Vec::new();
-            pipe.map_or(Ok(0), |mut pipe| pipe.read_to_end(&mut bytes))?;
-            Ok::<_, std::io::Error>(bytes)
-        })
-    };
-    let stdout = read(stdout.map(|pipe| Box::new(pipe) as _));
-    let stderr = read(stderr.map(|pipe| Box::new(pipe) as _));
-    let start = Instant::now();
-    let status = loop {
-        if let Some(status) = child.try_wait()? {
-            break status;
-        }
-        if start.elapsed() > Duration::from_secs(seconds) {
-            child.kill()?;
-            child.wait()?;
-            return Err(std::io::Error::other(format!(
-                "{command:?} did not end in {seconds} s"
-            )));
-        }
-        std::thread::sleep(Duration::from_millis(50));
-    };
-    let joined = |reader: std::thread::JoinHandle<_>| {
-        let failed = |_| std::io::Error::other("a pipe's reader panicked");
-        reader.join().map_err(failed)?
-    };
-    Ok(Output {
-        status,
-        stdout: joined(stdout)?,
-        stderr: joined(stderr)?,
-    })
 }
 
 /// Fig. 6 on real input: both errors fall with the size of cells.

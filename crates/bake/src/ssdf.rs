@@ -20,7 +20,7 @@ use std::cmp::Ordering;
 
 use glam::{Vec2, Vec2Swizzles as _, Vec3};
 use pulp::{Arch, Simd, WithSimd};
-use relight_shading::octahedral;
+use relight_shading::octahedral::{self, Footprint};
 
 use crate::visibility::{Bitmap, Directions};
 
@@ -60,9 +60,6 @@ pub struct Transform {
     resolution: usize,
     /// The texels' centres.
     tiles: Vec<Group>,
-    /// The cell of each sample texel. A link belongs to the cell of its first texel.
-    cells: Vec<u16>,
-    cell_count: usize,
     /// Pairs of texels that are neighbours over the border, and the midpoint between them.
     border: Vec<([u32; 2], Vec2)>,
 }
@@ -97,19 +94,8 @@ impl Crossings {
     }
 }
 
-/// Where the boundary crosses a link.
-struct Place {
-    /// Of the link's first texel.
-    cell: u16,
-    /// In sample texels: texel (x, y) has its centre at (x, y).
-    at: [f32; 2],
-}
-
-/// Four texels that bilinear interpolation reads.
-struct Footprint {
-    texels: [u32; 4],
-    weights: [f32; 4],
-}
+/// Where the boundary crosses a link, in sample texels: texel (x, y) has its centre at (x, y).
+type Place = Vec2;
 
 /// Points of the boundary.
 struct Boundary {
@@ -136,14 +122,10 @@ impl Transform {
             "{resolution} does not divide {n}, or into too small parts"
         );
         let (n, resolution) = (n as usize, resolution as usize);
-        let cells_per_side = n.div_ceil(SIDE);
-        let cell = |i: usize| i / n / SIDE * cells_per_side + i % n / SIDE;
         Self {
             n,
             resolution,
             tiles: groups(resolution),
-            cells: (0..n * n).map(|i| cell(i) as u16).collect(),
-            cell_count: cells_per_side * cells_per_side,
             border: border(n),
         }
     }
@@ -178,27 +160,15 @@ impl Transform {
     fn places(&self, visible: &Bitmap, crossings: &Crossings) -> Vec<Place> {
         let n = self.n;
         let mut places = Vec::with_capacity(16 * n);
-        let mut add = |first: usize, at: [f32; 2]| {
-            places.push(Place {
-                cell: self.cells[first],
-                at,
-            });
-        };
         visible.for_links(n, |x, y, below| {
             let texel = y * n + x;
-            let (x, y) = (x as f32, y as f32);
-            add(
-                texel,
-                if below {
-                    [x, y + crossings.position(n * n + texel)]
-                } else {
-                    [x + crossings.position(texel), y]
-                },
-            );
+            let link = if below { n * n + texel } else { texel };
+            let along = if below { Vec2::Y } else { Vec2::X };
+            places.push(Vec2::new(x as f32, y as f32) + crossings.position(link) * along);
         });
         for ([a, b], midpoint) in &self.border {
             if visible.get(*a as usize) != visible.get(*b as usize) {
-                add(*a as usize, midpoint.to_array());
+                places.push(*midpoint);
             }
         }
         places
@@ -206,58 +176,49 @@ impl Transform {
 
     /// Moves distances to vanish at places, where they are interpolated.
     fn fit(&self, places: &[Place], distances: &mut [f32]) {
-        let footprints: Vec<Footprint> = places.iter().map(|place| self.footprint(place)).collect();
+        let scale = self.resolution as f32 / self.n as f32;
+        let footprints: Vec<Footprint> = (places.iter())
+            .map(|place| Footprint::new((*place + 0.5) * scale - 0.5, self.resolution as u32))
+            .collect();
         for _ in 0..SWEEPS {
-            for Footprint { texels, weights } in &footprints {
-                let mut distance = 0.0;
-                let mut squares = 0.0;
+            for footprint in &footprints {
+                let Footprint { texels, weights } = footprint;
+                let squares = weights
+                    .iter()
+                    .fold(0.0, |sum, weight| sum + weight * weight);
+                let step = RELAXATION * footprint.read(distances) / squares;
                 for (texel, weight) in texels.iter().zip(weights) {
-                    distance += weight * distances[*texel as usize];
-                    squares += weight * weight;
-                }
-                let step = RELAXATION * distance / squares;
-                for (texel, weight) in texels.iter().zip(weights) {
-                    distances[*texel as usize] -= step * weight;
+                    distances[*texel] -= step * weight;
                 }
             }
-        }
-    }
-
-    /// What bilinear interpolation reads at a place.
-    fn footprint(&self, place: &Place) -> Footprint {
-        let scale = self.resolution as f32 / self.n as f32;
-        let [u, v] = place.at.map(|x| (x + 0.5) * scale - 0.5);
-        let (x, y) = (u.floor(), v.floor());
-        let (u, v) = (u - x, v - y);
-        let texel = |right: i32, down: i32| {
-            let resolution = self.resolution as u32;
-            let (x, y) = octahedral::wrap(x as i32 + right, y as i32 + down, resolution);
-            y * resolution + x
-        };
-        Footprint {
-            texels: [texel(0, 0), texel(1, 0), texel(0, 1), texel(1, 1)],
-            weights: [(1.0 - u) * (1.0 - v), u * (1.0 - v), (1.0 - u) * v, u * v],
         }
     }
 
     /// Sorts points of the boundary into chunks.
     #[inline(always)]
     fn boundary(&self, places: &[Place]) -> Boundary {
-        let mut starts = vec![0u32; self.cell_count + 1];
+        let cells_per_side = self.n.div_ceil(SIDE);
+        let cells = cells_per_side * cells_per_side;
+        // Casts saturate at zero.
+        let cell = |place: &Place| {
+            let side = |x: f32| (x as usize / SIDE).min(cells_per_side - 1);
+            side(place.y) * cells_per_side + side(place.x)
+        };
+        let mut starts = vec![0u32; cells + 1];
         for place in places {
-            starts[usize::from(place.cell) + 1] += 1;
+            starts[cell(place) + 1] += 1;
         }
         // A cell's last chunk is filled up with its last point.
-        for cell in 0..self.cell_count {
+        for cell in 0..cells {
             starts[cell + 1] = starts[cell] + starts[cell + 1].next_multiple_of(CHUNK as u32);
         }
-        let padded = starts[self.cell_count] as usize;
+        let padded = starts[cells] as usize;
         let mut next = starts.clone();
         let [mut u, mut v] = [vec![0.0; padded], vec![0.0; padded]];
-        for Place { cell, at } in places {
-            let place = &mut next[usize::from(*cell)];
-            [u[*place as usize], v[*place as usize]] = *at;
-            *place += 1;
+        for place in places {
+            let next = &mut next[cell(place)];
+            [u[*next as usize], v[*next as usize]] = place.to_array();
+            *next += 1;
         }
         for (next, end) in next.iter().zip(&starts[1..]) {
             for place in *next as usize..*end as usize {

@@ -45,6 +45,37 @@ pub fn wrap(x: i32, y: i32, n: u32) -> (u32, u32) {
     (x as u32, y as u32)
 }
 
+/// The four texels that bilinear interpolation reads, and what each counts.
+#[derive(Clone, Copy, Debug)]
+pub struct Footprint {
+    /// Indices, row by row.
+    pub texels: [usize; 4],
+    /// Their sum is 1.
+    pub weights: [f32; 4],
+}
+
+impl Footprint {
+    /// At a point of an `n` × `n` map in texels: texel (x, y) has its centre at (x, y).
+    pub fn new(at: Vec2, n: u32) -> Self {
+        let low = at.floor();
+        let Vec2 { x: u, y: v } = at - low;
+        let texel = |right: i32, down: i32| {
+            let (x, y) = wrap(low.x as i32 + right, low.y as i32 + down, n);
+            (y * n + x) as usize
+        };
+        Self {
+            texels: [texel(0, 0), texel(1, 0), texel(0, 1), texel(1, 1)],
+            weights: [(1.0 - u) * (1.0 - v), u * (1.0 - v), (1.0 - u) * v, u * v],
+        }
+    }
+
+    /// The interpolated value.
+    pub fn read(&self, values: &[f32]) -> f32 {
+        let pairs = self.texels.iter().zip(&self.weights);
+        pairs.fold(0.0, |sum, (texel, weight)| sum + weight * values[*texel])
+    }
+}
+
 /// Exchanges the inner diamond with the four outer triangles.
 fn fold(q: Vec2) -> Vec2 {
     let sign = Vec2::new(1f32.copysign(q.x), 1f32.copysign(q.y));

@@ -18,10 +18,13 @@ pub(super) fn locate(
 ) {
     let positions = &mut crossings.positions;
     positions.resize(2 * n * n, f32::NAN);
-    let cells = Cells::new(visible, n);
+    let per_side = n.div_ceil(CELL);
+    let mut mixed = vec![false; per_side * per_side];
     visible.for_links(n, |x, y, below| {
+        mixed[y / CELL * per_side + x / CELL] = true;
         positions[usize::from(below) * n * n + y * n + x] = f32::NAN;
     });
+    let cells = Cells::near_to(&mixed, per_side);
     let mut links = Links {
         n,
         visible,
@@ -42,10 +45,7 @@ struct Cells {
 }
 
 impl Cells {
-    fn new(visible: &Bitmap, n: usize) -> Self {
-        let per_side = n.div_ceil(CELL);
-        let mut mixed = vec![false; per_side * per_side];
-        visible.for_links(n, |x, y, _| mixed[y / CELL * per_side + x / CELL] = true);
+    fn near_to(mixed: &[bool], per_side: usize) -> Self {
         let mut near = vec![false; per_side * per_side];
         for (i, _) in mixed.iter().enumerate().filter(|(_, mixed)| **mixed) {
             let (x, y) = (i % per_side, i / per_side);

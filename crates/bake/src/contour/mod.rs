@@ -136,7 +136,7 @@ impl ContourMesh {
 
 #[cfg(test)]
 mod tests {
-    use relight_shading::octahedral;
+    use relight_shading::octahedral::{self, Footprint};
 
     use super::*;
     use crate::ssdf;
@@ -334,10 +334,6 @@ mod tests {
     fn mean_at_the_boundary(distances: &[f32], resolution: u32, axis: Vec3, radius: f32) -> f32 {
         let (tangent, axis) = (axis.any_orthonormal_vector(), axis.normalize());
         let bitangent = axis.cross(tangent);
-        let at = |x: i32, y: i32| {
-            let (x, y) = octahedral::wrap(x, y, resolution);
-            distances[(y * resolution + x) as usize]
-        };
         let points = 1000;
         let sum: f32 = (0..points)
             .map(|i| {
@@ -345,10 +341,7 @@ mod tests {
                 let side = angle.cos() * tangent + angle.sin() * bitangent;
                 let direction = radius.cos() * axis + radius.sin() * side;
                 let texel = octahedral::encode(direction) * resolution as f32 - 0.5;
-                let (low, t) = (texel.floor(), texel - texel.floor());
-                let (x, y) = (low.x as i32, low.y as i32);
-                let row = |y| at(x, y) * (1.0 - t.x) + at(x + 1, y) * t.x;
-                (row(y) * (1.0 - t.y) + row(y + 1) * t.y).abs()
+                Footprint::new(texel, resolution).read(distances).abs()
             })
             .sum();
         sum / points as f32

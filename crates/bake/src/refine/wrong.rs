@@ -83,7 +83,7 @@ pub fn refine(mut mesh: Mesh, bound: Bound, monitor: Monitor) -> Result<Mesh, In
     for _ in 0..MAX_ROUNDS {
         let edges: Vec<Edge> = (edges(&mesh).into_iter())
             .filter(|edge| {
-                let [a, b] = edge.vertices.map(|vertex| position(&mesh, vertex));
+                let [a, b] = ends(&mesh, edge);
                 cut(a, b, bound.min_edge).is_some() && known.insert(edge.vertices)
             })
             .collect();
@@ -96,7 +96,7 @@ pub fn refine(mut mesh: Mesh, bound: Bound, monitor: Monitor) -> Result<Mesh, In
             .map(|edge| middle(&mesh, edge, bound))
             .collect();
         let length = |edge: &Edge| {
-            let [a, b] = edge.vertices.map(|vertex| position(&mesh, vertex));
+            let [a, b] = ends(&mesh, edge);
             a.distance(b)
         };
         let found = sampler.sample(&points, monitor, |index, middle, normal| {
@@ -107,8 +107,8 @@ pub fn refine(mut mesh: Mesh, bound: Bound, monitor: Monitor) -> Result<Mesh, In
         })?;
         let mut wrong: Vec<(f32, Key, usize)> = (found.iter().enumerate())
             .filter_map(|(index, found)| {
-                let [a, b] = edges[index].vertices.map(|vertex| position(&mesh, vertex));
                 let (error, _) = found.as_ref()?;
+                let [a, b] = ends(&mesh, &edges[index]);
                 Some((*error, key(a, b), index))
             })
             .collect();
@@ -142,6 +142,10 @@ pub fn refine(mut mesh: Mesh, bound: Bound, monitor: Monitor) -> Result<Mesh, In
 
 fn position(mesh: &Mesh, vertex: u32) -> Vec3 {
     mesh.vertices[vertex as usize].position.into()
+}
+
+fn ends(mesh: &Mesh, edge: &Edge) -> [Vec3; 2] {
+    edge.vertices.map(|vertex| position(mesh, vertex))
 }
 
 /// Every edge once, in the order of its vertices.

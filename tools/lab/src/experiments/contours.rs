@@ -8,7 +8,7 @@ use relight_bake::import;
 use relight_bake::ray::RayCaster;
 use relight_bake::ssdf::{Crossings, Transform};
 use relight_bake::visibility::{Bitmap, Directions};
-use relight_shading::octahedral;
+use relight_shading::octahedral::Footprint;
 
 use super::Laboratory;
 use super::report::{Section, Table};
@@ -74,10 +74,6 @@ impl Variant {
 
     /// Solid angle where interpolated distances have the wrong sign, steradians.
     fn wrong(&self, distances: &[f32], visible: &Bitmap, solid_angles: &[f64]) -> f64 {
-        let at = |x: i32, y: i32| {
-            let (x, y) = octahedral::wrap(x, y, self.resolution);
-            distances[(y * self.resolution + x) as usize]
-        };
         let scale = self.resolution as f32 / REFERENCE as f32;
         (solid_angles.iter().enumerate())
             .filter(|(index, _)| {
@@ -86,10 +82,7 @@ impl Variant {
                     (*index as u32 / REFERENCE) as f32,
                 );
                 let texel = (place + 0.5) * scale - 0.5;
-                let (low, part) = (texel.floor(), texel - texel.floor());
-                let (x, y) = (low.x as i32, low.y as i32);
-                let row = |y| at(x, y) * (1.0 - part.x) + at(x + 1, y) * part.x;
-                let distance = row(y) * (1.0 - part.y) + row(y + 1) * part.y;
+                let distance = Footprint::new(texel, self.resolution).read(distances);
                 (distance > 0.0) != visible.get(*index)
             })
             .map(|(_, solid_angle)| solid_angle)

@@ -6,7 +6,6 @@
 mod common;
 
 use relight_bake::contour::{ContourMesh, GROUP};
-use relight_bake::ray::RayCaster;
 use relight_bake::ssdf::Transform;
 use relight_bake::visibility::Directions;
 
@@ -22,7 +21,6 @@ fn main() {
             );
         }
         let subject = common::subject(path, vertices);
-        let caster = RayCaster::new(&subject.soup);
         let contours = ContourMesh::new(&subject.soup);
         let mut cells = Vec::new();
         for (samples, resolutions) in [(128, &[128, 64][..]), (64, &[64])] {
@@ -32,7 +30,7 @@ fn main() {
                 for group in subject.origins.chunks(GROUP) {
                     contours.prepare(group, &mut scratch);
                     for &origin in group {
-                        contours.sample(&caster, origin, &directions, &mut scratch);
+                        contours.sample(origin, &directions, &mut scratch);
                     }
                 }
             };
@@ -43,7 +41,7 @@ fn main() {
                     contours.prepare(group, &mut scratch);
                     for &origin in group {
                         let (bitmap, _) =
-                            contours.sample(&caster, origin, &directions, &mut scratch);
+                            contours.sample(origin, &directions, &mut scratch);
                         let crossings = contours.crossings(&bitmap, &mut scratch);
                         if let Some(transform) = transform {
                             std::hint::black_box(transform.apply(&bitmap, crossings, 0.5));

@@ -116,7 +116,7 @@ fn measure(subject: &Subject, rounds: usize, threads: usize) -> Value {
                 contours.prepare(group, scratch);
                 let points = group.iter();
                 points
-                    .map(|&origin| contours.sample(&caster, origin, &directions, scratch))
+                    .map(|&origin| contours.sample(origin, &directions, scratch))
                     .collect::<Vec<_>>()
             };
             fast = (origins.par_chunks(GROUP))

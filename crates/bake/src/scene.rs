@@ -21,7 +21,6 @@ use crate::contour::{self, ContourMesh, Scratch};
 use crate::fingerprint::Fingerprint;
 use crate::import::Mesh;
 use crate::monitor::{Interrupted, Monitor};
-use crate::ray::RayCaster;
 use crate::scene_input::SceneInput;
 use crate::visibility::Directions;
 use crate::{cluster, refine, ssdf, visibility};
@@ -201,7 +200,6 @@ pub struct Bake<'a> {
     triangles: Vec<[u32; 3]>,
     origins: Vec<Vec3>,
     chunks: Vec<Vec<u32>>,
-    caster: RayCaster,
     contours: ContourMesh,
     directions: Directions,
     transform: ssdf::Transform,
@@ -261,6 +259,15 @@ impl<'a> Bake<'a> {
         check(options)?;
         let mut stages = Vec::new();
         let mut clock = Instant::now();
+        monitor.step("build bvh", 0.0)?;
+        // Refinement does not move the surface: what was imported blocks the same light with
+        // the fewest edges.
+        let soup = input.mesh.soup();
+        let contours = ContourMesh::new(&soup);
+        drop(soup);
+        stages.push(("build bvh", clock.elapsed()));
+
+        clock = Instant::now();
         monitor.step("refine", 0.0)?;
         let fingerprint = fingerprint(&input, options);
         let diagonal = input
@@ -276,7 +283,7 @@ impl<'a> Bake<'a> {
         };
         let mut mesh = refine::refine(input.mesh, max_edge, bound.max_vertices);
         if bound.error.is_finite() {
-            mesh = refine::refine_wrong(mesh, bound, monitor)?;
+            mesh = refine::refine_wrong(mesh, &contours, bound, monitor)?;
         }
         for warning in mesh.warnings.drain(..) {
             if !report.warnings.contains(&warning) {
@@ -313,17 +320,8 @@ impl<'a> Bake<'a> {
         };
         stages.push(("refine", clock.elapsed()));
 
-        clock = Instant::now();
-        monitor.step("build bvh", 0.0)?;
-        let soup: Vec<[Vec3; 3]> = triangles
-            .iter()
-            .map(|t| t.map(|vertex| positions[vertex as usize]))
-            .collect();
-        let caster = RayCaster::new(&soup);
-        let contours = ContourMesh::new(&soup);
         let directions = Directions::new(options.sample_resolution);
         let transform = ssdf::Transform::new(&directions, options.basis_resolution);
-        stages.push(("build bvh", clock.elapsed()));
         let mut bake = Self {
             aim: options.aim,
             options: options.clone(),
@@ -334,7 +332,6 @@ impl<'a> Bake<'a> {
             mesh,
             triangles,
             chunks,
-            caster,
             contours,
             directions,
             transform,
@@ -712,9 +709,7 @@ impl Bake<'_> {
         let counters = &self.counters;
         let start = Instant::now();
         let origin = self.origins[vertex as usize];
-        let (bitmap, rays) = self
-            .contours
-            .sample(&self.caster, origin, &self.directions, scratch);
+        let (bitmap, rays) = self.contours.sample(origin, &self.directions, scratch);
         add_time(&counters.visibility_nanoseconds, start);
         let start = Instant::now();
         let crossings = self.contours.crossings(&bitmap, scratch);
@@ -724,7 +719,7 @@ impl Bake<'_> {
         add_time(&counters.ssdf_nanoseconds, start);
         if self.verify {
             let start = Instant::now();
-            let exact = visibility::sample(&self.caster, origin, &self.directions);
+            let exact = visibility::sample(self.contours.caster(), origin, &self.directions);
             let texels = 0..self.directions.as_slice().len();
             let differing = texels.filter(|&i| exact.get(i) != bitmap.get(i)).count();
             counters.verified.fetch_add(1, Ordering::Relaxed);

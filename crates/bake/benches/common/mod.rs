@@ -92,10 +92,6 @@ pub fn subject(path: &Path, count: usize) -> Subject {
     let mesh = import::mesh(path).unwrap_or_else(|error| panic!("{error}"));
     let positions: Vec<Vec3> = mesh.vertices.iter().map(|v| v.position.into()).collect();
     let triangles: Vec<[u32; 3]> = mesh.triangles.iter().map(|t| t.vertices).collect();
-    let soup = triangles
-        .iter()
-        .map(|t| t.map(|v| positions[v as usize]))
-        .collect();
     let (low, high) = mesh.bounds().expect("imported meshes have vertices");
     let origins = visibility::origins(&positions, &triangles, 1e-4 * low.distance(high));
     let mut order: Vec<u32> = (0..origins.len() as u32).collect();
@@ -112,7 +108,7 @@ pub fn subject(path: &Path, count: usize) -> Subject {
     };
     Subject {
         name: path.file_stem().unwrap_or_default().display().to_string(),
-        soup,
+        soup: mesh.soup(),
         origins: (picked.iter()).map(|&v| origins[v as usize]).collect(),
         normals: picked.iter().map(normal).collect(),
     }

@@ -31,8 +31,10 @@ use layers::Layers;
 /// Points, close together, for which [`ContourMesh::prepare`] pays best.
 pub const GROUP: usize = 32;
 
-/// A mesh's edges, prepared for finding contours from any point.
+/// A mesh's edges, prepared for finding contours from any point, and what casts the few
+/// rays.
 pub struct ContourMesh {
+    caster: RayCaster,
     /// Welded vertex positions.
     positions: Vec<Vec3>,
     facing: Facing,
@@ -78,8 +80,16 @@ impl ContourMesh {
                 welded.push(vertices);
             }
         }
-        let facing = Facing::new(&positions, &welded);
-        Self { positions, facing }
+        Self {
+            caster: RayCaster::new(triangles),
+            facing: Facing::new(&positions, &welded),
+            positions,
+        }
+    }
+
+    /// Casts rays at the same triangles.
+    pub fn caster(&self) -> &RayCaster {
+        &self.caster
     }
 
     /// Memory for [`Self::sample`] at the directions' resolution.
@@ -101,7 +111,6 @@ impl ContourMesh {
     /// The same bitmap as [`crate::visibility::sample`], and the number of rays it took.
     pub fn sample(
         &self,
-        caster: &RayCaster,
         origin: Vec3,
         directions: &Directions,
         scratch: &mut Scratch,
@@ -116,10 +125,10 @@ impl ContourMesh {
         layers.count(origin, candidates.contours());
         if touches {
             let rays = directions.as_slice().len() as u32;
-            return (visibility::sample(caster, origin, directions), rays);
+            return (visibility::sample(&self.caster, origin, directions), rays);
         }
         let directions = directions.as_slice();
-        layers.resolve(|texel| !caster.any_hit(origin, directions[texel]))
+        layers.resolve(|texel| !self.caster.any_hit(origin, directions[texel]))
     }
 
     /// Where contours separate visible from blocked texels, at the point that `scratch`
@@ -185,7 +194,7 @@ mod tests {
                 mesh.prepare(group, &mut scratch);
             }
             let exact = visibility::sample(&caster, origin, &directions);
-            let (fast, rays) = mesh.sample(&caster, origin, &directions, &mut scratch);
+            let (fast, rays) = mesh.sample(origin, &directions, &mut scratch);
             let wrong = (0..(resolution * resolution) as usize)
                 .filter(|&texel| exact.get(texel) != fast.get(texel))
                 .count();
@@ -292,10 +301,9 @@ mod tests {
     fn ball(directions: &Directions) -> (Vec3, f32, Bitmap, Crossings) {
         let centre = Vec3::new(0.7, 1.9, -1.1);
         let triangles = sphere(centre, 1.0, 160);
-        let caster = RayCaster::new(&triangles);
         let mesh = ContourMesh::new(&triangles);
         let mut scratch = mesh.scratch(directions);
-        let (bitmap, _) = mesh.sample(&caster, Vec3::ZERO, directions, &mut scratch);
+        let (bitmap, _) = mesh.sample(Vec3::ZERO, directions, &mut scratch);
         mesh.crossings(&bitmap, &mut scratch);
         let radius = (1.0 / centre.length()).asin();
         (centre, radius, bitmap, scratch.crossings)

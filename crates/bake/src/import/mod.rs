@@ -107,6 +107,14 @@ impl Mesh {
         let first = positions.next()?;
         Some(positions.fold((first, first), |(low, high), p| (low.min(p), high.max(p))))
     }
+
+    /// Corners of every triangle.
+    pub fn soup(&self) -> Vec<[glam::Vec3; 3]> {
+        let position = |vertex: u32| self.vertices[vertex as usize].position.into();
+        (self.triangles.iter())
+            .map(|triangle| triangle.vertices.map(position))
+            .collect()
+    }
 }
 
 /// Why a scene file, mesh, material library or texture could not be read.

@@ -14,7 +14,6 @@ use crate::compress::{Normal, Weighting};
 use crate::contour::{ContourMesh, GROUP, Scratch};
 use crate::import::Mesh;
 use crate::monitor::{Interrupted, Monitor};
-use crate::ray::RayCaster;
 use crate::ssdf::Transform;
 use crate::visibility::{self, Directions};
 
@@ -62,22 +61,23 @@ struct Point {
     normal: Vec3,
 }
 
-struct Sampler {
-    caster: RayCaster,
-    contours: ContourMesh,
+struct Sampler<'a> {
+    contours: &'a ContourMesh,
     directions: Directions,
     transform: Transform,
     weighting: Weighting,
 }
 
 /// Cuts edges, most wrong first, until none is more wrong than the bound allows. As with
-/// [`super::refine`], triangles that meet at an edge cut it alike.
-pub fn refine(mut mesh: Mesh, bound: Bound, monitor: Monitor) -> Result<Mesh, Interrupted> {
-    let triangles: Vec<[Vec3; 3]> = (mesh.triangles.iter())
-        .map(|triangle| triangle.vertices.map(|vertex| position(&mesh, vertex)))
-        .collect();
-    // Cuts do not move the surface.
-    let sampler = Sampler::new(&triangles);
+/// [`super::refine`], triangles that meet at an edge cut it alike. `contours` are of the same
+/// surface, however it is divided.
+pub fn refine(
+    mut mesh: Mesh,
+    contours: &ContourMesh,
+    bound: Bound,
+    monitor: Monitor,
+) -> Result<Mesh, Interrupted> {
+    let sampler = Sampler::new(contours);
     let mut ssdfs: HashMap<u32, Coarse> = HashMap::new();
     let mut known: HashSet<[u32; 2]> = HashSet::new();
     for _ in 0..MAX_ROUNDS {
@@ -216,12 +216,11 @@ fn coarse(ssdf: &[f32]) -> Coarse {
         .collect()
 }
 
-impl Sampler {
-    fn new(triangles: &[[Vec3; 3]]) -> Self {
+impl<'a> Sampler<'a> {
+    fn new(contours: &'a ContourMesh) -> Self {
         let directions = Directions::new(SAMPLE_RESOLUTION);
         Self {
-            caster: RayCaster::new(triangles),
-            contours: ContourMesh::new(triangles),
+            contours,
             transform: Transform::new(&directions, RESOLUTION),
             weighting: Weighting::new(RESOLUTION),
             directions,
@@ -267,7 +266,7 @@ impl Sampler {
     }
 
     fn ssdf(&self, origin: Vec3, scratch: &mut Scratch) -> Vec<f32> {
-        let (visible, _) = (self.contours).sample(&self.caster, origin, &self.directions, scratch);
+        let (visible, _) = self.contours.sample(origin, &self.directions, scratch);
         let crossings = self.contours.crossings(&visible, scratch);
         self.transform.apply(&visible, crossings, CLAMP)
     }
@@ -357,9 +356,14 @@ mod tests {
         }
     }
 
+    fn refined(bound: Bound) -> Mesh {
+        let contours = ContourMesh::new(&wall().soup());
+        refine(wall(), &contours, bound, SILENT).unwrap()
+    }
+
     #[test]
     fn cuts_gather_where_shadows_change() {
-        let mesh = refine(wall(), bound(0.05), SILENT).unwrap();
+        let mesh = refined(bound(0.05));
         let near = |vertex: &&Vertex| {
             Vec3::from(vertex.position).distance(Vec3::new(2.15, 0.0, 0.3)) < 1.2
         };
@@ -373,19 +377,19 @@ mod tests {
 
     #[test]
     fn the_most_wrong_edges_come_first_and_the_bound_holds() {
-        let all = refine(wall(), bound(0.02), SILENT).unwrap().vertices.len();
+        let all = refined(bound(0.02)).vertices.len();
         let limited = Bound {
             max_vertices: all / 2,
             ..bound(0.02)
         };
-        let mesh = refine(wall(), limited, SILENT).unwrap();
+        let mesh = refined(limited);
         assert!(mesh.vertices.len() <= all / 2);
         assert_eq!(mesh.warnings.len(), 1, "{:?}", mesh.warnings);
     }
 
     #[test]
     fn no_edge_gets_a_vertex_on_one_side_alone() {
-        let mesh = refine(wall(), bound(0.05), SILENT).unwrap();
+        let mesh = refined(bound(0.05));
         let at = |vertex: u32| position(&mesh, vertex);
         let sides: Vec<[Vec3; 2]> = (mesh.triangles.iter())
             .flat_map(|triangle| sides(triangle.vertices.map(at)))
@@ -402,15 +406,11 @@ mod tests {
 
     #[test]
     fn threads_do_not_matter() {
-        let refined = |threads: usize| {
+        let on = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
-            let mesh = pool
-                .build()
-                .unwrap()
-                .install(|| refine(wall(), bound(0.05), SILENT));
-            let mesh = mesh.unwrap();
+            let mesh = pool.build().unwrap().install(|| refined(bound(0.05)));
             (mesh.vertices, mesh.triangles.len())
         };
-        assert_eq!(refined(1), refined(3));
+        assert_eq!(on(1), on(3));
     }
 }

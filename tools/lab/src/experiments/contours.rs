@@ -5,7 +5,6 @@ use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use relight_bake::contour::ContourMesh;
 use relight_bake::import;
-use relight_bake::ray::RayCaster;
 use relight_bake::ssdf::{Crossings, Transform};
 use relight_bake::visibility::{Bitmap, Directions};
 use relight_shading::octahedral::Footprint;
@@ -56,9 +55,9 @@ impl Variant {
         }
     }
 
-    fn distances(&self, contours: &ContourMesh, caster: &RayCaster, origin: Vec3) -> Vec<f32> {
+    fn distances(&self, contours: &ContourMesh, origin: Vec3) -> Vec<f32> {
         let mut scratch = contours.scratch(&self.directions);
-        let (bitmap, _) = contours.sample(caster, origin, &self.directions, &mut scratch);
+        let (bitmap, _) = contours.sample(origin, &self.directions, &mut scratch);
         let none = Crossings::default();
         let crossings = if self.crossings {
             contours.crossings(&bitmap, &mut scratch)
@@ -146,7 +145,7 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
         let soup: Vec<[Vec3; 3]> = (mesh.triangles.iter())
             .map(|triangle| triangle.vertices.each_ref().map(corner))
             .collect();
-        let (contours, caster) = (ContourMesh::new(&soup), RayCaster::new(&soup));
+        let contours = ContourMesh::new(&soup);
         let (low, high) = mesh.bounds().unwrap_or_default();
         let below = low.y - 0.02 * (high.y - low.y);
         let found: Vec<([f64; VARIANTS.len()], f64)> = (0..POINTS * POINTS)
@@ -157,9 +156,9 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
                 let at = low + (high - low) * Vec3::new(x, 0.0, y);
                 let origin = Vec3::new(at.x, below, at.z);
                 let mut scratch = contours.scratch(&reference);
-                let (visible, _) = contours.sample(&caster, origin, &reference, &mut scratch);
+                let (visible, _) = contours.sample(origin, &reference, &mut scratch);
                 let wrong = variants.each_ref().map(|variant| {
-                    let distances = variant.distances(&contours, &caster, origin);
+                    let distances = variant.distances(&contours, origin);
                     variant.wrong(&distances, &visible, &solid_angles)
                 });
                 (wrong, boundary_length(&visible, &solid_angles))

@@ -14,6 +14,7 @@ const RESOLUTION: u32 = 64;
 /// Images of the largest default cluster.
 const CHANNELS: usize = 16;
 /// The default's.
+const ROUNDS: usize = 3;
 const MAX_ERROR: f32 = 0.005;
 
 fn main() {
@@ -50,9 +51,9 @@ fn main() {
         });
         let fitted = samples.fitted();
         let reweight = common::best(rounds, || {
-            std::hint::black_box(compress::reweight(&fitted, &basis, CHANNELS));
+            std::hint::black_box(compress::reweight(&fitted, &basis, CHANNELS, ROUNDS));
         });
-        let images = compress::reweight(&fitted, &basis, CHANNELS);
+        let (images, _) = compress::reweight(&fitted, &basis, CHANNELS, ROUNDS);
         let encode = common::best(rounds, || {
             std::hint::black_box(compress::encode(&fitted, &images, MAX_ERROR));
         });

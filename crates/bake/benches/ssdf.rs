@@ -40,8 +40,7 @@ fn main() {
                 for group in subject.origins.chunks(GROUP) {
                     contours.prepare(group, &mut scratch);
                     for &origin in group {
-                        let (bitmap, _) =
-                            contours.sample(origin, &directions, &mut scratch);
+                        let (bitmap, _) = contours.sample(origin, &directions, &mut scratch);
                         let crossings = contours.crossings(&bitmap, &mut scratch);
                         if let Some(transform) = transform {
                             std::hint::black_box(transform.apply(&bitmap, crossings, 0.5));

@@ -24,8 +24,6 @@ const FAR_WEIGHT: f32 = 0.003;
 const HIDDEN_WEIGHT: f32 = 0.02;
 /// Subspace iterations; four separate the spectrum of SSDFs to well below quantisation.
 const ITERATIONS: usize = 4;
-/// Rounds of reweighting: further ones gain 3 % each.
-const ROUNDS: usize = 3;
 /// What rounding may add to the error, as a part of the error allowed: the squares of both
 /// come to less than a tenth of its square.
 const BASIS_ROUNDING: f32 = 0.25;
@@ -36,6 +34,8 @@ const MAX_STEP: f32 = 16.0;
 /// [`SKIPPED`]th of them.
 const IDLE: f32 = 0.02;
 const SKIPPED: usize = 8;
+/// Texels and rows that [`Samples::thinned`] steps by.
+const THINNED: usize = 2;
 /// Extra vectors in the subspace iteration, to converge the last ones kept.
 const OVERSAMPLING: usize = 6;
 
@@ -131,6 +131,26 @@ impl Samples {
         Self {
             ssdfs: self.ssdfs.select_columns(columns),
             weights: self.weights.select_columns(columns),
+        }
+    }
+
+    /// One texel of four, which stands for them all: enough to tell what compression would
+    /// give.
+    #[must_use]
+    pub fn thinned(&self) -> Self {
+        let side = self.ssdfs.nrows().isqrt();
+        let step = THINNED.min(side);
+        let texels: Vec<usize> = (0..side * side)
+            .filter(|texel| {
+                [texel / side, texel % side]
+                    .iter()
+                    .all(|i| i.is_multiple_of(step))
+            })
+            .collect();
+        let scale = (side * side) as f32 / texels.len() as f32;
+        Self {
+            ssdfs: self.ssdfs.select_rows(&texels),
+            weights: self.weights.select_rows(&texels) * scale,
         }
     }
 
@@ -292,16 +312,35 @@ pub fn analyse(samples: &Samples, rank: usize) -> Basis {
 }
 
 /// Fits the first `channels` images to the samples anew, with their weights: principal
-/// components spend most of their variance where an error costs nothing. Alternating least
-/// squares from the principal components, which takes the error to a fraction of theirs.
-pub fn reweight(fitted: &Fitted, basis: &Basis, channels: usize) -> Images {
+/// components spend most of their variance where an error costs nothing. Returns the
+/// coefficients that the images go with, too: one row per image, one column per vertex.
+pub fn reweight(
+    fitted: &Fitted,
+    basis: &Basis,
+    channels: usize,
+    rounds: usize,
+) -> (Images, DMatrix<f32>) {
     let channels = channels.min(basis.images.values.ncols());
-    let vertices = fitted.weights.ncols();
-    let mut values = basis.images.values.columns(0, channels).into_owned();
-    let mut coefficients = DMatrix::zeros(channels, vertices);
+    let values = basis.images.values.columns(0, channels).into_owned();
+    let coefficients = solve_each(&fitted.systems(&values), channels);
+    alternate(fitted, coefficients, rounds)
+}
+
+/// Alternating least squares from coefficients, which takes the error to a fraction of that
+/// of principal components in a few rounds: of images, then, before the next round, of
+/// coefficients.
+pub fn alternate(
+    fitted: &Fitted,
+    mut coefficients: DMatrix<f32>,
+    rounds: usize,
+) -> (Images, DMatrix<f32>) {
+    let (channels, vertices) = coefficients.shape();
+    let mut values = DMatrix::zeros(fitted.samples.ssdfs.nrows(), channels);
     let (weights, weighted) = (fitted.weights.transpose(), fitted.weighted.transpose());
-    for _ in 0..ROUNDS {
-        coefficients = solve_each(&fitted.systems(&values), channels);
+    for round in 0..rounds {
+        if round > 0 {
+            coefficients = solve_each(&fitted.systems(&values), channels);
+        }
         let systems = normal_equations(&coefficients, &weights, &weighted);
         let images = solve_each(&systems, channels);
         for (texel, image) in fitted.texels.iter().zip(images.column_iter()) {
@@ -310,10 +349,8 @@ pub fn reweight(fitted: &Fitted, basis: &Basis, channels: usize) -> Images {
     }
     fitted.fill(&coefficients, &mut values);
     let amplitude = |row: usize| coefficients.row(row).norm() / (vertices as f32).sqrt();
-    Images {
-        values,
-        amplitudes: (0..channels).map(amplitude).collect(),
-    }
+    let amplitudes = (0..channels).map(amplitude).collect();
+    (Images { values, amplitudes }, coefficients)
 }
 
 impl Fitted<'_> {
@@ -599,7 +636,7 @@ mod tests {
         let ssdfs = drifting_caps(60);
         let basis = analyse(&ssdfs, 15);
         let errors = [1, 4, 8, 12, 16].map(|k| {
-            let images = reweight(&ssdfs.fitted(), &basis, k);
+            let (images, _) = reweight(&ssdfs.fitted(), &basis, k, 3);
             encode(&ssdfs.fitted(), &images, 1e-4).error.boundary_rms()
         });
         assert!(
@@ -619,7 +656,7 @@ mod tests {
             };
             let (before, after) = (
                 error(&basis.images),
-                error(&reweight(&ssdfs.fitted(), &basis, channels)),
+                error(&reweight(&ssdfs.fitted(), &basis, channels, 3).0),
             );
             // These caps are so smooth that quantisation bounds the gain.
             assert!(
@@ -649,7 +686,7 @@ mod tests {
     fn rounding_takes_its_part_of_the_error() {
         let ssdfs = drifting_caps(60);
         let fitted = ssdfs.fitted();
-        let images = reweight(&fitted, &analyse(&ssdfs, 15), 16);
+        let (images, _) = reweight(&fitted, &analyse(&ssdfs, 15), 16, 3);
         let fine = encode(&fitted, &images, 1e-5).error.boundary_rms();
         for max_error in [4.0 * fine, 10.0 * fine] {
             let compressed = encode(&fitted, &images, max_error);

@@ -47,6 +47,10 @@ const COEFFICIENT_BYTES: f32 = 1.5;
 const SPLIT_GAIN: f32 = 0.75;
 /// A cluster of fewer vertices is not split further: its basis would outweigh it.
 const MIN_CLUSTER_VERTICES: usize = 96;
+/// Rounds of fitting images and coefficients to each other, when clusters are planned and
+/// when they are made.
+const PLANNING_ROUNDS: usize = 2;
+const ROUNDS: usize = 3;
 /// Distance of a visibility sample from its surface, in diagonals of the scene: far above
 /// the rounding of coordinates, far below anything that casts a visible shadow.
 const RELATIVE_RAY_OFFSET: f32 = 1e-4;
@@ -631,8 +635,7 @@ impl Bake<'_> {
             let compressed = compress::encode(&samples.fitted(), &basis.images, self.aim);
             finished.push(self.cluster(triangles, &vertices, compressed));
         } else {
-            let search = (self.aim, self.options.max_tiles);
-            self.compress_clusters(triangles, &vertices, &samples, search, &mut finished)?;
+            finished = self.compress_clusters(triangles, &vertices, &samples, self.aim)?;
         }
         add_time(&self.counters.compress_nanoseconds, start);
         self.counters.compressed.fetch_add(count, Ordering::Relaxed);
@@ -747,16 +750,49 @@ impl Bake<'_> {
             .step("visibility and compression", fraction.min(0.999) as f32)
     }
 
-    /// Tiles, and splits along the leading principal component, where vertices that see
-    /// alike stay together, as long as they lower the sum of bytes and of what errors are
-    /// worth in bytes. Returns that sum. `tiles` is where the search begins.
+    /// Divides a chunk into clusters and compresses them.
     fn compress_clusters(
         &self,
         triangles: &[u32],
         vertices: &[u32],
         samples: &Samples,
+        aim: f32,
+    ) -> Result<Vec<Cluster>, Interrupted> {
+        let mut plan = Vec::new();
+        let tiles = self.options.max_tiles;
+        self.plan(
+            triangles,
+            vertices,
+            &samples.thinned(),
+            (aim, tiles),
+            &mut plan,
+        )?;
+        let compress = |planned| {
+            let Planned {
+                triangles,
+                coefficients,
+            } = planned;
+            self.report()?;
+            let members = cluster::vertices_of(&triangles, &self.triangles);
+            let samples = samples.select(&columns(&members, vertices));
+            let fitted = samples.fitted();
+            let (images, _) = compress::alternate(&fitted, coefficients, ROUNDS);
+            let compressed = compress::encode(&fitted, &images, aim);
+            Ok(self.cluster(&triangles, &members, compressed))
+        };
+        plan.into_iter().map(compress).collect()
+    }
+
+    /// Tiles, and splits along the leading principal component, where vertices that see
+    /// alike stay together, as long as they lower the sum of bytes and of what errors are
+    /// worth in bytes. Returns that sum. `tiles` is where the search begins.
+    fn plan(
+        &self,
+        triangles: &[u32],
+        vertices: &[u32],
+        samples: &Samples,
         (aim, tiles): (f32, u32),
-        finished: &mut Vec<Cluster>,
+        plan: &mut Vec<Planned>,
     ) -> Result<f32, Interrupted> {
         self.report()?;
         let max_channels = self.options.max_tiles as usize * CHANNELS_PER_TILE;
@@ -766,28 +802,35 @@ impl Bake<'_> {
         let texels = self.options.basis_resolution.pow(2) as f32;
         let tile_bytes =
             CHANNELS_PER_TILE as f32 * (texels * BASIS_BYTES + count * COEFFICIENT_BYTES);
-        let worth = |compressed: &Compressed| {
-            let error = compressed.error.boundary_rms() / aim;
-            count * BYTES_PER_ERROR * error * error
-        };
         let with_tiles = |tiles: u32| {
-            let images = compress::reweight(&fitted, &basis, tiles as usize * CHANNELS_PER_TILE);
+            let channels = tiles as usize * CHANNELS_PER_TILE;
+            let (images, coefficients) =
+                compress::reweight(&fitted, &basis, channels, PLANNING_ROUNDS);
             let compressed = compress::encode(&fitted, &images, aim);
-            let cost = compressed.tiles as f32 * tile_bytes + worth(&compressed);
-            (cost, compressed)
+            let error = compressed.error.boundary_rms() / aim;
+            Tried {
+                tiles: compressed.tiles,
+                bytes: compressed.tiles as f32 * tile_bytes,
+                worth: count * BYTES_PER_ERROR * error * error,
+                coefficients,
+            }
         };
         let most = (basis.images.values.ncols().div_ceil(CHANNELS_PER_TILE) as u32).max(1);
-        let (cost, compressed) = cheapest(tiles.min(most), most, with_tiles);
-        let split_bytes = compressed.tiles as f32 * texels * 4.0 * BASIS_BYTES;
-        let hopeless = SPLIT_GAIN * worth(&compressed) < split_bytes;
+        let whole = cheapest(tiles.min(most), most, with_tiles);
+        let cost = whole.cost();
+        let begun = plan.len();
+        plan.push(Planned {
+            triangles: triangles.to_vec(),
+            coefficients: whole.coefficients,
+        });
+        let split_bytes = whole.tiles as f32 * texels * 4.0 * BASIS_BYTES;
+        let hopeless = SPLIT_GAIN * whole.worth < split_bytes;
         if hopeless || vertices.len() < MIN_CLUSTER_VERTICES || triangles.len() < 2 {
-            finished.push(self.cluster(triangles, vertices, compressed));
             return Ok(cost);
         }
         let position = |triangle: u32| -> f32 {
-            self.triangles[triangle as usize]
-                .iter()
-                .filter_map(|vertex| vertices.binary_search(vertex).ok())
+            columns(&self.triangles[triangle as usize], vertices)
+                .into_iter()
                 .map(|column| basis.projections[(0, column)])
                 .sum()
         };
@@ -795,25 +838,19 @@ impl Bake<'_> {
         keyed.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         let (low, high) = keyed.split_at(keyed.len() / 2);
         drop((fitted, basis));
-        let begun = finished.len();
         let mut split_cost = 0.0;
         for half in [low, high] {
             let mut group: Vec<u32> = half.iter().map(|&(_, triangle)| triangle).collect();
             group.sort_unstable();
             let members = cluster::vertices_of(&group, &self.triangles);
-            let columns: Vec<usize> = members
-                .iter()
-                .filter_map(|vertex| vertices.binary_search(vertex).ok())
-                .collect();
-            let subset = samples.select(&columns);
-            let search = (aim, compressed.tiles);
-            split_cost += self.compress_clusters(&group, &members, &subset, search, finished)?;
+            let subset = samples.select(&columns(&members, vertices));
+            split_cost += self.plan(&group, &members, &subset, (aim, whole.tiles), plan)?;
         }
         if split_cost < cost {
+            plan.remove(begun);
             return Ok(split_cost);
         }
-        finished.truncate(begun);
-        finished.push(self.cluster(triangles, vertices, compressed));
+        plan.truncate(begun + 1);
         Ok(cost)
     }
 
@@ -838,19 +875,37 @@ impl Bake<'_> {
     }
 }
 
+/// A cluster to be.
+struct Planned {
+    triangles: Vec<u32>,
+    /// As they were fitted to thinned samples.
+    coefficients: DMatrix<f32>,
+}
+
+/// What a number of tiles would cost.
+struct Tried {
+    tiles: u32,
+    bytes: f32,
+    /// Of the error that is left, in bytes.
+    worth: f32,
+    coefficients: DMatrix<f32>,
+}
+
+impl Tried {
+    fn cost(&self) -> f32 {
+        self.bytes + self.worth
+    }
+}
+
 /// The number of tiles in `1..=most` at which costs stop falling, on the way from `start`;
 /// each costs a fit. Costs rise on both sides of the least, but for noise.
-fn cheapest(
-    start: u32,
-    most: u32,
-    with_tiles: impl Fn(u32) -> (f32, Compressed),
-) -> (f32, Compressed) {
+fn cheapest(start: u32, most: u32, with_tiles: impl Fn(u32) -> Tried) -> Tried {
     let first = with_tiles(start);
     let walk = |tiles: &mut dyn Iterator<Item = u32>| {
-        let mut best: Option<(f32, Compressed)> = None;
+        let mut best: Option<Tried> = None;
         for tiles in tiles {
             let next = with_tiles(tiles);
-            if next.0 >= best.as_ref().unwrap_or(&first).0 {
+            if next.cost() >= best.as_ref().unwrap_or(&first).cost() {
                 break;
             }
             best = Some(next);
@@ -860,6 +915,12 @@ fn cheapest(
     let fewer = walk(&mut (1..start).rev());
     let best = fewer.or_else(|| walk(&mut (start + 1..=most)));
     best.unwrap_or(first)
+}
+
+/// Where `members` are among the ascending `vertices`.
+fn columns(members: &[u32], vertices: &[u32]) -> Vec<usize> {
+    let place = |vertex| vertices.binary_search(vertex).ok();
+    members.iter().filter_map(place).collect()
 }
 
 fn add_time(counter: &AtomicU64, start: Instant) {

@@ -49,6 +49,8 @@ const FAR: f32 = 1e3;
 /// time that their number doubles; fuller projections end at the equation that comes last.
 const SWEEPS: usize = 16;
 const RELAXATION: f32 = 0.3;
+/// Projections under way at a time.
+const STRANDS: usize = 8;
 /// Slack of bounds against rounding, a chord.
 const SLACK: f32 = 1e-5;
 
@@ -62,6 +64,37 @@ pub struct Transform {
     tiles: Vec<Group>,
     /// Pairs of texels that are neighbours over the border, and the midpoint between them.
     border: Vec<([u32; 2], Vec2)>,
+}
+
+/// That a weighted sum of four distances vanish.
+struct Equation {
+    texels: [u32; 4],
+    weights: [f32; 4],
+    /// What a sum of one takes from each distance.
+    steps: [f32; 4],
+}
+
+impl Equation {
+    fn new(footprint: Footprint) -> Self {
+        let Footprint { texels, weights } = footprint;
+        let squares: f32 = weights.iter().map(|weight| weight * weight).sum();
+        Self {
+            texels: texels.map(|texel| texel as u32),
+            weights,
+            steps: weights.map(|weight| RELAXATION * weight / squares),
+        }
+    }
+
+    #[inline(always)]
+    fn project(&self, distances: &mut [f32]) {
+        let [a, b, c, d] = self.texels.map(|texel| distances[texel as usize]);
+        let [p, q, r, s] = self.weights;
+        let sum = (a * p + b * q) + (c * r + d * s);
+        for (texel, step) in self.texels.iter().zip(self.steps) {
+            // Some texels on the map's border are their own neighbours.
+            distances[*texel as usize] -= sum * step;
+        }
+    }
 }
 
 /// Directions of up to 4 × 4 texels that lie together. Lanes without a texel repeat another.
@@ -177,19 +210,17 @@ impl Transform {
     /// Moves distances to vanish at places, where they are interpolated.
     fn fit(&self, places: &[Place], distances: &mut [f32]) {
         let scale = self.resolution as f32 / self.n as f32;
-        let footprints: Vec<Footprint> = (places.iter())
+        // One after the other, points that share texels wait for each other: places are taken
+        // from all over the map in turn.
+        let stride = places.len().div_ceil(STRANDS).max(1);
+        let equations: Vec<Equation> = (0..stride)
+            .flat_map(|first| places[first.min(places.len())..].iter().step_by(stride))
             .map(|place| Footprint::new((*place + 0.5) * scale - 0.5, self.resolution as u32))
+            .map(Equation::new)
             .collect();
         for _ in 0..SWEEPS {
-            for footprint in &footprints {
-                let Footprint { texels, weights } = footprint;
-                let squares = weights
-                    .iter()
-                    .fold(0.0, |sum, weight| sum + weight * weight);
-                let step = RELAXATION * footprint.read(distances) / squares;
-                for (texel, weight) in texels.iter().zip(weights) {
-                    distances[*texel] -= step * weight;
-                }
+            for equation in &equations {
+                equation.project(distances);
             }
         }
     }

@@ -110,10 +110,7 @@ impl Bake<'_> {
                 ssdfs,
             } = trial;
             let samples = self.weighed(triangles, vertices, ssdfs.clone());
-            let mut clusters = Vec::new();
-            let search = (aim, self.options.max_tiles);
-            self.compress_clusters(triangles, vertices, &samples, search, &mut clusters)?;
-            Ok(clusters)
+            Ok(self.compress_clusters(triangles, vertices, &samples, aim)?)
         };
         let mut compressed: Vec<Vec<Cluster>> = Vec::new();
         // As many at a time as the bake itself has at hand.

@@ -191,7 +191,10 @@ fn summary(input: &Path, output: &Path, arguments: &[&str]) -> Result<Value, Fai
     let mut bake = binary("bake");
     bake.arg("scene").arg(input).arg("-o").arg(output);
     bake.args(["--sample-resolution", "32", "--basis-resolution", "32"]);
-    bake.args(["--max-edge", "1", "--json"]).args(arguments);
+    if !arguments.contains(&"--max-edge") {
+        bake.args(["--max-edge", "1"]);
+    }
+    bake.arg("--json").args(arguments);
     Ok(serde_json::from_slice(&expect_success(&mut bake).stdout)?)
 }
 
@@ -203,7 +206,7 @@ fn budget() -> Outcome {
         let summary = summary(&mesh, &asset, arguments)?;
         let bytes = std::fs::metadata(&asset)?.len();
         assert_eq!(summary["bytes"].as_u64(), Some(bytes));
-        let error = summary["boundary_rms_error"].as_f64();
+        let error = summary["errors"]["surface"].as_f64();
         Ok((error.expect("an error"), bytes))
     };
     let (coarse, least) = of(&["--max-error", "0.03"])?;
@@ -212,6 +215,19 @@ fn budget() -> Outcome {
     assert!(coarse < 1.3 * 0.03 && coarse > 0.3 * 0.03, "{coarse}");
     assert!(fine < 1.3 * 0.01 && fine < coarse, "{fine}");
     assert!(least < most, "{least} and {most} bytes");
+    // More vertices take away what interpolation between them costs.
+    let coarse_mesh = folder.path().join("b.obj");
+    std::fs::write(&coarse_mesh, sphere_over_ground(12))?;
+    let parts = |arguments: &[&str]| -> Result<[f64; 2], Failed> {
+        let errors = &summary(&coarse_mesh, &asset, arguments)?["errors"];
+        Ok(["surface", "interpolation"].map(|part| errors[part].as_f64().expect("an error")))
+    };
+    let [_, wide] = parts(&[])?;
+    let [all, close] = parts(&["--max-edge", "0.02", "--max-error", "0.0001"])?;
+    assert!(
+        close < 0.8 * wide && close <= all,
+        "{wide}, {close} of {all}"
+    );
     let between = u64::midpoint(least, most);
     let (error, bytes) = of(&["--max-bytes", &between.to_string()])?;
     assert!(bytes <= between, "{bytes} of {between}");

@@ -249,7 +249,7 @@ fn compression() -> Outcome {
             number(pair[0], "bytes") < number(pair[1], "bytes"),
             "{pair:?}"
         );
-        let errors = [pair[0], pair[1]].map(|row| number(row, "boundary_rms_error"));
+        let errors = [pair[0], pair[1]].map(|row| number(row, "compression_error"));
         assert!(errors[1] < errors[0], "{errors:?}");
     }
     Ok(())

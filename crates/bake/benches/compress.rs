@@ -65,9 +65,7 @@ fn main() {
             per_vertex(select),
             per_vertex(reweight),
             per_vertex(encode),
-            compress::encode(&fitted, &images, MAX_ERROR)
-                .error
-                .boundary_rms(),
+            compress::encode(&fitted, &images, MAX_ERROR).error(),
         );
     }
 }

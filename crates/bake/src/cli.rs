@@ -121,9 +121,10 @@ pub(crate) struct SceneArguments {
     /// Global representation: components besides the mean [default: 24].
     #[arg(long, value_name = "K")]
     rank: Option<u32>,
-    /// Clustered representation: root mean square error of the visibility boundary: the
-    /// angle by which a wall's edge would be off [default: as the preset's rate of bytes for
-    /// accuracy has it, 0.006 to 0.011 at standard].
+    /// Clustered representation: how far visibility boundaries on the surface shall be off,
+    /// the angle by which a wall's edge would be, root mean square, of compression and of
+    /// interpolation between vertices together. What interpolation alone costs, --max-edge and
+    /// --refine-error lower [default: as the preset's rate of bytes for accuracy has it].
     #[arg(long, value_name = "RADIANS")]
     max_error: Option<f32>,
     /// Clustered representation: size of the asset, textures included; the least error that
@@ -619,7 +620,7 @@ fn inspect(path: &Path) -> anyhow::Result<Summary> {
                 "scene {:?}, format version {}\n\
                  {} vertices, {} triangles, {} materials, {} textures\n\
                  {:?}: {} clusters, {} tiles of 4 images at {r}x{r}, sampled at {s}x{s}\n\
-                 error of the visibility boundary {:.4} rad, of all distances {:.4} rad\n",
+                 {}\n",
                 scene.name,
                 format::VERSION,
                 scene.vertices.len(),
@@ -633,8 +634,7 @@ fn inspect(path: &Path) -> anyhow::Result<Summary> {
                     .iter()
                     .map(|cluster| cluster.tiles)
                     .sum::<u32>(),
-                scene.report.boundary_rms_error,
-                scene.report.rms_error,
+                scene_command::describe(&scene.report.errors),
                 r = parameters.basis_resolution,
                 s = parameters.sample_resolution,
             );

@@ -18,6 +18,10 @@ use crate::visibility::Directions;
 /// Half-width of the weight about the visibility boundary, radians: two texels of a basis
 /// image of usual size.
 const BOUNDARY_WIDTH: f32 = 0.05;
+/// Half of the angular width of lights that errors are told for.
+const LIGHT_WIDTH: f32 = 0.05;
+/// A small angle.
+const LITTLE: f32 = 1e-3;
 /// Weight of texels far from the boundary, which only guide the steps of sphere tracing.
 const FAR_WEIGHT: f32 = 0.003;
 /// Weight of texels below the horizon, for normals that interpolation turns.
@@ -48,12 +52,23 @@ pub struct Normal {
     pub tilt: f32,
 }
 
+impl Normal {
+    /// Cosine to a direction, of the nearest normal.
+    fn seen(&self, direction: Vec3) -> f32 {
+        let cosine = self.direction.dot(direction);
+        ((cosine + self.tilt) / (1.0 + self.tilt)).max(0.0)
+    }
+}
+
 /// What an error of an SSDF costs, by direction.
 pub struct Weighting {
     directions: Directions,
     /// Solid angle of every texel, in units of the weights that a wall has: of a vertical
     /// wall that hides half of the sky, at a vertex whose normal points up.
     solid_angles: Vec<f32>,
+    /// Of such a wall's edge that is off by one, squared, in [`Self::squared_displacement`],
+    /// while it is off by little.
+    wall: f32,
 }
 
 impl Weighting {
@@ -68,6 +83,7 @@ impl Weighting {
         let mut weighting = Self {
             directions,
             solid_angles,
+            wall: 1.0,
         };
         let wall: Vec<f32> = (weighting.directions.as_slice().iter())
             .map(|direction| direction.x.asin())
@@ -80,7 +96,23 @@ impl Weighting {
         weighting.weigh(&wall, up, &mut weights);
         let sum: f32 = weights.iter().sum();
         (weighting.solid_angles.iter_mut()).for_each(|solid_angle| *solid_angle /= sum);
+        let off: Vec<f32> = wall.iter().map(|distance| distance + LITTLE).collect();
+        weighting.wall = weighting.squared_displacement(&off, &wall, up) / (LITTLE * LITTLE);
         weighting
+    }
+
+    /// How far the boundary of `found` is off, squared: as an error of light shows, which
+    /// grows with the displacement until the boundary has passed all of a light.
+    pub(crate) fn squared_displacement(&self, found: &[f32], exact: &[f32], normal: Normal) -> f32 {
+        let squash = |distance: f32| distance / (1.0 + (distance / LIGHT_WIDTH).powi(2)).sqrt();
+        let texels = self.directions.as_slice().iter().zip(&self.solid_angles);
+        let sum: f32 = (found.iter().zip(exact).zip(texels))
+            .map(|((found, exact), (direction, solid_angle))| {
+                let difference = squash(*found) - squash(*exact);
+                solid_angle * normal.seen(*direction) * difference.powi(2)
+            })
+            .sum();
+        sum / self.wall
     }
 
     /// Weight of a squared error at every texel of an SSDF.
@@ -89,8 +121,7 @@ impl Weighting {
         for ((weight, distance), (direction, solid_angle)) in
             weights.iter_mut().zip(ssdf).zip(texels)
         {
-            let cosine = normal.direction.dot(*direction);
-            let seen = ((cosine + normal.tilt) / (1.0 + normal.tilt)).max(0.0);
+            let seen = normal.seen(*direction);
             let near = 1.0 / (1.0 + (distance / BOUNDARY_WIDTH).powi(4));
             *weight = solid_angle * (FAR_WEIGHT + near) * (HIDDEN_WEIGHT + seen);
         }
@@ -123,6 +154,12 @@ impl Samples {
             weighting.weigh(ssdf, *normal, weights);
         }
         Self { ssdfs, weights }
+    }
+
+    /// The SSDF of a vertex, radians.
+    pub(crate) fn ssdf(&self, column: usize) -> &[f32] {
+        let texels = self.ssdfs.nrows();
+        &self.ssdfs.as_slice()[column * texels..][..texels]
     }
 
     /// Those of some vertices.
@@ -188,40 +225,6 @@ impl Samples {
     }
 }
 
-/// Squared error sums of a compressed set, for root mean squares over many sets.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct ErrorSums {
-    /// Σ (stored − exact)² over all texels, radians².
-    pub all: f64,
-    /// Number of texels summed in `all`.
-    pub all_count: u64,
-    /// The same, weighted by what it costs, in units of a wall's weights.
-    pub boundary: f64,
-    /// Number of vertices.
-    pub vertices: u64,
-}
-
-impl ErrorSums {
-    /// Adds another set's sums.
-    pub fn add(&mut self, other: &Self) {
-        self.all += other.all;
-        self.all_count += other.all_count;
-        self.boundary += other.boundary;
-        self.vertices += other.vertices;
-    }
-
-    /// Root mean square over all texels, radians.
-    pub fn rms(&self) -> f32 {
-        (self.all / self.all_count.max(1) as f64).sqrt() as f32
-    }
-
-    /// Root mean square over vertices of what errors cost, radians: a wall whose boundary is
-    /// off by this angle costs as much.
-    pub fn boundary_rms(&self) -> f32 {
-        (self.boundary / self.vertices.max(1) as f64).sqrt() as f32
-    }
-}
-
 /// A cluster as stored; see [`relight_format::Cluster`] for how it is decoded.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Compressed {
@@ -233,8 +236,42 @@ pub struct Compressed {
     pub coefficients: Vec<i16>,
     /// RGBA texels, tile after tile.
     pub basis: Vec<i8>,
-    /// Stored minus exact.
-    pub error: ErrorSums,
+    /// Sum over vertices of the squares of what stored minus exact distances cost, radians²:
+    /// a wall whose edge is off by an angle costs its square.
+    pub squared_error: f64,
+}
+
+impl Compressed {
+    /// Root mean square over vertices, radians.
+    pub fn error(&self) -> f32 {
+        let channels = self.tiles as usize * CHANNELS_PER_TILE;
+        let vertices = self.coefficients.len() / channels;
+        (self.squared_error / vertices as f64).sqrt() as f32
+    }
+
+    /// The stored SSDF of a vertex, radians, at every texel.
+    pub fn decode(&self, vertex: usize) -> Vec<f32> {
+        let channels = self.tiles as usize * CHANNELS_PER_TILE;
+        let coefficients = &self.coefficients[vertex * channels..][..channels];
+        decode(coefficients, &self.basis, self.coefficient_scale)
+    }
+}
+
+/// Σ of coefficients times images, radians per texel; as many tiles of images as there are
+/// coefficients for.
+pub fn decode(coefficients: &[i16], basis: &[i8], coefficient_scale: f32) -> Vec<f32> {
+    let coefficients = coefficients.chunks_exact(CHANNELS_PER_TILE);
+    let tile_bytes = basis.len() / coefficients.len();
+    let mut ssdf = vec![0.0; tile_bytes / CHANNELS_PER_TILE];
+    let scale = coefficient_scale / (32767.0 * 127.0);
+    for (coefficients, tile) in coefficients.zip(basis.chunks_exact(tile_bytes)) {
+        for (distance, images) in ssdf.iter_mut().zip(tile.chunks_exact(CHANNELS_PER_TILE)) {
+            for (coefficient, image) in coefficients.iter().zip(images) {
+                *distance += f32::from(*coefficient) * f32::from(*image) * scale;
+            }
+        }
+    }
+    ssdf
 }
 
 /// Images whose weighted sums are SSDFs.
@@ -412,7 +449,7 @@ const BLOCK_VERTICES: usize = 512;
 const LANES: usize = 16;
 
 /// Quantises images and fits coefficients to them. Rounding takes its part of `max_error`,
-/// the root mean square that [`ErrorSums::boundary_rms`] may have, radians.
+/// the root mean square that [`Compressed::error`] may have, radians.
 pub fn encode(fitted: &Fitted, images: &Images, max_error: f32) -> Compressed {
     let Samples { ssdfs, weights } = fitted.samples;
     let (texels, vertices) = ssdfs.shape();
@@ -456,7 +493,7 @@ pub fn encode(fitted: &Fitted, images: &Images, max_error: f32) -> Compressed {
         out.zip(&image)
             .for_each(|(texel, value)| texel[lane] = *value);
     }
-    let mut error = ErrorSums::default();
+    let mut squared_error = 0.0;
     for first in (0..vertices).step_by(BLOCK_VERTICES) {
         let count = BLOCK_VERTICES.min(vertices - first);
         let values = integers
@@ -467,19 +504,15 @@ pub fn encode(fitted: &Fitted, images: &Images, max_error: f32) -> Compressed {
             .zip(columns(ssdfs, first))
             .zip(columns(weights, first))
         {
-            let [all, boundary] = squared_errors(found, exact, weights);
-            error.all += f64::from(all);
-            error.boundary += f64::from(boundary);
+            squared_error += f64::from(self::squared_error(found, exact, weights));
         }
     }
-    error.vertices = vertices as u64;
-    error.all_count = (texels * vertices) as u64;
     Compressed {
         tiles: tiles as u32,
         coefficient_scale,
         coefficients,
         basis,
-        error,
+        squared_error,
     }
 }
 
@@ -489,19 +522,18 @@ fn columns(matrix: &DMatrix<f32>, first: usize) -> std::slice::ChunksExact<'_, f
     matrix.as_slice()[first * texels..].chunks_exact(texels)
 }
 
-/// Sums of squared differences, without and with weights, over the texels of one vertex.
-fn squared_errors<'a>(found: &'a [f32], exact: &'a [f32], weights: &'a [f32]) -> [f32; 2] {
+/// What a wrong SSDF costs, radians²: the weighted sum of squared differences.
+fn squared_error(found: &[f32], exact: &[f32], weights: &[f32]) -> f32 {
     // Side by side, as vector instructions want it.
-    let mut sums = [[0.0; LANES]; 2];
-    let chunks = |values: &'a [f32]| values.chunks(LANES);
-    for ((found, exact), weights) in chunks(found).zip(chunks(exact)).zip(chunks(weights)) {
-        for (lane, ((found, exact), weight)) in found.iter().zip(exact).zip(weights).enumerate() {
-            let squared = (found - exact).powi(2);
-            sums[0][lane] += squared;
-            sums[1][lane] += squared * weight;
+    let mut sums = [0.0; LANES];
+    let chunks = found.chunks(LANES).zip(exact.chunks(LANES));
+    for ((found, exact), weights) in chunks.zip(weights.chunks(LANES)) {
+        let texels = found.iter().zip(exact).zip(weights);
+        for (sum, ((found, exact), weight)) in sums.iter_mut().zip(texels) {
+            *sum += (found - exact).powi(2) * weight;
         }
     }
-    sums.map(|lanes| lanes.iter().sum())
+    sums.iter().sum()
 }
 
 /// Images in 127ths of their range, in steps that together err by `rounding`, radians root
@@ -597,6 +629,33 @@ mod tests {
     }
 
     #[test]
+    fn displacements_count_until_a_light_is_passed() {
+        let weighting = Weighting::new(64);
+        let wall = |off: f32| -> Vec<f32> {
+            let directions = weighting.directions.as_slice().iter();
+            directions
+                .map(|d| (d.x.asin() + off).clamp(-0.5, 0.5))
+                .collect()
+        };
+        let up = Normal {
+            direction: Vec3::Y,
+            tilt: 0.0,
+        };
+        let displacement = |off: f32| {
+            weighting
+                .squared_displacement(&wall(off), &wall(0.0), up)
+                .sqrt()
+        };
+        for off in [-0.01f32, 0.003, 0.01] {
+            assert!((displacement(off) / off.abs() - 1.0).abs() < 0.02, "{off}");
+        }
+        // An area, which is what is left of a displacement of several lights' widths, grows
+        // with its square root.
+        let growth = displacement(0.4) / displacement(0.2);
+        assert!((1.3..1.7).contains(&growth), "{growth}");
+    }
+
+    #[test]
     fn boundaries_below_the_horizon_cost_next_to_nothing() {
         let weighting = Weighting::new(64);
         let floor: Vec<f32> = (weighting.directions.as_slice().iter())
@@ -637,7 +696,7 @@ mod tests {
         let basis = analyse(&ssdfs, 15);
         let errors = [1, 4, 8, 12, 16].map(|k| {
             let (images, _) = reweight(&ssdfs.fitted(), &basis, k, 3);
-            encode(&ssdfs.fitted(), &images, 1e-4).error.boundary_rms()
+            encode(&ssdfs.fitted(), &images, 1e-4).error()
         });
         assert!(
             errors.windows(2).all(|pair| pair[1] < pair[0]),
@@ -652,7 +711,7 @@ mod tests {
             let basis = analyse(&ssdfs, channels - 1);
             let error = |images: &Images| {
                 let compressed = encode(&ssdfs.fitted(), images, 1e-4);
-                compressed.error.boundary_rms()
+                compressed.error()
             };
             let (before, after) = (
                 error(&basis.images),
@@ -676,9 +735,9 @@ mod tests {
         let compressed = encode(&ssdfs.fitted(), &analyse(&ssdfs, 3).images, 1e-4);
         // 8-bit steps of images whose largest values are 0.2 and 0.1 rad, half a step off.
         assert!(
-            compressed.error.rms() < 0.3 / 127.0 / 2.0,
+            compressed.error() < 0.3 / 127.0 / 2.0,
             "{}",
-            compressed.error.rms()
+            compressed.error()
         );
     }
 
@@ -687,10 +746,10 @@ mod tests {
         let ssdfs = drifting_caps(60);
         let fitted = ssdfs.fitted();
         let (images, _) = reweight(&fitted, &analyse(&ssdfs, 15), 16, 3);
-        let fine = encode(&fitted, &images, 1e-5).error.boundary_rms();
+        let fine = encode(&fitted, &images, 1e-5).error();
         for max_error in [4.0 * fine, 10.0 * fine] {
             let compressed = encode(&fitted, &images, max_error);
-            let added = (compressed.error.boundary_rms().powi(2) - fine.powi(2)).max(0.0);
+            let added = (compressed.error().powi(2) - fine.powi(2)).max(0.0);
             assert!(
                 added < 0.1 * max_error.powi(2),
                 "{added} for {max_error}, {fine} without"
@@ -708,10 +767,7 @@ mod tests {
         for (vertices, value) in [(1, 0.5f32), (7, 0.5), (3, -0.5), (2, 0.0)] {
             let ssdfs = samples(DMatrix::from_element(64, vertices, value));
             let compressed = encode(&ssdfs.fitted(), &analyse(&ssdfs, 7).images, 1e-4);
-            assert!(
-                compressed.error.rms() < 1e-4,
-                "{vertices} columns of {value}"
-            );
+            assert!(compressed.error() < 1e-4, "{vertices} columns of {value}");
         }
     }
 }

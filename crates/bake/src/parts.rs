@@ -28,7 +28,7 @@ use std::path::{Path, PathBuf};
 use bytemuck::{AnyBitPattern, NoUninit};
 use relight_format::{self as format, CHANNELS_PER_TILE, MAX_TILES_PER_CLUSTER};
 
-use crate::compress::{Compressed, ErrorSums};
+use crate::compress::Compressed;
 use crate::scene::Cluster;
 
 const MAGIC: [u8; 8] = *b"RLPARTS\n";
@@ -447,23 +447,20 @@ fn record_checksum(chunk: u32, payload: &[u8]) -> u32 {
 }
 
 /// Clusters to bytes: u32 number of clusters, then each: u32 vertices, triangles and
-/// tiles, f32 coefficient scale, u64 basis bytes, f64 error sum and u64 count over all
-/// texels and near the boundary, then the arrays.
+/// tiles, f32 coefficient scale, u64 basis bytes, f64 squared error, the sums of errors, then
+/// the arrays.
 pub fn encode(clusters: &[Cluster]) -> Vec<u8> {
     const { assert!(cfg!(target_endian = "little"), "arrays are little-endian") };
     let mut bytes = (clusters.len() as u32).to_le_bytes().to_vec();
     for cluster in clusters {
         let compressed = &cluster.compressed;
-        let error = &compressed.error;
         bytes.extend((cluster.vertices.len() as u32).to_le_bytes());
         bytes.extend((cluster.triangles.len() as u32).to_le_bytes());
         bytes.extend(compressed.tiles.to_le_bytes());
         bytes.extend(compressed.coefficient_scale.to_le_bytes());
         bytes.extend((compressed.basis.len() as u64).to_le_bytes());
-        bytes.extend(error.all.to_le_bytes());
-        bytes.extend(error.all_count.to_le_bytes());
-        bytes.extend(error.boundary.to_le_bytes());
-        bytes.extend(error.vertices.to_le_bytes());
+        bytes.extend(compressed.squared_error.to_le_bytes());
+        bytes.extend(bytemuck::bytes_of(&cluster.errors));
         bytes.extend(array_bytes(&cluster.vertices));
         bytes.extend(array_bytes(&cluster.triangles));
         bytes.extend(array_bytes(&compressed.coefficients));
@@ -486,12 +483,8 @@ fn decode(mut bytes: &[u8]) -> Option<Vec<Cluster>> {
         let [vertices, triangles, tiles]: [u32; 3] = take(bytes)?;
         let coefficient_scale: f32 = take(bytes)?;
         let basis: u64 = take(bytes)?;
-        let error = ErrorSums {
-            all: take(bytes)?,
-            all_count: take(bytes)?,
-            boundary: take(bytes)?,
-            vertices: take(bytes)?,
-        };
+        let squared_error: f64 = take(bytes)?;
+        let errors = take(bytes)?;
         if !(1..=MAX_TILES_PER_CLUSTER).contains(&tiles) {
             return None;
         }
@@ -504,8 +497,9 @@ fn decode(mut bytes: &[u8]) -> Option<Vec<Cluster>> {
                 coefficient_scale,
                 coefficients: take_array(bytes, u64::from(vertices) * channels)?,
                 basis: take_array(bytes, basis)?,
-                error,
+                squared_error,
             },
+            errors,
         };
         let inside =
             |triangle: &format::Triangle| triangle.vertices.iter().all(|vertex| *vertex < vertices);

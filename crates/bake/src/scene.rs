@@ -5,6 +5,7 @@
 //! next. What is held grows with neither vertices × texels nor threads.
 
 mod budget;
+mod surface;
 
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -16,7 +17,7 @@ use rayon::prelude::*;
 use relight_format as format;
 use relight_format::{CHANNELS_PER_TILE, MAX_TILES_PER_CLUSTER, Representation};
 
-use crate::compress::{self, Compressed, ErrorSums, Normal, Samples, Weighting};
+use crate::compress::{self, Compressed, Normal, Samples, Weighting};
 use crate::contour::{self, ContourMesh, Scratch};
 use crate::fingerprint::Fingerprint;
 use crate::import::Mesh;
@@ -24,6 +25,8 @@ use crate::monitor::{Interrupted, Monitor};
 use crate::scene_input::SceneInput;
 use crate::visibility::Directions;
 use crate::{cluster, refine, ssdf, visibility};
+pub use surface::ErrorSums;
+use surface::Probe;
 
 /// Vertices of a chunk, at most.
 const CHUNK_VERTICES: usize = 1024;
@@ -55,6 +58,10 @@ const ROUNDS: usize = 3;
 /// the rounding of coordinates, far below anything that casts a visible shadow.
 const RELATIVE_RAY_OFFSET: f32 = 1e-4;
 
+/// Triangles in which interpolation is checked, about, but for small scenes one of so many.
+const PROBES: usize = 2048;
+const LEAST_PROBE_STEP: usize = 4;
+
 /// What to trade. Every field has its default in [`Options::standard`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
@@ -72,8 +79,8 @@ pub struct Options {
     /// Clustered: at what rate clusters buy accuracy with bytes, as the error, radians, that
     /// one of ordinary detail ends near. Finer detail ends above it, the rest below.
     pub aim: f32,
-    /// Clustered: in place of `aim`, the error that the scene as a whole shall have, radians
-    /// ([`ErrorSums::boundary_rms`]).
+    /// Clustered: in place of `aim`, the error that the scene's surface shall have, radians
+    /// ([`format::VisibilityErrors::surface`]).
     pub max_error: Option<f32>,
     /// Clustered: in place of `aim`, the bytes that the asset may have.
     pub max_bytes: Option<u64>,
@@ -181,6 +188,14 @@ pub enum Error {
     },
 }
 
+/// What is seen from a point.
+struct Sampled<'a> {
+    visible: &'a visibility::Bitmap,
+    crossings: &'a ssdf::Crossings,
+    /// The SSDF, radians.
+    distances: Vec<f32>,
+}
+
 /// A finished cluster; needs nothing else of the scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Cluster {
@@ -190,6 +205,8 @@ pub struct Cluster {
     pub triangles: Vec<format::Triangle>,
     /// Visibility of the vertices.
     pub compressed: Compressed,
+    /// How far it is off.
+    pub errors: ErrorSums,
 }
 
 /// A scene ready to be sampled: refined, divided into chunks that can be baked in any
@@ -626,6 +643,8 @@ fn refinement(input: &SceneInput, options: &Options, ray_offset: f32) -> (f32, r
 impl Bake<'_> {
     fn bake_chunk(&self, triangles: &[u32]) -> Result<Vec<Cluster>, Error> {
         let (vertices, samples) = self.samples(triangles)?;
+        let every = (self.triangles.len() / PROBES).max(LEAST_PROBE_STEP);
+        let probes = self.probes(triangles, every as u32)?;
         let count = vertices.len() as u64;
         let start = Instant::now();
         let mut finished = Vec::new();
@@ -633,9 +652,17 @@ impl Bake<'_> {
             let rank = self.options.global_rank as usize;
             let basis = compress::analyse(&samples, rank);
             let compressed = compress::encode(&samples.fitted(), &basis.images, self.aim);
-            finished.push(self.cluster(triangles, &vertices, compressed));
+            let errors = surface::measure(
+                &probes,
+                triangles,
+                &vertices,
+                &samples,
+                &compressed,
+                &self.weighting,
+            );
+            finished.push(self.cluster(triangles, &vertices, compressed, errors));
         } else {
-            finished = self.compress_clusters(triangles, &vertices, &samples, self.aim)?;
+            finished = self.compress_clusters(triangles, &vertices, &samples, &probes, self.aim)?;
         }
         add_time(&self.counters.compress_nanoseconds, start);
         self.counters.compressed.fetch_add(count, Ordering::Relaxed);
@@ -668,63 +695,92 @@ impl Bake<'_> {
                 tilt: 0.0,
             })
             .collect();
-        for triangle in triangles.iter().map(|&t| &self.mesh.triangles[t as usize]) {
-            let material = &self.head.materials[usize::from(triangle.material)];
-            if material.normal_texture.is_some() {
-                for vertex in triangle.vertices {
-                    normals[vertices.partition_point(|&other| other < vertex)].tilt =
-                        NORMAL_MAP_TILT;
+        for &triangle in triangles {
+            let tilt = self.tilt(triangle);
+            if tilt > 0.0 {
+                for vertex in self.triangles[triangle as usize] {
+                    normals[vertices.partition_point(|&other| other < vertex)].tilt = tilt;
                 }
             }
         }
         normals
     }
 
+    /// How far a normal map may turn a triangle's normals, as in [`Normal::tilt`].
+    fn tilt(&self, triangle: u32) -> f32 {
+        let material = self.mesh.triangles[triangle as usize].material;
+        match self.head.materials[usize::from(material)].normal_texture {
+            Some(_) => NORMAL_MAP_TILT,
+            None => 0.0,
+        }
+    }
+
     /// Clamped SSDFs at the basis resolution: one column per vertex.
     fn ssdfs(&self, vertices: &[u32]) -> Result<DMatrix<f32>, Interrupted> {
         let texels = (self.options.basis_resolution as usize).pow(2);
         let mut ssdfs = DMatrix::zeros(texels, vertices.len());
-        let mut columns: Vec<(u32, &mut [f32])> = (vertices.iter().copied())
-            .zip(ssdfs.as_mut_slice().chunks_exact_mut(texels))
-            .collect();
-        cluster::arrange(&mut columns, contour::GROUP, &|(vertex, _)| {
-            (self.origins[*vertex as usize].to_array(), *vertex)
-        });
-        columns.par_chunks_mut(contour::GROUP).try_for_each_init(
-            || self.contours.scratch(&self.directions),
-            |scratch, group| {
-                let start = Instant::now();
-                let origins: Vec<Vec3> = (group.iter())
-                    .map(|(vertex, _)| self.origins[*vertex as usize])
-                    .collect();
-                self.contours.prepare(&origins, scratch);
-                add_time(&self.counters.visibility_nanoseconds, start);
-                group.iter_mut().try_for_each(|(vertex, column)| {
-                    column.copy_from_slice(&self.ssdf(*vertex, scratch)?);
-                    Ok(())
-                })
-            },
-        )?;
+        let columns = ssdfs.as_mut_slice().chunks_exact_mut(texels);
+        let origins = vertices.iter().map(|&vertex| self.origins[vertex as usize]);
+        self.sample(origins.zip(columns).collect(), |column, sampled| {
+            column.copy_from_slice(&sampled.distances);
+            self.counters.sampled.fetch_add(1, Ordering::Relaxed);
+        })?;
         Ok(ssdfs)
     }
 
-    fn ssdf(&self, vertex: u32, scratch: &mut Scratch) -> Result<Vec<f32>, Interrupted> {
+    /// Samples points and hands over, for each, what is seen from there.
+    fn sample<T: Send>(
+        &self,
+        points: Vec<(Vec3, T)>,
+        hand_over: impl Fn(&mut T, Sampled) + Sync,
+    ) -> Result<(), Interrupted> {
+        let mut points: Vec<(u32, Vec3, T)> = (0..)
+            .zip(points)
+            .map(|(number, (origin, for_whom))| (number, origin, for_whom))
+            .collect();
+        cluster::arrange(&mut points, contour::GROUP, &|(number, origin, _)| {
+            (origin.to_array(), *number)
+        });
+        points.par_chunks_mut(contour::GROUP).try_for_each_init(
+            || self.contours.scratch(&self.directions),
+            |scratch, group| {
+                let start = Instant::now();
+                let origins: Vec<Vec3> = group.iter().map(|(_, origin, _)| *origin).collect();
+                self.contours.prepare(&origins, scratch);
+                add_time(&self.counters.visibility_nanoseconds, start);
+                group.iter_mut().try_for_each(|(_, origin, for_whom)| {
+                    self.sample_one(*origin, scratch, |sampled| hand_over(for_whom, sampled))
+                })
+            },
+        )
+    }
+
+    fn sample_one(
+        &self,
+        origin: Vec3,
+        scratch: &mut Scratch,
+        hand_over: impl FnOnce(Sampled),
+    ) -> Result<(), Interrupted> {
         let counters = &self.counters;
         let start = Instant::now();
-        let origin = self.origins[vertex as usize];
-        let (bitmap, rays) = self.contours.sample(origin, &self.directions, scratch);
+        let (visible, rays) = self.contours.sample(origin, &self.directions, scratch);
         add_time(&counters.visibility_nanoseconds, start);
         let start = Instant::now();
-        let crossings = self.contours.crossings(&bitmap, scratch);
-        let column = self
+        let crossings = self.contours.crossings(&visible, scratch);
+        let distances = self
             .transform
-            .apply(&bitmap, crossings, self.options.distance_clamp);
+            .apply(&visible, crossings, self.options.distance_clamp);
         add_time(&counters.ssdf_nanoseconds, start);
+        hand_over(Sampled {
+            visible: &visible,
+            crossings,
+            distances,
+        });
         if self.verify {
             let start = Instant::now();
             let exact = visibility::sample(self.contours.caster(), origin, &self.directions);
             let texels = 0..self.directions.as_slice().len();
-            let differing = texels.filter(|&i| exact.get(i) != bitmap.get(i)).count();
+            let differing = texels.filter(|&i| exact.get(i) != visible.get(i)).count();
             counters.verified.fetch_add(1, Ordering::Relaxed);
             counters
                 .differing
@@ -732,9 +788,7 @@ impl Bake<'_> {
             add_time(&counters.verify_nanoseconds, start);
         }
         counters.rays.fetch_add(u64::from(rays), Ordering::Relaxed);
-        counters.sampled.fetch_add(1, Ordering::Relaxed);
-        self.report()?;
-        Ok(column)
+        self.report()
     }
 
     /// Sampling and compressing a vertex count alike: once the first chunks are through,
@@ -756,6 +810,7 @@ impl Bake<'_> {
         triangles: &[u32],
         vertices: &[u32],
         samples: &Samples,
+        probes: &[Probe],
         aim: f32,
     ) -> Result<Vec<Cluster>, Interrupted> {
         let mut plan = Vec::new();
@@ -778,7 +833,15 @@ impl Bake<'_> {
             let fitted = samples.fitted();
             let (images, _) = compress::alternate(&fitted, coefficients, ROUNDS);
             let compressed = compress::encode(&fitted, &images, aim);
-            Ok(self.cluster(&triangles, &members, compressed))
+            let errors = surface::measure(
+                probes,
+                &triangles,
+                &members,
+                &samples,
+                &compressed,
+                &self.weighting,
+            );
+            Ok(self.cluster(&triangles, &members, compressed, errors))
         };
         plan.into_iter().map(compress).collect()
     }
@@ -807,7 +870,7 @@ impl Bake<'_> {
             let (images, coefficients) =
                 compress::reweight(&fitted, &basis, channels, PLANNING_ROUNDS);
             let compressed = compress::encode(&fitted, &images, aim);
-            let error = compressed.error.boundary_rms() / aim;
+            let error = compressed.error() / aim;
             Tried {
                 tiles: compressed.tiles,
                 bytes: compressed.tiles as f32 * tile_bytes,
@@ -855,7 +918,13 @@ impl Bake<'_> {
     }
 
     /// Copies what a cluster needs of the mesh. `vertices` ascend.
-    fn cluster(&self, triangles: &[u32], vertices: &[u32], compressed: Compressed) -> Cluster {
+    fn cluster(
+        &self,
+        triangles: &[u32],
+        vertices: &[u32],
+        compressed: Compressed,
+        errors: ErrorSums,
+    ) -> Cluster {
         let local = |vertex: u32| vertices.partition_point(|&other| other < vertex) as u32;
         let triangle = |&index: &u32| {
             let source = &self.mesh.triangles[index as usize];
@@ -871,6 +940,7 @@ impl Bake<'_> {
                 .collect(),
             triangles: triangles.iter().map(triangle).collect(),
             compressed,
+            errors,
         }
     }
 }
@@ -938,15 +1008,14 @@ pub fn assemble<E: From<Error>>(
     chunks: impl IntoIterator<Item = Result<Vec<Cluster>, E>>,
 ) -> Result<format::Scene, E> {
     let mut scene = head;
-    let mut error = ErrorSums::default();
+    let mut errors = ErrorSums::default();
     for chunk in chunks {
         for cluster in chunk? {
-            error.add(&cluster.compressed.error);
+            errors.add(&cluster.errors);
             append(&mut scene, cluster)?;
         }
     }
-    scene.report.rms_error = error.rms();
-    scene.report.boundary_rms_error = error.boundary_rms();
+    scene.report.errors = errors.errors();
     Ok(scene)
 }
 

@@ -184,15 +184,14 @@ fn write(path: &Path, scene: format::Scene) -> anyhow::Result<Summary> {
     let summary = Summary {
         text: format!(
             "{}: {} vertices, {} triangles, {} clusters, {} bytes ({:.0} per vertex)\n\
-             error of the visibility boundary {:.4} rad, jumps between clusters {:.4} rad (root \
-             mean square, as of a wall's edge)",
+             {}, jumps between clusters {:.4} (root mean squares, as of a wall's edge)",
             path.display(),
             scene.vertices.len(),
             scene.triangles.len(),
             scene.clusters.len(),
             bytes.len(),
             bytes.len() as f64 / scene.vertices.len().max(1) as f64,
-            report.boundary_rms_error,
+            describe(&report.errors),
             seams.rms,
         ),
         json: json!({
@@ -202,8 +201,7 @@ fn write(path: &Path, scene: format::Scene) -> anyhow::Result<Summary> {
             "triangles": scene.triangles.len(),
             "clusters": scene.clusters.len(),
             "tiles": tiles,
-            "boundary_rms_error": report.boundary_rms_error,
-            "rms_error": report.rms_error,
+            "errors": report.errors,
             "seam_rms": seams.rms,
             "seam_largest": seams.largest,
             "warnings": report.warnings,
@@ -216,6 +214,15 @@ fn write(path: &Path, scene: format::Scene) -> anyhow::Result<Summary> {
         Ok(fingerprint(&read) == meant)
     })?;
     Ok(summary)
+}
+
+/// One line.
+pub fn describe(errors: &format::VisibilityErrors) -> String {
+    format!(
+        "visibility boundaries are off by {:.4} rad on the surface: {:.4} by interpolation between \
+         vertices, {:.4} by compression at them; and by {:.4} for the resolution of distances",
+        errors.surface, errors.interpolation, errors.compression, errors.resolution,
+    )
 }
 
 fn fingerprint(scene: &format::Scene) -> u128 {

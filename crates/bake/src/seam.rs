@@ -6,7 +6,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 use relight_format::{self as format, CHANNELS_PER_TILE};
 
-use crate::compress::{Normal, Weighting};
+use crate::compress::{self, Normal, Weighting};
 
 /// Differences between the SSDFs that clusters give to the vertices they share.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -43,12 +43,7 @@ pub fn measure(scene: &format::Scene) -> Seams {
                 direction: Vec3::from(scene.vertices[a].normal).normalize_or_zero(),
                 tilt: 0.0,
             };
-            let mut weights = vec![0.0; first.len()];
-            weighting.weigh(&first, normal, &mut weights);
-            let differences = first.iter().zip(&second).zip(weights);
-            differences
-                .map(|((a, b), weight)| weight * (a - b).powi(2))
-                .sum()
+            weighting.squared_displacement(&second, &first, normal)
         })
         .collect();
     let sum: f64 = squares.iter().map(|square| f64::from(*square)).sum();
@@ -66,19 +61,12 @@ fn decode(scene: &format::Scene, cluster: usize, vertex: usize) -> Vec<f32> {
     let channels = cluster.tiles as usize * CHANNELS_PER_TILE;
     let start =
         cluster.first_coefficient as usize + (vertex - cluster.first_vertex as usize) * channels;
-    let mut ssdf = vec![0.0; texels];
-    let coefficients = scene.coefficients[start..][..channels].chunks_exact(CHANNELS_PER_TILE);
-    let tile_bytes = texels * CHANNELS_PER_TILE;
-    let tiles = scene.basis[cluster.first_tile as usize * tile_bytes..].chunks_exact(tile_bytes);
-    let scale = cluster.coefficient_scale / (32767.0 * 127.0);
-    for (coefficients, tile) in coefficients.zip(tiles) {
-        for (distance, images) in ssdf.iter_mut().zip(tile.chunks_exact(CHANNELS_PER_TILE)) {
-            for (coefficient, image) in coefficients.iter().zip(images) {
-                *distance += f32::from(*coefficient) * f32::from(*image) * scale;
-            }
-        }
-    }
-    ssdf
+    let first_texel = cluster.first_tile as usize * texels * CHANNELS_PER_TILE;
+    compress::decode(
+        &scene.coefficients[start..][..channels],
+        &scene.basis[first_texel..][..texels * channels],
+        cluster.coefficient_scale,
+    )
 }
 
 #[cfg(test)]
@@ -117,7 +105,7 @@ mod tests {
         let seams = measure(&scene);
         assert!(seams.pairs > 20, "{seams:?}");
         // Two independent errors; vertices on a border are its clusters' hardest.
-        let error = scene.report.boundary_rms_error;
+        let error = scene.report.errors.compression;
         assert!(
             seams.rms > 0.2 * error && seams.rms < 4.0 * error,
             "{seams:?}, {error}"

@@ -172,6 +172,15 @@ impl Transform {
         distances
     }
 
+    /// Mean square of what distances are where they should vanish, interpolated: radians².
+    pub fn squared_error(&self, visible: &Bitmap, crossings: &Crossings, distances: &[f32]) -> f32 {
+        let places = self.places(visible, crossings);
+        let squares = places
+            .iter()
+            .map(|place| self.footprint(*place).read(distances).powi(2));
+        squares.sum::<f32>() / places.len().max(1) as f32
+    }
+
     /// The same, exact at the centres of texels instead.
     pub fn at_centres(&self, visible: &Bitmap, crossings: &Crossings, limit: f32) -> Vec<f32> {
         self.distances(visible, &self.places(visible, crossings), limit)
@@ -209,20 +218,24 @@ impl Transform {
 
     /// Moves distances to vanish at places, where they are interpolated.
     fn fit(&self, places: &[Place], distances: &mut [f32]) {
-        let scale = self.resolution as f32 / self.n as f32;
         // One after the other, points that share texels wait for each other: places are taken
         // from all over the map in turn.
         let stride = places.len().div_ceil(STRANDS).max(1);
         let equations: Vec<Equation> = (0..stride)
             .flat_map(|first| places[first.min(places.len())..].iter().step_by(stride))
-            .map(|place| Footprint::new((*place + 0.5) * scale - 0.5, self.resolution as u32))
-            .map(Equation::new)
+            .map(|place| Equation::new(self.footprint(*place)))
             .collect();
         for _ in 0..SWEEPS {
             for equation in &equations {
                 equation.project(distances);
             }
         }
+    }
+
+    /// What is read where distances are interpolated.
+    fn footprint(&self, place: Place) -> Footprint {
+        let scale = self.resolution as f32 / self.n as f32;
+        Footprint::new((place + 0.5) * scale - 0.5, self.resolution as u32)
     }
 
     /// Sorts points of the boundary into chunks.

@@ -12,7 +12,7 @@ use crate::{Error, Issue};
 /// First eight bytes of every asset. The line feed catches text-mode transfers.
 pub const MAGIC: [u8; 8] = *b"RELIGHT\n";
 /// Format version this crate writes.
-pub const VERSION: u32 = 1;
+pub const VERSION: u32 = 2;
 
 const HEADER_LENGTH: usize = 24;
 const ENTRY_LENGTH: usize = 32;

@@ -31,5 +31,5 @@ pub use material::{
 pub use material_asset::{MaterialAsset, MaterialReport, read_material, write_material};
 pub use scene::{
     BakeReport, CHANNELS_PER_TILE, Cluster, MAX_TILES_PER_CLUSTER, Representation, Scene, Triangle,
-    Vertex, VisibilityParameters, read_scene, write_scene,
+    Vertex, VisibilityErrors, VisibilityParameters, read_scene, write_scene,
 };

@@ -95,14 +95,38 @@ pub struct BakeReport {
     pub source_vertices: u64,
     /// Triangles read from the mesh.
     pub source_triangles: u64,
-    /// Root mean square of stored minus exact clamped SSDF over all vertices and texels,
-    /// radians.
-    pub rms_error: f32,
-    /// The same over texels within 0.1 rad of the visibility boundary, where alone the
-    /// SSDF shades.
-    pub boundary_rms_error: f32,
+    /// How far visibility is off.
+    pub errors: VisibilityErrors,
     /// Warnings, as printed.
     pub warnings: Vec<String>,
+}
+
+/// How far visibility boundaries are off: root mean squares, radians. An error counts as much
+/// as that of a vertical wall whose edge is off by this angle.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct VisibilityErrors {
+    /// All over the surface, of stored distances, interpolated between vertices: what is
+    /// shaded.
+    pub surface: f32,
+    /// The same of distances that are exact at vertices: what compression has no part in.
+    pub interpolation: f32,
+    /// At vertices, of stored distances.
+    pub compression: f32,
+    /// Of the place where distances, interpolated between texels, vanish; in none of the
+    /// above.
+    pub resolution: f32,
+}
+
+impl VisibilityErrors {
+    /// All of them, by name.
+    pub fn named(&self) -> [(&'static str, f32); 4] {
+        [
+            ("surface", self.surface),
+            ("interpolation", self.interpolation),
+            ("compression", self.compression),
+            ("resolution", self.resolution),
+        ]
+    }
 }
 
 /// A decoded scene asset.
@@ -318,15 +342,13 @@ fn validate_metadata(scene: &Scene) -> Result<(), Error> {
         material.validate(scene.textures.len())?;
     }
     validate_textures(&scene.textures)?;
-    let report = &scene.report;
-    if ![report.rms_error, report.boundary_rms_error]
-        .iter()
-        .all(|x| x.is_finite() && *x >= 0.0)
-    {
+    let errors = &scene.report.errors;
+    let valid = |(_, error): &(&str, f32)| error.is_finite() && *error >= 0.0;
+    if !errors.named().iter().all(valid) {
         return metadata(
             Issue::ValueOutOfRange,
             "finite errors >= 0",
-            format_args!("{} and {}", report.rms_error, report.boundary_rms_error),
+            format_args!("{errors:?}"),
         );
     }
     if let Some(camera) = &scene.camera {

@@ -645,11 +645,11 @@ fn run_demo(arguments: &Demo, json: bool) -> anyhow::Result<Value> {
         return Ok(serde_json::to_value(report)?);
     }
     println!(
-        "{} vertices in {} bytes, error of the visibility boundary {:.4} rad, \
+        "{} vertices in {} bytes, visibility boundaries off by {:.4} rad, \
          environment relative L2 error {:.4}\nrendered on {}\n",
         report.vertices,
         report.bytes,
-        report.boundary_rms_error,
+        report.visibility.surface,
         report.environment_relative_l2,
         report.device,
     );

@@ -13,7 +13,9 @@ use relight_bake::monitor::Monitor;
 use relight_bake::scene_file::Ground;
 use relight_bake::scene_input::SceneInput;
 use relight_bake::{environment, scene};
-use relight_format::{self as format, Camera, FieldOfView, Limits, Material, Specular, Surface};
+use relight_format::{
+    self as format, Camera, FieldOfView, Limits, Material, Specular, Surface, VisibilityErrors,
+};
 use relight_runtime::Frame;
 use relight_shading::polar::PolarOptions;
 use relight_shading::shade::Method;
@@ -60,8 +62,8 @@ pub struct Report {
     pub vertices: usize,
     /// Bytes of the scene asset.
     pub bytes: usize,
-    /// Root mean square error of the visibility boundary, radians.
-    pub boundary_rms_error: f32,
+    /// How far visibility is off.
+    pub visibility: VisibilityErrors,
     /// Relative L2 error of the environment's lobes.
     pub environment_relative_l2: f32,
     /// Against truth with the same lobes.
@@ -150,7 +152,7 @@ pub fn run(options: &Options, monitor: Monitor) -> anyhow::Result<Report> {
         device: renderer.name().to_owned(),
         vertices: scene.vertices.len(),
         bytes: bytes.len(),
-        boundary_rms_error: scene.report.boundary_rms_error,
+        visibility: scene.report.errors,
         environment_relative_l2: environment.report.relative_l2,
         ambient: compare(&ambient, &truth)?,
         polar: compare(&polar, &truth)?,

@@ -20,7 +20,6 @@ use crate::visibility::{self, Directions};
 /// Texels per side of the visibility that is compared: half of a bake's.
 const SAMPLE_RESOLUTION: u32 = 64;
 const RESOLUTION: u32 = 32;
-const TEXELS: usize = (RESOLUTION * RESOLUTION) as usize;
 /// Distances are clamped to and kept in 127ths of this angle, radians.
 const CLAMP: f32 = 0.5;
 /// Rounds of halving, whatever the bounds say.
@@ -273,20 +272,16 @@ impl<'a> Sampler<'a> {
 
     /// How wrong the mean of the ends is in the middle.
     fn error(&self, middle: &[f32], ends: [&Coarse; 2], normal: Vec3) -> f32 {
-        let mut weights = [0.0; TEXELS];
         let normal = Normal {
             direction: normal,
             tilt: 0.0,
         };
-        self.weighting.weigh(middle, normal, &mut weights);
-        let mean = (ends[0].iter())
+        let mean: Vec<f32> = (ends[0].iter())
             .zip(ends[1])
-            .map(|(a, b)| (f32::from(*a) + f32::from(*b)) * (0.5 * CLAMP / 127.0));
-        let squares = middle.iter().zip(mean).zip(weights);
-        let sum: f32 = squares
-            .map(|((exact, mean), weight)| weight * (exact - mean).powi(2))
-            .sum();
-        sum.sqrt()
+            .map(|(a, b)| (f32::from(*a) + f32::from(*b)) * (0.5 * CLAMP / 127.0))
+            .collect();
+        let squared = self.weighting.squared_displacement(&mean, middle, normal);
+        squared.sqrt()
     }
 }
 
@@ -363,7 +358,7 @@ mod tests {
 
     #[test]
     fn cuts_gather_where_shadows_change() {
-        let mesh = refined(bound(0.05));
+        let mesh = refined(bound(0.03));
         let near = |vertex: &&Vertex| {
             Vec3::from(vertex.position).distance(Vec3::new(2.15, 0.0, 0.3)) < 1.2
         };

@@ -3,11 +3,11 @@
 
 use nalgebra::DMatrix;
 use rayon::prelude::*;
-use relight_format as format;
+use relight_format::{self as format, VisibilityErrors};
 
-use super::{Bake, Cluster, Counters, Error, assemble};
+use super::surface::Probe;
+use super::{Bake, Cluster, Counters, Error, ErrorSums, assemble};
 use crate::cluster;
-use crate::compress::ErrorSums;
 
 /// Chunks that are tried, at most.
 const CHUNKS: usize = 10;
@@ -18,6 +18,10 @@ const CLOSE: f32 = 1.05;
 /// Standard errors by which the estimated size of a whole scene stays below the one asked
 /// for.
 const SURE: f32 = 2.0;
+/// One triangle of so many is probed.
+const PROBE_STEP: u32 = 4;
+/// An error on the surface that compression can keep, in errors of interpolation.
+const LEAST_OVER_INTERPOLATION: f32 = 1.1;
 /// First trial of a size, radians.
 const FIRST_ERROR: f32 = 0.008;
 /// Aims beyond these change nothing, radians.
@@ -34,6 +38,7 @@ struct Trial {
     triangles: Vec<u32>,
     vertices: Vec<u32>,
     ssdfs: DMatrix<f32>,
+    probes: Vec<Probe>,
 }
 
 impl Bake<'_> {
@@ -41,7 +46,7 @@ impl Bake<'_> {
     pub(super) fn choose_aim(&mut self) -> Result<f32, Error> {
         let size = self.options.max_bytes.map(|bytes| bytes as f32);
         let error = self.options.max_error.unwrap_or(FIRST_ERROR);
-        let target = size.map_or(error, |bytes| bytes / CLOSE);
+        let mut target = size.map_or(error, |bytes| bytes / CLOSE);
         // A size is a promise; an error may be missed by a little in small scenes, which
         // trials would cost more than the bake.
         let most = match size {
@@ -56,6 +61,7 @@ impl Bake<'_> {
             trials.push(Trial {
                 triangles: self.chunks[chunk].clone(),
                 ssdfs: self.ssdfs(&vertices)?,
+                probes: self.probes(&self.chunks[chunk], PROBE_STEP)?,
                 vertices,
             });
         }
@@ -67,15 +73,24 @@ impl Bake<'_> {
         let mut found: Vec<[f32; 2]> = Vec::new();
         for _ in 0..TRIALS {
             let compressed = self.try_aim(&trials, aim.exp())?;
-            let reached = match &sizes {
-                Some(sizes) => {
-                    let bytes: Result<Vec<f32>, Error> = compressed
-                        .into_iter()
-                        .map(|chunk| sizes.of(chunk))
-                        .collect();
-                    sizes.fixed + at_most(&bytes?, &tried, self.triangles.len())
+            let reached = if let Some(sizes) = &sizes {
+                let bytes: Result<Vec<f32>, Error> = compressed
+                    .into_iter()
+                    .map(|chunk| sizes.of(chunk))
+                    .collect();
+                sizes.fixed + at_most(&bytes?, &tried, self.triangles.len())
+            } else {
+                let errors = errors_of(&compressed);
+                let least = LEAST_OVER_INTERPOLATION * errors.interpolation;
+                if found.is_empty() && target < least {
+                    self.head.report.warnings.push(format!(
+                        "an error of {error} rad asks for vertices closer together: {} come from \
+                         interpolation between them alone; {least} are allowed",
+                        errors.interpolation
+                    ));
+                    target = least;
                 }
-                None => error_of(&compressed),
+                errors.surface
             };
             let miss = (reached / target).ln();
             if !miss.is_finite() {
@@ -108,9 +123,10 @@ impl Bake<'_> {
                 triangles,
                 vertices,
                 ssdfs,
+                probes,
             } = trial;
             let samples = self.weighed(triangles, vertices, ssdfs.clone());
-            Ok(self.compress_clusters(triangles, vertices, &samples, aim)?)
+            Ok(self.compress_clusters(triangles, vertices, &samples, probes, aim)?)
         };
         let mut compressed: Vec<Vec<Cluster>> = Vec::new();
         // As many at a time as the bake itself has at hand.
@@ -122,13 +138,13 @@ impl Bake<'_> {
     }
 }
 
-/// Root mean square error, radians.
-fn error_of(chunks: &[Vec<Cluster>]) -> f32 {
-    let mut error = ErrorSums::default();
+/// How far some chunks are off.
+fn errors_of(chunks: &[Vec<Cluster>]) -> VisibilityErrors {
+    let mut errors = ErrorSums::default();
     for cluster in chunks.iter().flatten() {
-        error.add(&cluster.compressed.error);
+        errors.add(&cluster.errors);
     }
-    error.boundary_rms()
+    errors.errors()
 }
 
 /// Bytes that a scene of `all` triangles hardly exceeds if chunks of it, of so many `triangles`,

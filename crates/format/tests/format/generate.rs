@@ -4,7 +4,7 @@ use relight_format::{
     BakeReport, Blend, Camera, Cluster, Environment, EnvironmentReport, FieldOfView, FittedLobe,
     Layer, Lobe, MAX_FITTED_LOBES, MAX_LAYERS, Material, MaterialAsset, MaterialReport,
     Prefiltered, Representation, Scene, Specular, Surface, Texture, TextureEncoding, TextureSlot,
-    Triangle, Vertex, VisibilityParameters,
+    Triangle, Vertex, VisibilityErrors, VisibilityParameters,
 };
 
 /// SplitMix64 (Steele, Lea & Flood 2014): small, seeded, the same everywhere.
@@ -146,8 +146,12 @@ pub fn scene(random: &mut Random) -> Scene {
         report: BakeReport {
             source_vertices: random.bits(),
             source_triangles: random.bits(),
-            rms_error: random.unit(),
-            boundary_rms_error: random.unit(),
+            errors: VisibilityErrors {
+                surface: random.unit(),
+                interpolation: random.unit(),
+                compression: random.unit(),
+                resolution: random.unit(),
+            },
             warnings: (0..random.below(3)).map(|_| random.name()).collect(),
         },
         vertices: Vec::new(),

@@ -9,8 +9,8 @@ use relight_format::{
     BakeReport, Blend, Camera, Cluster, Environment, EnvironmentReport, FieldOfView, FittedLobe,
     Layer, Limits, Lobe, Material, MaterialAsset, MaterialReport, Prefiltered, Representation,
     Scene, Specular, Surface, Texture, TextureEncoding, TextureSlot, Triangle, VERSION, Vertex,
-    VisibilityParameters, read_environment, read_material, read_scene, write_environment,
-    write_material, write_scene,
+    VisibilityErrors, VisibilityParameters, read_environment, read_material, read_scene,
+    write_environment, write_material, write_scene,
 };
 
 use crate::container::File;
@@ -215,8 +215,12 @@ fn scene() -> Scene {
         report: BakeReport {
             source_vertices: 8,
             source_triangles: 6,
-            rms_error: 0.125,
-            boundary_rms_error: 0.25,
+            errors: VisibilityErrors {
+                surface: 0.125,
+                interpolation: 0.25,
+                compression: 0.375,
+                resolution: 0.5,
+            },
             warnings: vec!["one".to_owned(), "zwei".to_owned()],
         },
         vertices: (0..7).map(vertex).collect(),

@@ -37,8 +37,8 @@ fn visibility_parameters() {
     reject(|scene| scene.visibility.distance_clamp = f32::NAN);
     reject(|scene| scene.visibility.ray_offset = -1.0);
     reject(|scene| scene.visibility.ray_offset = f32::INFINITY);
-    reject(|scene| scene.report.rms_error = f32::NAN);
-    reject(|scene| scene.report.boundary_rms_error = -1.0);
+    reject(|scene| scene.report.errors.surface = f32::NAN);
+    reject(|scene| scene.report.errors.resolution = -1.0);
 }
 
 #[test]

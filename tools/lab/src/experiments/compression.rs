@@ -65,8 +65,10 @@ pub struct Row {
     pub bytes_per_vertex: f64,
     /// Fetches of four basis texels that an SSDF sample takes, mean over vertices.
     pub tiles_per_sample: f64,
-    /// Root mean square error of the visibility boundary, radians.
-    pub boundary_rms_error: f32,
+    /// How far visibility boundaries are off on the surface, root mean square, radians.
+    pub surface_error: f32,
+    /// The same at vertices, by compression alone.
+    pub compression_error: f32,
     /// Root mean square jump at vertices that clusters share, radians.
     pub seam_rms: f32,
     /// Relative RMSE of a diffuse material, noise of the truth removed.
@@ -199,7 +201,8 @@ fn measure(
             bytes: bytes.len(),
             bytes_per_vertex: bytes.len() as f64 / own as f64,
             tiles_per_sample: fetches / scene.vertices.len() as f64,
-            boundary_rms_error: scene.report.boundary_rms_error,
+            surface_error: scene.report.errors.surface,
+            compression_error: scene.report.errors.compression,
             seam_rms: seams.rms,
             diffuse: errors[0],
             specular: errors[1],
@@ -223,11 +226,11 @@ fn put_on(scene: &mut format::Scene, surface: &Surface) {
 
 fn write_table(path: &Path, rows: &[Row]) -> anyhow::Result<()> {
     let mut text = "scene,curve,setting,vertices,bytes,bytes_per_vertex,tiles_per_sample,\
-                    boundary_rms_error,seam_rms,diffuse,specular,seconds\n"
+                    surface_error,compression_error,seam_rms,diffuse,specular,seconds\n"
         .to_owned();
     for row in rows {
         text += &format!(
-            "{},\"{}\",{},{},{},{:.1},{:.2},{:.5},{:.5},{:.5},{:.5},{:.1}\n",
+            "{},\"{}\",{},{},{},{:.1},{:.2},{:.5},{:.5},{:.5},{:.5},{:.5},{:.1}\n",
             row.scene,
             row.curve,
             row.setting,
@@ -235,7 +238,8 @@ fn write_table(path: &Path, rows: &[Row]) -> anyhow::Result<()> {
             row.bytes,
             row.bytes_per_vertex,
             row.tiles_per_sample,
-            row.boundary_rms_error,
+            row.surface_error,
+            row.compression_error,
             row.seam_rms,
             row.diffuse,
             row.specular,

@@ -1,0 +1,164 @@
+//! How far visibility is off where it is shaded: between vertices.
+//!
+//! Points all over the surface are sampled as vertices are. What interpolation makes of the
+//! vertices around them is compared with what they see.
+
+use glam::Vec3;
+use relight_format::VisibilityErrors;
+
+use super::Bake;
+use crate::compress::{Compressed, Normal, Samples, Weighting};
+use crate::monitor::Interrupted;
+
+/// A point inside a triangle.
+pub(super) struct Probe {
+    triangle: u32,
+    vertices: [u32; 3],
+    /// What each vertex counts; their sum is 1.
+    weights: [f32; 3],
+    /// Of the triangle.
+    area: f32,
+    exact: Vec<f32>,
+    normal: Normal,
+    /// Mean square of the angle from the boundary to where `exact`, interpolated, vanishes.
+    resolution: f32,
+}
+
+/// Sums for root mean squares over many clusters.
+#[derive(Clone, Copy, Debug, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
+#[repr(C)]
+pub struct ErrorSums {
+    /// Sums of squared errors at probes, radians², times the area of their triangles, m².
+    surface: f64,
+    interpolation: f64,
+    resolution: f64,
+    /// Of the probes' triangles, m².
+    area: f64,
+    /// Sum of squared errors of vertices, radians².
+    compression: f64,
+    vertices: f64,
+}
+
+impl ErrorSums {
+    /// Adds another set's sums.
+    pub fn add(&mut self, other: &Self) {
+        self.surface += other.surface;
+        self.interpolation += other.interpolation;
+        self.resolution += other.resolution;
+        self.area += other.area;
+        self.compression += other.compression;
+        self.vertices += other.vertices;
+    }
+
+    /// Root mean squares.
+    pub fn errors(&self) -> VisibilityErrors {
+        let mean = |sum: f64, count: f64| (sum / count.max(f64::MIN_POSITIVE)).sqrt() as f32;
+        VisibilityErrors {
+            surface: mean(self.surface, self.area),
+            interpolation: mean(self.interpolation, self.area),
+            compression: mean(self.compression, self.vertices),
+            resolution: mean(self.resolution, self.area),
+        }
+    }
+}
+
+impl Bake<'_> {
+    /// One probe in every `step`th of some triangles.
+    pub(super) fn probes(&self, triangles: &[u32], step: u32) -> Result<Vec<Probe>, Interrupted> {
+        let mut probes: Vec<Probe> = (triangles.iter())
+            .filter(|triangle| triangle.is_multiple_of(step))
+            .map(|&triangle| self.probe(triangle))
+            .collect();
+        let points = (probes.iter_mut())
+            .map(|probe| (probe.mean(|vertex| self.origins[vertex as usize]), probe))
+            .collect();
+        self.sample(points, |probe, sampled| {
+            let direction = probe.mean(|vertex| {
+                Vec3::from(self.mesh.vertices[vertex as usize].normal).normalize_or_zero()
+            });
+            probe.normal.direction = direction.normalize_or_zero();
+            probe.resolution = self.transform.squared_error(
+                sampled.visible,
+                sampled.crossings,
+                &sampled.distances,
+            );
+            probe.exact = sampled.distances;
+        })?;
+        Ok(probes)
+    }
+
+    fn probe(&self, triangle: u32) -> Probe {
+        let vertices = self.triangles[triangle as usize];
+        let [a, b, c] =
+            vertices.map(|vertex| Vec3::from(self.mesh.vertices[vertex as usize].position));
+        // An additive recurrence covers a square evenly, whatever triangles are taken
+        // (Roberts 2018); its upper half is folded onto the lower one.
+        let along = |ratio: f64| (f64::from(triangle) * ratio).fract() as f32;
+        let [u, v] = [along(0.754_877_666_246_693), along(0.569_840_290_998_053)];
+        let [u, v] = if u + v > 1.0 {
+            [1.0 - u, 1.0 - v]
+        } else {
+            [u, v]
+        };
+        Probe {
+            triangle,
+            vertices,
+            weights: [1.0 - u - v, u, v],
+            area: 0.5 * (b - a).cross(c - a).length(),
+            exact: Vec::new(),
+            normal: Normal {
+                direction: Vec3::ZERO,
+                tilt: self.tilt(triangle),
+            },
+            resolution: 0.0,
+        }
+    }
+}
+
+impl Probe {
+    fn mean(&self, value: impl Fn(u32) -> Vec3) -> Vec3 {
+        let weighted = self.vertices.iter().zip(self.weights);
+        weighted
+            .map(|(&vertex, weight)| weight * value(vertex))
+            .sum()
+    }
+}
+
+/// Errors of a cluster of `triangles` and `vertices`, both ascending; `samples` are of its
+/// vertices.
+pub(super) fn measure(
+    probes: &[Probe],
+    triangles: &[u32],
+    vertices: &[u32],
+    samples: &Samples,
+    compressed: &Compressed,
+    weighting: &Weighting,
+) -> ErrorSums {
+    let mut sums = ErrorSums {
+        compression: compressed.squared_error,
+        vertices: vertices.len() as f64,
+        ..ErrorSums::default()
+    };
+    for probe in probes {
+        if triangles.binary_search(&probe.triangle).is_err() {
+            continue;
+        }
+        let columns = super::columns(&probe.vertices, vertices);
+        let area = f64::from(probe.area);
+        let squared = |ssdf: &dyn Fn(usize) -> Vec<f32>| {
+            let mut found = vec![0.0; probe.exact.len()];
+            for (column, weight) in columns.iter().zip(probe.weights) {
+                for (found, value) in found.iter_mut().zip(ssdf(*column)) {
+                    *found += weight * value;
+                }
+            }
+            let squared = weighting.squared_displacement(&found, &probe.exact, probe.normal);
+            area * f64::from(squared)
+        };
+        sums.surface += squared(&|column| compressed.decode(column));
+        sums.interpolation += squared(&|column| samples.ssdf(column).to_vec());
+        sums.resolution += area * f64::from(probe.resolution);
+        sums.area += area;
+    }
+    sums
+}

@@ -130,12 +130,13 @@ impl Options {
         }
     }
 
-    /// Small errors at several times the size.
+    /// Small errors at several times the size, and vertices where shadows fall.
     pub fn high() -> Self {
         Self {
             aim: 0.0025,
             max_tiles: 6,
-            max_edge: 0.014,
+            max_edge: 0.03,
+            refine_error: 0.01,
             ..Self::standard()
         }
     }

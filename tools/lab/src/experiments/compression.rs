@@ -48,6 +48,11 @@ pub struct Settings {
     pub bake: Options,
 }
 
+/// Vertices refined where shadows fall, and what fits into so many bytes: those that an asset
+/// may have, and vertices.
+const TO_A_SIZE: &str = "clusters, refined, to a size";
+const SIZES: [(u64, usize); 2] = [(5_000_000, 50_000), (15_000_000, 200_000)];
+
 /// One representation of one scene.
 #[derive(Debug, Serialize)]
 pub struct Row {
@@ -55,7 +60,8 @@ pub struct Row {
     pub scene: String,
     /// Name of the curve.
     pub curve: String,
-    /// The aim of [`Options`], radians, or the rank of a global basis.
+    /// The aim of [`Options`], radians, the bytes that are allowed, or the rank of a global
+    /// basis.
     pub setting: f64,
     /// Vertices before clusters share any.
     pub vertices: usize,
@@ -79,28 +85,41 @@ pub struct Row {
     pub seconds: f64,
 }
 
-/// Curves and their points: name and bake options.
+/// Curves and their points: name, setting and bake options.
 fn curves(start: &Options) -> Vec<(&'static str, f64, Options)> {
     let mut all = Vec::new();
-    for aim in [0.02, 0.01, 0.005, 0.0025] {
-        let options = Options {
-            aim,
-            ..start.clone()
-        };
-        for (name, basis_resolution, max_tiles) in [
-            ("clusters, 64x64, to 4 tiles", 64, 4),
-            ("clusters, 64x64, to 8 tiles", 64, 8),
-            ("clusters, 32x32, to 4 tiles", 32, 4),
-        ] {
+    for (name, basis_resolution, max_tiles, aims) in [
+        (
+            "clusters, 64x64, to 4 tiles",
+            64,
+            4,
+            &[0.02, 0.01, 0.005, 0.0025][..],
+        ),
+        ("clusters, 64x64, to 8 tiles", 64, 8, &[0.005, 0.0025]),
+        ("clusters, 32x32, to 4 tiles", 32, 4, &[0.01, 0.005]),
+    ] {
+        for &aim in aims {
             let options = Options {
                 basis_resolution,
                 max_tiles,
-                ..options.clone()
+                aim,
+                ..start.clone()
             };
             all.push((name, f64::from(aim), options));
         }
     }
-    for rank in [10, 24, 31] {
+    for (bytes, max_vertices) in SIZES {
+        let options = Options {
+            max_bytes: Some(bytes),
+            max_tiles: 8,
+            max_edge: 1.5 * start.max_edge,
+            refine_error: 0.01,
+            max_vertices,
+            ..start.clone()
+        };
+        all.push((TO_A_SIZE, bytes as f64, options));
+    }
+    for rank in [10, 24] {
         let options = Options {
             representation: Representation::GlobalPca,
             global_rank: rank,
@@ -158,13 +177,13 @@ fn measure(
     let mut truths = Vec::new();
     for (curve, setting, options) in curves(&settings.bake) {
         let start = Instant::now();
-        let input = scene_input::load(path)?;
-        let (mut baked, _) =
+        let mut input = scene_input::load(path)?;
+        // Bytes are those of visibility and geometry.
+        input.mesh.textures.clear();
+        put_on(&mut input.mesh.materials, &surfaces[0]);
+        let (baked, _) =
             scene::bake(input, &options, monitor).with_context(|| path.display().to_string())?;
         let seconds = start.elapsed().as_secs_f64();
-        // Bytes are those of visibility and geometry.
-        baked.textures.clear();
-        put_on(&mut baked, &surfaces[0]);
         let bytes = format::write_scene(&baked)?;
         let mut scene = format::read_scene(&bytes, &Limits::default())?;
         let camera = scene.camera.with_context(|| {
@@ -177,7 +196,7 @@ fn measure(
         let seams = seam::measure(&scene);
         let mut errors = Vec::new();
         for (index, surface) in surfaces.iter().enumerate() {
-            put_on(&mut scene, surface);
+            put_on(&mut scene.materials, surface);
             if truths.len() == index {
                 monitor.step("trace truth", 0.0)?;
                 let Settings { size, samples, .. } = *settings;
@@ -214,12 +233,12 @@ fn measure(
 
 /// Makes everything diffuse.
 pub fn put_diffuse(scene: &mut format::Scene) {
-    put_on(scene, &DIFFUSE);
+    put_on(&mut scene.materials, &DIFFUSE);
 }
 
 /// Gives everything the same surface.
-fn put_on(scene: &mut format::Scene, surface: &Surface) {
-    for material in &mut scene.materials {
+fn put_on(materials: &mut [format::Material], surface: &Surface) {
+    for material in materials {
         *material = plain_material("plain", surface.clone());
     }
 }

@@ -19,6 +19,9 @@ use crate::{ambient, brdf, cells, polar};
 /// far, in every channel, is not integrated.
 pub const NEGLIGIBLE: f32 = 3e-4;
 
+/// Radiance that is as good as none.
+pub const DARK: f32 = 1e-30;
+
 /// How lobes are integrated over the visible region.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Method {
@@ -125,7 +128,8 @@ pub fn shade_counting(
         product_lobes(point, lighting, |lobe| {
             if !negligible(&lobe, radiance) {
                 *integrals += 1;
-                radiance += lobe.amplitude * visible(&lobe, point.normal, field, *method);
+                let share = share(&lobe, radiance);
+                radiance += lobe.amplitude * visible(&lobe, share, point.normal, field, *method);
             }
         });
     }
@@ -221,13 +225,14 @@ fn reflected(
         .radiance(reflections.rotation * lobe.axis, lobe.sharpness);
     let image = lobe.integral() * incoming;
     let even = EVEN * lobe.amplitude * incoming;
-    let mut reflected = even * visible(lobe, point.normal, field, method);
+    let mut reflected = even * visible(lobe, EVEN, point.normal, field, method);
     let mut through = Vec3::ZERO;
     for light in lights {
         let product = light.product(lobe);
         if !negligible(&product, through) {
+            let share = share(&product, through);
             through += product.integral();
-            reflected += product.amplitude * visible(&product, point.normal, field, method);
+            reflected += product.amplitude * visible(&product, share, point.normal, field, method);
         }
     }
     let (wide, sharp) = DETAIL_SHARPNESS;
@@ -240,9 +245,15 @@ fn negligible(lobe: &SphericalGaussian, gathered: Vec3) -> bool {
     lobe.integral().cmple(NEGLIGIBLE * gathered).all()
 }
 
-/// ∫ exp(λ(p·ω − 1)) max(n·ω, 0) V(ω) dω.
+/// What a lobe can add, in what has been gathered before, in the channel where that is most.
+fn share(lobe: &SphericalGaussian, gathered: Vec3) -> f32 {
+    (lobe.integral() / gathered.max(Vec3::splat(DARK))).max_element()
+}
+
+/// ∫ exp(λ(p·ω − 1)) max(n·ω, 0) V(ω) dω, more closely for a larger `share`.
 fn visible(
     lobe: &SphericalGaussian,
+    share: f32,
     normal: Vec3,
     field: &impl SignedDistance,
     method: Method,
@@ -250,6 +261,7 @@ fn visible(
     match method {
         Method::Ambient => ambient::integrate(field, lobe.sharpness, lobe.axis, normal),
         Method::Polar(options) => {
+            let options = options.for_share(share);
             polar::integrate(field, lobe.sharpness, lobe.axis, normal, &options)
         }
         Method::Cells(options) => {
@@ -277,6 +289,7 @@ pub fn wgsl_constants() -> String {
     let (wide, sharp) = DETAIL_SHARPNESS;
     format!(
         "const SHADE_NEGLIGIBLE: f32 = {NEGLIGIBLE:?};\n\
+         const SHADE_DARK: f32 = {DARK:?};\n\
          const SHADE_EVEN: f32 = {EVEN:?};\n\
          const SHADE_DETAIL_SHARPNESS: vec2<f32> = vec2({wide:?}, {sharp:?});\n"
     )
@@ -478,7 +491,8 @@ mod tests {
                         amplitude: Vec3::ONE,
                         ..lobe
                     };
-                    let visible = visible(&one, point.normal, &field, method);
+                    let share = share(&lobe, gathered);
+                    let visible = visible(&one, share, point.normal, &field, method);
                     all += lobe.amplitude * visible;
                     gathered = all;
                 });

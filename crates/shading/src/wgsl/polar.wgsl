@@ -1,5 +1,12 @@
 // Twin of polar.rs.
 
+// Spokes of a lobe that can add `share` times what has been gathered before.
+fn polar_spokes(spokes: u32, share: f32) -> u32 {
+    let power = pow(min(share, 1.0), POLAR_SPOKES_EXPONENT);
+    let factor = max(POLAR_MOST_SPOKES * power, POLAR_LEAST_SPOKES);
+    return max(u32(f32(spokes) * factor + 0.5), 1u);
+}
+
 fn polar_integrate(sharpness: f32, axis: vec3<f32>, normal: vec3<f32>, spokes: u32) -> f32 {
     let cosine = dot(normal, axis);
     let radius = polar_support_radius(sharpness);

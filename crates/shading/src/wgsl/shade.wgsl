@@ -60,14 +60,15 @@ fn shade_reflected(lobe: SphericalGaussian, normal: vec3<f32>) -> vec3<f32> {
     let incoming = prefiltered_radiance(frame.environment_rotation * lobe.axis, lobe.sharpness);
     let image = spherical_gaussian_integral(lobe) * incoming;
     let even = SHADE_EVEN * lobe.amplitude * incoming;
-    var reflected = even * shade_visible(lobe, normal);
+    var reflected = even * shade_visible(lobe, SHADE_EVEN, normal);
     var through = vec3(0.0);
     for (var i = 0u; i < frame.light_count; i++) {
         let light = SphericalGaussian(lights[i].axis, lights[i].sharpness, lights[i].amplitude);
         let product = spherical_gaussian_product(light, lobe);
         if !shade_negligible(product, through) {
+            let share = shade_share(product, through);
             through += spherical_gaussian_integral(product);
-            reflected += product.amplitude * shade_visible(product, normal);
+            reflected += product.amplitude * shade_visible(product, share, normal);
         }
     }
     let wide = SHADE_DETAIL_SHARPNESS.x;
@@ -75,6 +76,12 @@ fn shade_reflected(lobe: SphericalGaussian, normal: vec3<f32>) -> vec3<f32> {
     let detail = clamp(log(lobe.sharpness / wide) / log(sharp / wide), 0.0, 1.0);
     let least = vec3(1.17549435e-38);
     return reflected * mix(through, image, detail) / max(through + SHADE_EVEN * image, least);
+}
+
+// What a lobe can add, in what has been gathered before, in the channel where that is most.
+fn shade_share(lobe: SphericalGaussian, gathered: vec3<f32>) -> f32 {
+    let shares = spherical_gaussian_integral(lobe) / max(gathered, vec3(SHADE_DARK));
+    return max(max(shares.x, shares.y), shares.z);
 }
 
 fn shade_negligible(lobe: SphericalGaussian, gathered: vec3<f32>) -> bool {

@@ -82,6 +82,6 @@ fn shade_single(lobe: SphericalGaussian, normal: vec3<f32>) -> vec3<f32> {
     return cells_integrate(lobe.axis, polar_support_radius(lobe.sharpness), normal);
 }
 
-fn shade_visible(lobe: SphericalGaussian, normal: vec3<f32>) -> f32 {
+fn shade_visible(lobe: SphericalGaussian, share: f32, normal: vec3<f32>) -> f32 {
     return shade_single(SphericalGaussian(lobe.axis, lobe.sharpness, vec3(1.0)), normal).x;
 }

@@ -32,12 +32,12 @@ fn shade_lobe(lobe: SphericalGaussian, normal: vec3<f32>, gathered: vec3<f32>) -
     if shade_negligible(lobe, gathered) {
         return vec3(0.0);
     }
-    return lobe.amplitude * shade_visible(lobe, normal);
+    return lobe.amplitude * shade_visible(lobe, shade_share(lobe, gathered), normal);
 }
 
-fn shade_visible(lobe: SphericalGaussian, normal: vec3<f32>) -> f32 {
+fn shade_visible(lobe: SphericalGaussian, share: f32, normal: vec3<f32>) -> f32 {
     if frame.method == METHOD_AMBIENT {
         return ambient_integrate(lobe.sharpness, lobe.axis, normal);
     }
-    return polar_integrate(lobe.sharpness, lobe.axis, normal, frame.spokes);
+    return polar_integrate(lobe.sharpness, lobe.axis, normal, polar_spokes(frame.spokes, share));
 }

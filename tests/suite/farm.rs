@@ -408,9 +408,9 @@ fn verify_visibility(mesh: &Path) -> Outcome {
     let mut bake = bake(mesh, &asset);
     let output = expect_success(bake.args(["--verify-visibility", "--json"]));
     let summary: serde_json::Value = serde_json::from_slice(&output.stdout)?;
-    assert_eq!(summary["verified_vertices"], summary["sampled_vertices"]);
     assert_eq!(summary["differing_texels"], 0);
-    let chunks = summary["verified_vertices"].as_u64();
-    assert!(chunks.is_some_and(|count| count > 0), "{summary}");
+    let [verified, sampled] =
+        ["verified_points", "sampled_vertices"].map(|key| summary[key].as_u64());
+    assert!(sampled > Some(0) && verified >= sampled, "{summary}");
     Ok(())
 }

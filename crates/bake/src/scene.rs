@@ -151,8 +151,8 @@ pub struct Statistics {
     pub rays: u64,
     /// Vertices sampled; more than the asset's where chunks share vertices.
     pub sampled_vertices: u64,
-    /// Vertices whose visibility was compared with one ray per texel.
-    pub verified_vertices: u64,
+    /// Points whose visibility was compared with one ray per texel: vertices, and between them.
+    pub verified_points: u64,
     /// Texels that differed; anything but zero fails the bake.
     pub differing_texels: u64,
 }
@@ -462,7 +462,7 @@ impl<'a> Bake<'a> {
             stages,
             rays: load(&counters.rays),
             sampled_vertices: load(&counters.sampled),
-            verified_vertices: load(&counters.verified),
+            verified_points: load(&counters.verified),
             differing_texels: load(&counters.differing),
         };
         (self.head, statistics)
@@ -653,15 +653,8 @@ impl Bake<'_> {
             let rank = self.options.global_rank as usize;
             let basis = compress::analyse(&samples, rank);
             let compressed = compress::encode(&samples.fitted(), &basis.images, self.aim);
-            let errors = surface::measure(
-                &probes,
-                triangles,
-                &vertices,
-                &samples,
-                &compressed,
-                &self.weighting,
-            );
-            finished.push(self.cluster(triangles, &vertices, compressed, errors));
+            let part = (triangles, &vertices[..], &samples);
+            finished.push(self.cluster(part, &probes, compressed));
         } else {
             finished = self.compress_clusters(triangles, &vertices, &samples, &probes, self.aim)?;
         }
@@ -834,15 +827,7 @@ impl Bake<'_> {
             let fitted = samples.fitted();
             let (images, _) = compress::alternate(&fitted, coefficients, ROUNDS);
             let compressed = compress::encode(&fitted, &images, aim);
-            let errors = surface::measure(
-                probes,
-                &triangles,
-                &members,
-                &samples,
-                &compressed,
-                &self.weighting,
-            );
-            Ok(self.cluster(&triangles, &members, compressed, errors))
+            Ok(self.cluster((&triangles, &members, &samples), probes, compressed))
         };
         plan.into_iter().map(compress).collect()
     }
@@ -918,14 +903,23 @@ impl Bake<'_> {
         Ok(cost)
     }
 
-    /// Copies what a cluster needs of the mesh. `vertices` ascend.
+    /// Copies what a cluster needs of the mesh and measures how far it is off. Triangles and
+    /// vertices, with their samples, ascend.
     fn cluster(
         &self,
-        triangles: &[u32],
-        vertices: &[u32],
+        (triangles, vertices, samples): (&[u32], &[u32], &Samples),
+        probes: &[Probe],
         compressed: Compressed,
-        errors: ErrorSums,
     ) -> Cluster {
+        let stored = |column: usize| compressed.decode(column);
+        let exact = |column: usize| samples.ssdf(column).to_vec();
+        let mut errors = ErrorSums::at_vertices(&compressed, vertices.len());
+        for probe in probes {
+            if triangles.binary_search(&probe.triangle).is_ok() {
+                let columns = columns(&probe.vertices, vertices);
+                errors.add_probe(probe, &columns, &stored, &exact, &self.weighting);
+            }
+        }
         let local = |vertex: u32| vertices.partition_point(|&other| other < vertex) as u32;
         let triangle = |&index: &u32| {
             let source = &self.mesh.triangles[index as usize];

@@ -113,12 +113,12 @@ pub fn bake(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Summ
     }
     if arguments.verify_visibility {
         summary.text += &format!(
-            "\nvisibility equals one ray per texel: {} vertices of {} texels compared, {} differ",
-            statistics.verified_vertices,
+            "\nvisibility equals one ray per texel: {} points of {} texels compared, {} differ",
+            statistics.verified_points,
             options.sample_resolution.pow(2),
             statistics.differing_texels,
         );
-        summary.json["verified_vertices"] = json!(statistics.verified_vertices);
+        summary.json["verified_points"] = json!(statistics.verified_points);
         summary.json["differing_texels"] = json!(statistics.differing_texels);
     }
     summary.text.push('\n');

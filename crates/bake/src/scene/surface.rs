@@ -7,13 +7,13 @@ use glam::Vec3;
 use relight_format::VisibilityErrors;
 
 use super::Bake;
-use crate::compress::{Compressed, Normal, Samples, Weighting};
+use crate::compress::{Compressed, Normal, Weighting};
 use crate::monitor::Interrupted;
 
 /// A point inside a triangle.
 pub(super) struct Probe {
-    triangle: u32,
-    vertices: [u32; 3],
+    pub(super) triangle: u32,
+    pub(super) vertices: [u32; 3],
     /// What each vertex counts; their sum is 1.
     weights: [f32; 3],
     /// Of the triangle.
@@ -40,6 +40,40 @@ pub struct ErrorSums {
 }
 
 impl ErrorSums {
+    /// Of compressed vertices.
+    pub(super) fn at_vertices(compressed: &Compressed, vertices: usize) -> Self {
+        Self {
+            compression: compressed.squared_error,
+            vertices: vertices as f64,
+            ..Self::default()
+        }
+    }
+
+    /// Adds a probe among vertices whose SSDFs are `stored` and `exact` in `columns`.
+    pub(super) fn add_probe(
+        &mut self,
+        probe: &Probe,
+        columns: &[usize],
+        stored: &dyn Fn(usize) -> Vec<f32>,
+        exact: &dyn Fn(usize) -> Vec<f32>,
+        weighting: &Weighting,
+    ) {
+        let area = f64::from(probe.area);
+        let squared_error = |ssdf: &dyn Fn(usize) -> Vec<f32>| {
+            let mut found = vec![0.0; probe.exact.len()];
+            for (column, weight) in columns.iter().zip(probe.weights) {
+                for (found, value) in found.iter_mut().zip(ssdf(*column)) {
+                    *found += weight * value;
+                }
+            }
+            f64::from(weighting.squared_displacement(&found, &probe.exact, probe.normal))
+        };
+        self.surface += area * squared_error(stored);
+        self.interpolation += area * squared_error(exact);
+        self.resolution += area * f64::from(probe.resolution);
+        self.area += area;
+    }
+
     /// Adds another set's sums.
     pub fn add(&mut self, other: &Self) {
         self.surface += other.surface;
@@ -122,43 +156,4 @@ impl Probe {
             .map(|(&vertex, weight)| weight * value(vertex))
             .sum()
     }
-}
-
-/// Errors of a cluster of `triangles` and `vertices`, both ascending; `samples` are of its
-/// vertices.
-pub(super) fn measure(
-    probes: &[Probe],
-    triangles: &[u32],
-    vertices: &[u32],
-    samples: &Samples,
-    compressed: &Compressed,
-    weighting: &Weighting,
-) -> ErrorSums {
-    let mut sums = ErrorSums {
-        compression: compressed.squared_error,
-        vertices: vertices.len() as f64,
-        ..ErrorSums::default()
-    };
-    for probe in probes {
-        if triangles.binary_search(&probe.triangle).is_err() {
-            continue;
-        }
-        let columns = super::columns(&probe.vertices, vertices);
-        let area = f64::from(probe.area);
-        let squared = |ssdf: &dyn Fn(usize) -> Vec<f32>| {
-            let mut found = vec![0.0; probe.exact.len()];
-            for (column, weight) in columns.iter().zip(probe.weights) {
-                for (found, value) in found.iter_mut().zip(ssdf(*column)) {
-                    *found += weight * value;
-                }
-            }
-            let squared = weighting.squared_displacement(&found, &probe.exact, probe.normal);
-            area * f64::from(squared)
-        };
-        sums.surface += squared(&|column| compressed.decode(column));
-        sums.interpolation += squared(&|column| samples.ssdf(column).to_vec());
-        sums.resolution += area * f64::from(probe.resolution);
-        sums.area += area;
-    }
-    sums
 }

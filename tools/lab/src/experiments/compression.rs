@@ -48,9 +48,8 @@ pub struct Settings {
     pub bake: Options,
 }
 
-/// Vertices refined where shadows fall, and what fits into so many bytes: those that an asset
-/// may have, and vertices.
-const TO_A_SIZE: &str = "clusters, refined, to a size";
+/// What fits into so many bytes, with at most so many vertices.
+const TO_A_SIZE: &str = "clusters, 64x64, to a size";
 const SIZES: [(u64, usize); 2] = [(5_000_000, 50_000), (15_000_000, 200_000)];
 
 /// One representation of one scene.
@@ -112,8 +111,6 @@ fn curves(start: &Options) -> Vec<(&'static str, f64, Options)> {
         let options = Options {
             max_bytes: Some(bytes),
             max_tiles: 8,
-            max_edge: 1.5 * start.max_edge,
-            refine_error: 0.01,
             max_vertices,
             ..start.clone()
         };

@@ -52,7 +52,7 @@ const SPLIT_GAIN: f32 = 0.75;
 const MIN_CLUSTER_VERTICES: usize = 96;
 /// Rounds of fitting images and coefficients to each other, when clusters are planned and
 /// when they are made.
-const PLANNING_ROUNDS: usize = 2;
+const PLANNING_ROUNDS: usize = 1;
 const ROUNDS: usize = 3;
 /// Distance of a visibility sample from its surface, in diagonals of the scene: far above
 /// the rounding of coordinates, far below anything that casts a visible shadow.

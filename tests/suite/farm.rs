@@ -409,8 +409,9 @@ fn verify_visibility(mesh: &Path) -> Outcome {
     let output = expect_success(bake.args(["--verify-visibility", "--json"]));
     let summary: serde_json::Value = serde_json::from_slice(&output.stdout)?;
     assert_eq!(summary["differing_texels"], 0);
-    let [verified, sampled] =
-        ["verified_points", "sampled_vertices"].map(|key| summary[key].as_u64());
-    assert!(sampled > Some(0) && verified >= sampled, "{summary}");
+    let [verified, sampled, probes] = ["verified_points", "sampled_vertices", "probes"]
+        .map(|key| summary[key].as_u64().unwrap_or(0));
+    assert!(sampled > 0 && probes > 0, "{summary}");
+    assert_eq!(verified, sampled + probes);
     Ok(())
 }

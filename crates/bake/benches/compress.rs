@@ -13,7 +13,7 @@ use relight_bake::visibility::{self, Directions};
 const RESOLUTION: u32 = 64;
 /// Images of the largest default cluster.
 const CHANNELS: usize = 16;
-/// The default's.
+/// As a cluster is made, once planned.
 const ROUNDS: usize = 3;
 const MAX_ERROR: f32 = 0.005;
 

@@ -19,7 +19,6 @@ use common::Subject;
 use glam::Vec3;
 use rayon::prelude::*;
 use relight_bake::contour::{ContourMesh, GROUP};
-use relight_bake::ray::RayCaster;
 use relight_bake::ssdf::{Crossings, Transform};
 use relight_bake::visibility::{self, Bitmap, Directions};
 use serde_json::{Value, json};
@@ -94,7 +93,6 @@ fn measure(subject: &Subject, rounds: usize, threads: usize) -> Value {
         ..
     } = subject;
     let directions = Directions::new(RESOLUTION);
-    let caster = RayCaster::new(soup);
     let setup = Instant::now();
     let contours = ContourMesh::new(soup);
     let setup = setup.elapsed().as_secs_f64();
@@ -126,7 +124,7 @@ fn measure(subject: &Subject, rounds: usize, threads: usize) -> Value {
         });
         lap(1, &mut || {
             exact = (origins.par_iter())
-                .map(|&origin| visibility::sample(&caster, origin, &directions))
+                .map(|&origin| visibility::sample(contours.caster(), origin, &directions))
                 .collect();
         });
         lap(3, &mut || {

@@ -151,6 +151,8 @@ pub struct Statistics {
     pub rays: u64,
     /// Vertices sampled; more than the asset's where chunks share vertices.
     pub sampled_vertices: u64,
+    /// Points between vertices where interpolation was checked.
+    pub probes: u64,
     /// Points whose visibility was compared with one ray per texel: vertices, and between them.
     pub verified_points: u64,
     /// Texels that differed; anything but zero fails the bake.
@@ -240,6 +242,7 @@ struct Counters {
     /// Vertices to sample and compress.
     total: AtomicU64,
     sampled: AtomicU64,
+    probes: AtomicU64,
     compressed: AtomicU64,
     rays: AtomicU64,
     verified: AtomicU64,
@@ -462,6 +465,7 @@ impl<'a> Bake<'a> {
             stages,
             rays: load(&counters.rays),
             sampled_vertices: load(&counters.sampled),
+            probes: load(&counters.probes),
             verified_points: load(&counters.verified),
             differing_texels: load(&counters.differing),
         };

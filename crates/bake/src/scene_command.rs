@@ -128,6 +128,7 @@ pub fn bake(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Summ
     summary.json["resumed_chunks"] = json!(resumed);
     summary.json["rays"] = json!(statistics.rays);
     summary.json["sampled_vertices"] = json!(statistics.sampled_vertices);
+    summary.json["probes"] = json!(statistics.probes);
     summary.json["seconds"] = json!(wall);
     summary.json["processor_seconds"] = stages.collect::<serde_json::Map<_, _>>().into();
     summary.json["peak_resident_bytes"] = json!(peak_resident_bytes());

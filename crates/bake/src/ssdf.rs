@@ -172,6 +172,11 @@ impl Transform {
         distances
     }
 
+    /// The same, exact at the centres of texels instead.
+    pub fn at_centres(&self, visible: &Bitmap, crossings: &Crossings, limit: f32) -> Vec<f32> {
+        self.distances(visible, &self.places(visible, crossings), limit)
+    }
+
     /// Mean square of what distances are where they should vanish, interpolated: radians².
     pub fn squared_error(&self, visible: &Bitmap, crossings: &Crossings, distances: &[f32]) -> f32 {
         let places = self.places(visible, crossings);
@@ -179,11 +184,6 @@ impl Transform {
             .iter()
             .map(|place| self.footprint(*place).read(distances).powi(2));
         squares.sum::<f32>() / places.len().max(1) as f32
-    }
-
-    /// The same, exact at the centres of texels instead.
-    pub fn at_centres(&self, visible: &Bitmap, crossings: &Crossings, limit: f32) -> Vec<f32> {
-        self.distances(visible, &self.places(visible, crossings), limit)
     }
 
     fn distances(&self, visible: &Bitmap, places: &[Place], limit: f32) -> Vec<f32> {

@@ -117,18 +117,6 @@ pub struct VisibilityErrors {
     pub resolution: f32,
 }
 
-impl VisibilityErrors {
-    /// All of them, by name.
-    pub fn named(&self) -> [(&'static str, f32); 4] {
-        [
-            ("surface", self.surface),
-            ("interpolation", self.interpolation),
-            ("compression", self.compression),
-            ("resolution", self.resolution),
-        ]
-    }
-}
-
 /// A decoded scene asset.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scene {
@@ -343,8 +331,15 @@ fn validate_metadata(scene: &Scene) -> Result<(), Error> {
     }
     validate_textures(&scene.textures)?;
     let errors = &scene.report.errors;
-    let valid = |(_, error): &(&str, f32)| error.is_finite() && *error >= 0.0;
-    if !errors.named().iter().all(valid) {
+    let valid = [
+        errors.surface,
+        errors.interpolation,
+        errors.compression,
+        errors.resolution,
+    ]
+    .iter()
+    .all(|error| error.is_finite() && *error >= 0.0);
+    if !valid {
         return metadata(
             Issue::ValueOutOfRange,
             "finite errors >= 0",

@@ -126,9 +126,10 @@ pub fn shade_counting(
         });
     } else {
         product_lobes(point, lighting, |lobe| {
-            if !negligible(&lobe, radiance) {
+            let whole = lobe.integral();
+            if !negligible(whole, radiance) {
                 *integrals += 1;
-                let share = share(&lobe, radiance);
+                let share = share(whole, radiance);
                 radiance += lobe.amplitude * visible(&lobe, share, point.normal, field, *method);
             }
         });
@@ -200,7 +201,7 @@ pub fn cell_groups(
         }
         add(cells::around(specular), &wide);
         for lobe in narrow {
-            if !negligible(&lobe, carried) {
+            if !negligible(lobe.integral(), carried) {
                 add((lobe.axis, polar::support_radius(lobe.sharpness)), &[lobe]);
             }
         }
@@ -229,9 +230,10 @@ fn reflected(
     let mut through = Vec3::ZERO;
     for light in lights {
         let product = light.product(lobe);
-        if !negligible(&product, through) {
-            let share = share(&product, through);
-            through += product.integral();
+        let whole = product.integral();
+        if !negligible(whole, through) {
+            let share = share(whole, through);
+            through += whole;
             reflected += product.amplitude * visible(&product, share, point.normal, field, method);
         }
     }
@@ -241,13 +243,15 @@ fn reflected(
     reflected * through.lerp(image, detail) / (through + EVEN * image).max(least)
 }
 
-fn negligible(lobe: &SphericalGaussian, gathered: Vec3) -> bool {
-    lobe.integral().cmple(NEGLIGIBLE * gathered).all()
+/// Whether a lobe of the integral `whole` adds nothing to what has been gathered before.
+fn negligible(whole: Vec3, gathered: Vec3) -> bool {
+    whole.cmple(NEGLIGIBLE * gathered).all()
 }
 
-/// What a lobe can add, in what has been gathered before, in the channel where that is most.
-fn share(lobe: &SphericalGaussian, gathered: Vec3) -> f32 {
-    (lobe.integral() / gathered.max(Vec3::splat(DARK))).max_element()
+/// What a lobe of the integral `whole` can add, in what has been gathered before, in the
+/// channel where that is most.
+fn share(whole: Vec3, gathered: Vec3) -> f32 {
+    (whole / gathered.max(Vec3::splat(DARK))).max_element()
 }
 
 /// ∫ exp(λ(p·ω − 1)) max(n·ω, 0) V(ω) dω, more closely for a larger `share`.
@@ -486,12 +490,12 @@ mod tests {
                 let mut gathered = Vec3::ZERO;
                 product_lobes(&point, &distant(&lights), |lobe| {
                     total += 1;
-                    skipped += usize::from(lobe.integral().cmple(NEGLIGIBLE * gathered).all());
+                    skipped += usize::from(negligible(lobe.integral(), gathered));
                     let one = SphericalGaussian {
                         amplitude: Vec3::ONE,
                         ..lobe
                     };
-                    let share = share(&lobe, gathered);
+                    let share = share(lobe.integral(), gathered);
                     let visible = visible(&one, share, point.normal, &field, method);
                     all += lobe.amplitude * visible;
                     gathered = all;

@@ -3,6 +3,8 @@
 //! Points all over the surface are sampled as vertices are. What interpolation makes of the
 //! vertices around them is compared with what they see.
 
+use std::sync::atomic::Ordering;
+
 use glam::Vec3;
 use relight_format::VisibilityErrors;
 
@@ -117,6 +119,7 @@ impl Bake<'_> {
                 &sampled.distances,
             );
             probe.exact = sampled.distances;
+            self.counters.probes.fetch_add(1, Ordering::Relaxed);
         })?;
         Ok(probes)
     }

@@ -65,9 +65,10 @@ fn shade_reflected(lobe: SphericalGaussian, normal: vec3<f32>) -> vec3<f32> {
     for (var i = 0u; i < frame.light_count; i++) {
         let light = SphericalGaussian(lights[i].axis, lights[i].sharpness, lights[i].amplitude);
         let product = spherical_gaussian_product(light, lobe);
-        if !shade_negligible(product, through) {
-            let share = shade_share(product, through);
-            through += spherical_gaussian_integral(product);
+        let whole = spherical_gaussian_integral(product);
+        if !shade_negligible(whole, through) {
+            let share = shade_share(whole, through);
+            through += whole;
             reflected += product.amplitude * shade_visible(product, share, normal);
         }
     }
@@ -78,12 +79,13 @@ fn shade_reflected(lobe: SphericalGaussian, normal: vec3<f32>) -> vec3<f32> {
     return reflected * mix(through, image, detail) / max(through + SHADE_EVEN * image, least);
 }
 
-// What a lobe can add, in what has been gathered before, in the channel where that is most.
-fn shade_share(lobe: SphericalGaussian, gathered: vec3<f32>) -> f32 {
-    let shares = spherical_gaussian_integral(lobe) / max(gathered, vec3(SHADE_DARK));
+// What a lobe of the integral `whole` can add, in what has been gathered before, in the channel
+// where that is most.
+fn shade_share(whole: vec3<f32>, gathered: vec3<f32>) -> f32 {
+    let shares = whole / max(gathered, vec3(SHADE_DARK));
     return max(max(shares.x, shares.y), shares.z);
 }
 
-fn shade_negligible(lobe: SphericalGaussian, gathered: vec3<f32>) -> bool {
-    return all(spherical_gaussian_integral(lobe) <= SHADE_NEGLIGIBLE * gathered);
+fn shade_negligible(whole: vec3<f32>, gathered: vec3<f32>) -> bool {
+    return all(whole <= SHADE_NEGLIGIBLE * gathered);
 }

@@ -46,7 +46,7 @@ fn shade_narrow(normal: vec3<f32>) -> vec3<f32> {
         }
         for (var j = 0u; j < specular_count; j++) {
             let product = spherical_gaussian_product(light, specular_lobes[j]);
-            if !shade_negligible(product, carried) {
+            if !shade_negligible(spherical_gaussian_integral(product), carried) {
                 sum += shade_single(product, normal);
             }
         }

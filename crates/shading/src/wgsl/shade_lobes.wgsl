@@ -29,10 +29,11 @@ fn shade_lobes(point: SurfacePoint) -> vec3<f32> {
 
 // What a lobe adds to the radiance gathered so far.
 fn shade_lobe(lobe: SphericalGaussian, normal: vec3<f32>, gathered: vec3<f32>) -> vec3<f32> {
-    if shade_negligible(lobe, gathered) {
+    let whole = spherical_gaussian_integral(lobe);
+    if shade_negligible(whole, gathered) {
         return vec3(0.0);
     }
-    return lobe.amplitude * shade_visible(lobe, shade_share(lobe, gathered), normal);
+    return lobe.amplitude * shade_visible(lobe, shade_share(whole, gathered), normal);
 }
 
 fn shade_visible(lobe: SphericalGaussian, share: f32, normal: vec3<f32>) -> f32 {

@@ -141,11 +141,7 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
     for (name, path) in MESHES {
         laboratory.monitor.step("sample thin features", 0.0)?;
         let mesh = import::mesh(&laboratory.settings.data.join(path))?;
-        let corner = |&vertex: &u32| Vec3::from(mesh.vertices[vertex as usize].position);
-        let soup: Vec<[Vec3; 3]> = (mesh.triangles.iter())
-            .map(|triangle| triangle.vertices.each_ref().map(corner))
-            .collect();
-        let contours = ContourMesh::new(&soup);
+        let contours = ContourMesh::new(&mesh.soup());
         let (low, high) = mesh.bounds().unwrap_or_default();
         let below = low.y - 0.02 * (high.y - low.y);
         let found: Vec<([f64; VARIANTS.len()], f64)> = (0..POINTS * POINTS)

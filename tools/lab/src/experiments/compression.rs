@@ -48,8 +48,8 @@ pub struct Settings {
     pub bake: Options,
 }
 
-/// What fits into so many bytes, with at most so many vertices.
-const TO_A_SIZE: &str = "clusters, 64x64, to a size";
+/// What fits into so many bytes, with at most so many vertices, where shadows fall.
+const TO_A_SIZE: &str = "clusters, refined, to a size";
 const SIZES: [(u64, usize); 2] = [(5_000_000, 50_000), (15_000_000, 200_000)];
 
 /// One representation of one scene.
@@ -92,10 +92,10 @@ fn curves(start: &Options) -> Vec<(&'static str, f64, Options)> {
             "clusters, 64x64, to 4 tiles",
             64,
             4,
-            &[0.02, 0.01, 0.005, 0.0025][..],
+            &[0.01, 0.005, 0.0025][..],
         ),
-        ("clusters, 64x64, to 8 tiles", 64, 8, &[0.005, 0.0025]),
-        ("clusters, 32x32, to 4 tiles", 32, 4, &[0.01, 0.005]),
+        ("clusters, 64x64, to 6 tiles", 64, 6, &[0.0025]),
+        ("clusters, 32x32, to 4 tiles", 32, 4, &[0.005]),
     ] {
         for &aim in aims {
             let options = Options {
@@ -110,9 +110,8 @@ fn curves(start: &Options) -> Vec<(&'static str, f64, Options)> {
     for (bytes, max_vertices) in SIZES {
         let options = Options {
             max_bytes: Some(bytes),
-            max_tiles: 8,
             max_vertices,
-            ..start.clone()
+            ..Options::high()
         };
         all.push((TO_A_SIZE, bytes as f64, options));
     }

@@ -404,10 +404,7 @@ impl<'a> Bake<'a> {
         chunks: &[usize],
         hand_over: impl Fn(usize, Vec<Cluster>) -> Result<(), E> + Sync,
     ) -> Result<(), E> {
-        let vertices = |chunk: &usize| {
-            cluster::vertices_of(&self.chunks[*chunk], &self.triangles).len() as u64
-        };
-        let total = chunks.par_iter().map(vertices).sum();
+        let total = self.vertices_of_chunks(chunks);
         self.counters.total.store(total, Ordering::Relaxed);
         let queue = Queue {
             order: scattered(chunks),
@@ -437,6 +434,14 @@ impl<'a> Bake<'a> {
             return Err(Error::Visibility { vertices, texels }.into());
         }
         Ok(())
+    }
+
+    /// Vertices of some chunks, those that they share for each.
+    fn vertices_of_chunks(&self, chunks: &[usize]) -> u64 {
+        let vertices = |chunk: &usize| {
+            cluster::vertices_of(&self.chunks[*chunk], &self.triangles).len() as u64
+        };
+        chunks.par_iter().map(vertices).sum()
     }
 
     /// How many chunks are compressed at a time.

@@ -9,15 +9,16 @@ use super::surface::Probe;
 use super::{Bake, Cluster, Counters, Error, ErrorSums, assemble};
 use crate::cluster;
 
-/// Chunks that are tried, at most.
-const CHUNKS: usize = 10;
+/// Chunks that are tried for a size, and for an error at most.
+const SIZE_CHUNKS: usize = 16;
+const ERROR_CHUNKS: usize = 10;
 /// Trials at most; each compresses the chunks once.
 const TRIALS: usize = 5;
 /// How close a trial must come, as a factor.
 const CLOSE: f32 = 1.05;
 /// Standard errors by which the estimated size of a whole scene stays below the one asked
-/// for.
-const SURE: f32 = 2.0;
+/// for: one bake in twenty may end above it.
+const SURE: f32 = 1.65;
 /// One triangle of so many is probed.
 const PROBE_STEP: u32 = 4;
 /// An error on the surface that compression can keep, in errors of interpolation.
@@ -50,8 +51,8 @@ impl Bake<'_> {
         // A size is a promise; an error may be missed by a little in small scenes, which
         // trials would cost more than the bake.
         let most = match size {
-            Some(_) => CHUNKS,
-            None => (self.chunks.len() / 4).clamp(CHUNKS / 2, CHUNKS),
+            Some(_) => SIZE_CHUNKS,
+            None => (self.chunks.len() / 4).clamp(ERROR_CHUNKS / 2, ERROR_CHUNKS),
         };
         let count = self.chunks.len().min(most);
         let chosen = (0..count).map(|i| (2 * i + 1) * self.chunks.len() / (2 * count));
@@ -69,7 +70,9 @@ impl Bake<'_> {
                 vertices,
             });
         }
-        let tried: Vec<usize> = trials.iter().map(|trial| trial.triangles.len()).collect();
+        let tried: Vec<usize> = trials.iter().map(|trial| trial.vertices.len()).collect();
+        let chunks: Vec<usize> = (0..self.chunks.len()).collect();
+        let all = self.vertices_of_chunks(&chunks) as usize;
         let sizes = size.map(|_| Sizes::new(&self.head)).transpose()?;
         let expected = size.map_or(ERROR_EXPONENT, |_| SIZE_EXPONENT);
         // Logarithms of aims and of how far what they gave is from the target.
@@ -82,7 +85,7 @@ impl Bake<'_> {
                     .into_iter()
                     .map(|chunk| sizes.of(chunk))
                     .collect();
-                sizes.fixed + at_most(&bytes?, &tried, self.triangles.len())
+                sizes.fixed + at_most(&bytes?, &tried, all)
             } else {
                 let errors = errors_of(&compressed);
                 let least = LEAST_OVER_INTERPOLATION * errors.interpolation;
@@ -151,16 +154,16 @@ fn errors_of(chunks: &[Vec<Cluster>]) -> VisibilityErrors {
     errors.errors()
 }
 
-/// Bytes that a scene of `all` triangles hardly exceeds if chunks of it, of so many `triangles`,
+/// Bytes that a scene of `all` vertices hardly exceeds if chunks of it, of so many `vertices`,
 /// have so many `bytes`: the estimate from their ratio and [`SURE`] standard errors of it
 /// (Cochran 1977, section 6.3).
-fn at_most(bytes: &[f32], triangles: &[usize], all: usize) -> f32 {
+fn at_most(bytes: &[f32], vertices: &[usize], all: usize) -> f32 {
     let count = bytes.len() as f32;
-    let tried = triangles.iter().sum::<usize>() as f32;
+    let tried = vertices.iter().sum::<usize>() as f32;
     let share = tried / all.max(1) as f32;
     let ratio = bytes.iter().sum::<f32>() / tried;
-    let squares: f32 = (bytes.iter().zip(triangles))
-        .map(|(bytes, triangles)| (bytes - ratio * *triangles as f32).powi(2))
+    let squares: f32 = (bytes.iter().zip(vertices))
+        .map(|(bytes, vertices)| (bytes - ratio * *vertices as f32).powi(2))
         .sum();
     let variance = (1.0 - share).max(0.0) * count * squares / (count - 1.0).max(1.0);
     (ratio * tried + SURE * variance.sqrt()) / share

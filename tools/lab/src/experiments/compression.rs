@@ -94,7 +94,6 @@ fn curves(start: &Options) -> Vec<(&'static str, f64, Options)> {
             4,
             &[0.01, 0.005, 0.0025][..],
         ),
-        ("clusters, 64x64, to 6 tiles", 64, 6, &[0.0025]),
         ("clusters, 32x32, to 4 tiles", 32, 4, &[0.005]),
     ] {
         for &aim in aims {

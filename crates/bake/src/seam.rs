@@ -46,7 +46,8 @@ pub fn measure(scene: &format::Scene) -> Seams {
             weighting.squared_displacement(&second, &first, normal)
         })
         .collect();
-    let sum: f64 = squares.iter().map(|square| f64::from(*square)).sum();
+    // The sum of nothing is −0.
+    let sum = 0.0 + squares.iter().map(|square| f64::from(*square)).sum::<f64>();
     Seams {
         pairs: pairs.len() as u64,
         rms: (sum / pairs.len().max(1) as f64).sqrt() as f32,

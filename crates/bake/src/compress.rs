@@ -325,7 +325,7 @@ pub fn analyse(samples: &Samples, rank: usize) -> Basis {
     // Rotate the subspace to principal axes: eigenvectors of a small symmetric matrix.
     let coordinates = orthonormal.transpose() * &centred;
     let covariance = (&coordinates * coordinates.transpose()).cast::<f64>();
-    let (axes, _) = principal_axes(covariance);
+    let (axes, lengths) = principal_axes(covariance);
     let rank = rank.min(axes.ncols());
     let rotation = axes.columns(0, rank).into_owned().cast::<f32>();
     let components = &orthonormal * &rotation;
@@ -333,9 +333,9 @@ pub fn analyse(samples: &Samples, rank: usize) -> Basis {
     values.column_mut(0).copy_from(&mean);
     values.columns_mut(1, rank).copy_from(&components);
     let projections = rotation.tr_mul(&coordinates);
-    let spread = projections.row_iter().map(|row| row.norm());
+    let spread = lengths[..rank].iter().map(|length| *length as f32);
     let amplitudes = std::iter::once(1.0)
-        .chain(spread.map(|norm| norm / (vertices as f32).sqrt()))
+        .chain(spread.map(|length| length / (vertices as f32).sqrt()))
         .collect();
     Basis {
         images: Images { values, amplitudes },
@@ -425,7 +425,8 @@ fn principal(images: &DMatrix<f32>, coefficients: &DMatrix<f32>) -> (Images, DMa
     }
     let coordinates = to_orthonormal * coefficients.clone().cast::<f64>();
     let (rotation, amplitudes) = principal_axes(&coordinates * coordinates.transpose() / vertices);
-    let values = images * (from_orthonormal * &rotation).cast::<f32>();
+    // Without an image, lengths are next to nothing: their inverses fit no `f32`.
+    let values = (factors * (from_orthonormal * &rotation)).cast::<f32>();
     let amplitudes = amplitudes.into_iter().map(|length| length as f32).collect();
     let coefficients = rotation.tr_mul(&coordinates).cast::<f32>();
     (Images { values, amplitudes }, coefficients)
@@ -731,15 +732,14 @@ mod tests {
     fn error_falls_with_rank() {
         let ssdfs = drifting_caps(60);
         let basis = analyse(&ssdfs, 15);
-        // Beyond, the caps are as good as their images' eight bits.
-        let errors = [1, 2, 4, 8].map(|k| {
+        let errors = [1, 4, 8, 12, 16].map(|k| {
             let (images, _) = reweight(&ssdfs.fitted(), &basis, k, 3);
             encode(&ssdfs.fitted(), &images, 1e-4).error()
         });
-        assert!(
-            errors.windows(2).all(|pair| pair[1] < pair[0]),
-            "{errors:?}"
-        );
+        // Beyond 8, the caps are as good as their images' eight bits: measured within 0.4 %.
+        let falls = errors[..3].windows(2).all(|pair| pair[1] < pair[0]);
+        let stays = errors[2..].windows(2).all(|pair| pair[1] < 1.005 * pair[0]);
+        assert!(falls && stays, "{errors:?}");
     }
 
     #[test]
@@ -826,8 +826,14 @@ mod tests {
     fn equal_and_single_columns_compress() {
         for (vertices, value) in [(1, 0.5f32), (7, 0.5), (3, -0.5), (2, 0.0)] {
             let ssdfs = samples(DMatrix::from_element(64, vertices, value));
-            let compressed = encode(&ssdfs.fitted(), &analyse(&ssdfs, 7).images, 1e-4);
-            assert!(compressed.error() < 1e-4, "{vertices} columns of {value}");
+            let fitted = ssdfs.fitted();
+            let basis = analyse(&ssdfs, 7);
+            let (images, _) = reweight(&fitted, &basis, 8, 3);
+            for images in [&basis.images, &images] {
+                assert!(images.values.iter().all(|value| value.is_finite()));
+                let compressed = encode(&fitted, images, 1e-4);
+                assert!(compressed.error() < 1e-4, "{vertices} columns of {value}");
+            }
         }
     }
 }

@@ -72,8 +72,9 @@ impl Bake<'_> {
         }
         let tried: Vec<usize> = trials.iter().map(|trial| trial.vertices.len()).collect();
         let chunks: Vec<usize> = (0..self.chunks.len()).collect();
-        let all = self.vertices_of_chunks(&chunks) as usize;
-        let sizes = size.map(|_| Sizes::new(&self.head)).transpose()?;
+        let sizes = size
+            .map(|_| Sizes::new(&self.head, self.vertices_of_chunks(&chunks) as usize))
+            .transpose()?;
         let expected = size.map_or(ERROR_EXPONENT, |_| SIZE_EXPONENT);
         // Logarithms of aims and of how far what they gave is from the target.
         let mut aim = error.clamp(LEAST_AIM, LARGEST_AIM).ln();
@@ -85,7 +86,7 @@ impl Bake<'_> {
                     .into_iter()
                     .map(|chunk| sizes.of(chunk))
                     .collect();
-                sizes.fixed + at_most(&bytes?, &tried, all)
+                sizes.fixed + at_most(&bytes?, &tried, sizes.vertices)
             } else {
                 let errors = errors_of(&compressed);
                 let least = LEAST_OVER_INTERPOLATION * errors.interpolation;
@@ -171,6 +172,8 @@ fn at_most(bytes: &[f32], vertices: &[usize], all: usize) -> f32 {
 
 /// What clusters add to a file.
 struct Sizes {
+    /// Of all chunks.
+    vertices: usize,
     /// Bytes of the asset without its clusters.
     fixed: f32,
     /// The asset without its clusters and without its textures, which take long to write.
@@ -179,13 +182,14 @@ struct Sizes {
 }
 
 impl Sizes {
-    fn new(head: &format::Scene) -> Result<Self, Error> {
+    fn new(head: &format::Scene, vertices: usize) -> Result<Self, Error> {
         let mut bare = head.clone();
         for texture in &mut bare.textures {
             (texture.width, texture.height) = (1, 1);
             texture.texels.truncate(4);
         }
         Ok(Self {
+            vertices,
             fixed: format::write_scene(head)?.len() as f32,
             bare_bytes: format::write_scene(&bare)?.len() as f32,
             bare,

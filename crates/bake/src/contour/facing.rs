@@ -487,7 +487,19 @@ pub(super) fn block_of<T>(elements: &[T], block: usize) -> &[T; BLOCK] {
 
 /// An order of the triangles in which runs of [`BLOCK`] are close in place and normal.
 fn group(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<u32> {
-    let features = cluster::features(positions, triangles, NORMAL_WEIGHT);
+    let (low, high) = positions.iter().fold(
+        (Vec3::INFINITY, Vec3::NEG_INFINITY),
+        |(low, high), position| (low.min(*position), high.max(*position)),
+    );
+    let scale = 1.0 / (high - low).max_element().max(f32::MIN_POSITIVE);
+    let features: Vec<[f32; 6]> = (triangles.iter())
+        .map(|triangle| {
+            let [a, b, c] = triangle.map(|vertex| positions[vertex as usize]);
+            let place = cluster::centre([a, b, c]) * scale;
+            let normal = (b - a).cross(c - a).normalize_or_zero() * NORMAL_WEIGHT;
+            [place.x, place.y, place.z, normal.x, normal.y, normal.z]
+        })
+        .collect();
     let mut order: Vec<u32> = (0..triangles.len() as u32).collect();
     cluster::arrange(&mut order, BLOCK, &|&triangle| {
         (features[triangle as usize], triangle)

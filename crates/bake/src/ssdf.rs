@@ -5,7 +5,7 @@
 //! different class: at the contour that separates them where one was found
 //! ([`Crossings`]), midway otherwise. |D| is the angle to the nearest of these points,
 //! found exactly: for directions that lie together, those chunks of points are looked
-//! through that can hold the nearest one.
+//! through that can hold a point nearer than those of the nearest chunk.
 //!
 //! The distances may be wanted at fewer texels than were sampled. A texel then spans a
 //! block of samples, the majority of which tells the sign at its centre.
@@ -16,9 +16,7 @@
 //! little as it takes, to vanish at the points of the boundary: relaxed projections
 //! (Kaczmarz 1937) onto one equation per point.
 
-use std::cmp::Ordering;
-
-use glam::{Vec2, Vec2Swizzles as _, Vec3};
+use glam::{Mat4, Vec2, Vec2Swizzles as _, Vec3, Vec4};
 use pulp::{Arch, Simd, WithSimd};
 use relight_shading::octahedral::{self, Footprint};
 
@@ -31,16 +29,6 @@ const SIDE: usize = 4;
 const CHUNK: usize = 8;
 /// Chunks that are chosen from at once.
 const WORD: usize = u64::BITS as usize;
-/// 1, 2, 4 …
-const POWERS: [f32; LANES] = {
-    let mut powers = [1.0; LANES];
-    let mut lane = 1;
-    while lane < LANES {
-        powers[lane] = 2.0 * powers[lane - 1];
-        lane += 1;
-    }
-    powers
-};
 /// Most samples per texel and side.
 pub const MAX_SPAN: u32 = 16;
 /// A coordinate of points that are nearest to nothing.
@@ -49,7 +37,7 @@ const FAR: f32 = 1e3;
 /// time that their number doubles; fuller projections end at the equation that comes last.
 const SWEEPS: usize = 16;
 const RELAXATION: f32 = 0.3;
-/// Projections under way at a time.
+/// Quads under way at a time.
 const STRANDS: usize = 8;
 /// Slack of bounds against rounding, a chord.
 const SLACK: f32 = 1e-5;
@@ -66,33 +54,31 @@ pub struct Transform {
     border: Vec<([u32; 2], Vec2)>,
 }
 
-/// That a weighted sum of four distances vanish.
-struct Equation {
+/// Four neighbouring texels, and what one sweep over the equations of the points between
+/// them makes of their distances: the equations' projections, multiplied.
+struct Quad {
     texels: [u32; 4],
-    weights: [f32; 4],
-    /// What a sum of one takes from each distance.
-    steps: [f32; 4],
+    product: Mat4,
 }
 
-impl Equation {
-    fn new(footprint: Footprint) -> Self {
-        let Footprint { texels, weights } = footprint;
-        let squares: f32 = weights.iter().map(|weight| weight * weight).sum();
-        Self {
-            texels: texels.map(|texel| texel as u32),
-            weights,
-            steps: weights.map(|weight| RELAXATION * weight / squares),
-        }
+impl Quad {
+    /// Adds that the distances' sum by these weights vanish.
+    #[inline(always)]
+    fn add(&mut self, weights: Vec4) {
+        let step = RELAXATION / weights.length_squared() * weights;
+        let sums = self.product * weights;
+        let columns = step.to_array().map(|step| step * sums);
+        let [x, y, z, w] = columns;
+        self.product -= Mat4::from_cols(x, y, z, w);
     }
 
     #[inline(always)]
     fn project(&self, distances: &mut [f32]) {
-        let [a, b, c, d] = self.texels.map(|texel| distances[texel as usize]);
-        let [p, q, r, s] = self.weights;
-        let sum = (a * p + b * q) + (c * r + d * s);
-        for (texel, step) in self.texels.iter().zip(self.steps) {
-            // Some texels on the map's border are their own neighbours.
-            distances[*texel as usize] -= sum * step;
+        let old = self.texels.map(|texel| distances[texel as usize]);
+        let new = self.product * Vec4::from(old);
+        // Some texels on the map's border are their own neighbours: one of both counts.
+        for (texel, distance) in self.texels.into_iter().zip(new.to_array()) {
+            distances[texel as usize] = distance;
         }
     }
 }
@@ -132,16 +118,20 @@ type Place = Vec2;
 
 /// Points of the boundary.
 struct Boundary {
-    points: Vec<[[f32; 3]; CHUNK]>,
+    /// Coordinates of the points of each chunk.
+    points: Vec<[[f32; CHUNK]; 3]>,
     /// One of the points of each chunk. Followed by points far from the sphere, to a
     /// multiple of [`WORD`].
     centres: [Vec<f32>; 3],
     /// Largest chord between a chunk's centre and another of its points.
     radii: Vec<f32>,
+    largest_radius: f32,
     /// From some direction to the centres, squared.
     chords: Vec<f32>,
-    /// Chunks that can hold the nearest point to some direction.
+    /// Memory for chunks that can hold the nearest point to some direction of a group, and
+    /// for those of them that it takes to tell.
     candidates: Vec<u32>,
+    needed: Vec<u32>,
 }
 
 impl Transform {
@@ -218,21 +208,38 @@ impl Transform {
 
     /// Moves distances to vanish at places, where they are interpolated.
     fn fit(&self, places: &[Place], distances: &mut [f32]) {
-        // One after the other, points that share texels wait for each other: places are taken
+        let mut quads: Vec<Quad> = Vec::with_capacity(places.len());
+        // By their first texels; another one takes the place of one across the border.
+        let mut numbers = vec![0u32; distances.len()];
+        for place in places {
+            let Footprint { texels, weights } = self.footprint(*place);
+            let number = &mut numbers[texels[0]];
+            let texels = texels.map(|texel| texel as u32);
+            let known = quads.get(*number as usize);
+            if known.is_none_or(|quad| quad.texels != texels) {
+                *number = quads.len() as u32;
+                quads.push(Quad {
+                    texels,
+                    product: Mat4::IDENTITY,
+                });
+            }
+            quads[*number as usize].add(weights.into());
+        }
+        // One after the other, quads that share texels wait for each other: they are taken
         // from all over the map in turn.
-        let stride = places.len().div_ceil(STRANDS).max(1);
-        let equations: Vec<Equation> = (0..stride)
-            .flat_map(|first| places[first.min(places.len())..].iter().step_by(stride))
-            .map(|place| Equation::new(self.footprint(*place)))
+        let stride = quads.len().div_ceil(STRANDS).max(1);
+        let quads: Vec<&Quad> = (0..stride)
+            .flat_map(|first| quads[first.min(quads.len())..].iter().step_by(stride))
             .collect();
         for _ in 0..SWEEPS {
-            for equation in &equations {
-                equation.project(distances);
+            for quad in &quads {
+                quad.project(distances);
             }
         }
     }
 
     /// What is read where distances are interpolated.
+    #[inline(always)]
     fn footprint(&self, place: Place) -> Footprint {
         let scale = self.resolution as f32 / self.n as f32;
         Footprint::new((place + 0.5) * scale - 0.5, self.resolution as u32)
@@ -241,56 +248,38 @@ impl Transform {
     /// Sorts points of the boundary into chunks.
     #[inline(always)]
     fn boundary(&self, places: &[Place]) -> Boundary {
-        let cells_per_side = self.n.div_ceil(SIDE);
-        let cells = cells_per_side * cells_per_side;
-        // Casts saturate at zero.
-        let cell = |place: &Place| {
-            let side = |x: f32| (x as usize / SIDE).min(cells_per_side - 1);
-            side(place.y) * cells_per_side + side(place.x)
-        };
-        let mut starts = vec![0u32; cells + 1];
-        for place in places {
-            starts[cell(place) + 1] += 1;
+        let mut chunks = Vec::with_capacity(places.len());
+        let mut rest = places;
+        while let Some(first) = rest.first() {
+            let near = |place: &&Place| (*place - first).abs().max_element() < SIDE as f32;
+            let count = rest.iter().take(CHUNK).take_while(near).count();
+            let (chunk, others) = rest.split_at(count);
+            chunks.push(chunk);
+            rest = others;
         }
-        // A cell's last chunk is filled up with its last point.
-        for cell in 0..cells {
-            starts[cell + 1] = starts[cell] + starts[cell + 1].next_multiple_of(CHUNK as u32);
-        }
-        let padded = starts[cells] as usize;
-        let mut next = starts.clone();
-        let [mut u, mut v] = [vec![0.0; padded], vec![0.0; padded]];
-        for place in places {
-            let next = &mut next[cell(place)];
-            [u[*next as usize], v[*next as usize]] = place.to_array();
-            *next += 1;
-        }
-        for (next, end) in next.iter().zip(&starts[1..]) {
-            for place in *next as usize..*end as usize {
-                (u[place], v[place]) = (u[place - 1], v[place - 1]);
-            }
-        }
-        let mut points = vec![[[0.0; 3]; CHUNK]; padded / CHUNK];
-        let scale = 2.0 / self.n as f32;
-        let flat = points.as_flattened_mut();
-        for ((point, u), v) in flat.iter_mut().zip(u).zip(v) {
-            *point = decode([u, v], scale);
-        }
-        Boundary::new(points)
+        Boundary::new(&chunks, 2.0 / self.n as f32)
     }
 
-    /// Visible samples per texel of a tile.
+    /// Per texel of a tile, 1 if most of its samples are visible, −1 if most are blocked.
     #[inline(always)]
-    fn visible_samples(&self, visible: &Bitmap, tile: &Group) -> [u32; LANES] {
+    fn signs(&self, visible: &Bitmap, tile: &Group) -> [f32; LANES] {
         let (n, span) = (self.n, self.n / self.resolution);
+        let within = !0 >> (64 - tile.columns * span);
+        let row = |y: usize| visible.bits((tile.y * span + y) * n + tile.x * span) & within;
+        let (first, mut rows) = (row(0), 0..tile.rows * span);
+        if (first == 0 || first == within) && rows.all(|y| row(y) == first) {
+            return [if first == 0 { -1.0 } else { 1.0 }; LANES];
+        }
         let one = (1u64 << span) - 1;
         let mut counts = [0; LANES];
         for y in 0..tile.rows * span {
-            let bits = visible.bits((tile.y * span + y) * n + tile.x * span);
+            let bits = row(y);
             for (column, count) in counts[y / span * SIDE..][..SIDE].iter_mut().enumerate() {
-                *count += (bits >> (column * span) & one).count_ones();
+                *count += (bits >> (column * span) & one).count_ones() as i32;
             }
         }
-        counts
+        let samples = (span * span) as i32;
+        counts.map(|count| (2 * count - samples).signum() as f32)
     }
 }
 
@@ -315,22 +304,18 @@ impl WithSimd for AtCentres<'_> {
             limit,
             distances,
         } = self;
-        let Transform { n, resolution, .. } = *transform;
-        let samples = (n / resolution).pow(2) as u32;
+        let resolution = transform.resolution;
         let mut boundary = transform.boundary(places);
         let limit = [limit, squared_chord(limit).sqrt()];
         for tile in &transform.tiles {
-            let counts = transform.visible_samples(visible, tile);
+            let signs = transform.signs(visible, tile);
             let found = boundary.nearest(simd, tile, limit);
             for row in 0..tile.rows {
                 let start = (tile.y + row) * resolution + tile.x;
-                for column in 0..tile.columns {
-                    let (count, angle) = (counts[row * SIDE + column], found[row * SIDE + column]);
-                    distances[start + column] = match (2 * count).cmp(&samples) {
-                        Ordering::Less => -angle,
-                        Ordering::Equal => 0.0,
-                        Ordering::Greater => angle,
-                    };
+                let lanes = row * SIDE..row * SIDE + tile.columns;
+                let signed = signs[lanes.clone()].iter().zip(&found[lanes]);
+                for (distance, (sign, angle)) in distances[start..].iter_mut().zip(signed) {
+                    *distance = sign * angle;
                 }
             }
         }
@@ -339,25 +324,38 @@ impl WithSimd for AtCentres<'_> {
 
 impl Boundary {
     #[inline(always)]
-    fn new(points: Vec<[[f32; 3]; CHUNK]>) -> Self {
-        let padded = points.len().next_multiple_of(WORD);
+    fn new(chunks: &[&[Place]], scale: f32) -> Self {
+        let padded = chunks.len().next_multiple_of(WORD);
         let mut centres = [(); 3].map(|()| vec![FAR; padded]);
         let mut radii = vec![0.0; padded];
-        let [x, y, z] = &mut centres;
-        for (chunk, points) in points.iter().enumerate() {
-            let centre = points[CHUNK / 2];
-            [x[chunk], y[chunk], z[chunk]] = centre;
-            let mut largest = 0.0f32;
-            for point in points {
-                largest = largest.max(squared_distance(*point, centre));
+        let mut points = Vec::with_capacity(chunks.len());
+        for (index, places) in chunks.iter().enumerate() {
+            let mut chunk = [[0.0; CHUNK]; 3];
+            for i in 0..CHUNK {
+                // What remains of a chunk repeats its last point.
+                let place = places[i.min(places.len() - 1)];
+                let [x, y, z] = decode(place.to_array(), scale);
+                (chunk[0][i], chunk[1][i], chunk[2][i]) = (x, y, z);
             }
-            radii[chunk] = largest.sqrt();
+            let centre = chunk.map(|axis| axis[CHUNK / 2]);
+            let mut largest = 0.0f32;
+            for i in 0..CHUNK {
+                let point = chunk.map(|axis| axis[i]);
+                largest = largest.max(squared_distance(point, centre));
+            }
+            for (centres, centre) in centres.iter_mut().zip(centre) {
+                centres[index] = centre;
+            }
+            radii[index] = largest.sqrt();
+            points.push(chunk);
         }
         Self {
             points,
             chords: vec![0.0; padded],
-            candidates: Vec::with_capacity(padded),
+            candidates: vec![0; padded],
+            needed: vec![0; padded],
             centres,
+            largest_radius: radii.iter().copied().fold(0.0, f32::max),
             radii,
         }
     }
@@ -371,23 +369,46 @@ impl Boundary {
         group: &Group,
         [limit, limit_chord]: [f32; 2],
     ) -> [f32; LANES] {
-        let from_centre = self.chords_from(simd, group.centre);
+        let least = self.chords_from(simd, group.centre);
+        let from_centre = least.sqrt();
+        if from_centre - group.radius - self.largest_radius > limit_chord {
+            return [limit; LANES];
+        }
         // No direction of the group is farther from the boundary than this.
-        let bound = (from_centre.sqrt() + group.radius).min(limit_chord);
-        self.choose(simd, bound + group.radius + SLACK);
+        let bound = (from_centre + group.radius).min(limit_chord);
+        let (first, candidates) = self.choose(simd, least, bound + group.radius + SLACK);
         let mut nearest = [0.0; LANES];
         let [tx, ty, tz] = group.directions.each_ref().map(|axis| lanes::<S>(axis));
         let found = S::as_mut_simd_f32s(&mut nearest).0;
         for (((found, tx), ty), tz) in found.iter_mut().zip(tx).zip(ty).zip(tz) {
-            let mut least = simd.splat_f32s(limit_chord * limit_chord);
-            for &chunk in &self.candidates {
-                for [x, y, z] in self.points[chunk as usize] {
-                    let x = simd.sub_f32s(*tx, simd.splat_f32s(x));
-                    let y = simd.sub_f32s(*ty, simd.splat_f32s(y));
-                    let z = simd.sub_f32s(*tz, simd.splat_f32s(z));
-                    let squared = simd.mul_add_f32s(x, x, simd.mul_f32s(y, y));
-                    least = simd.min_f32s(least, simd.mul_add_f32s(z, z, squared));
+            let squared = |[x, y, z]: [f32; 3]| {
+                let x = simd.sub_f32s(*tx, simd.splat_f32s(x));
+                let y = simd.sub_f32s(*ty, simd.splat_f32s(y));
+                let z = simd.sub_f32s(*tz, simd.splat_f32s(z));
+                let squared = simd.mul_add_f32s(x, x, simd.mul_f32s(y, y));
+                simd.mul_add_f32s(z, z, squared)
+            };
+            let nearer = |mut least, chunk: u32| {
+                let [x, y, z] = &self.points[chunk as usize];
+                for ((&x, &y), &z) in x.iter().zip(y).zip(z) {
+                    least = simd.min_f32s(least, squared([x, y, z]));
                 }
+                least
+            };
+            let mut least = nearer(simd.splat_f32s(limit_chord * limit_chord), first);
+            let bound = simd.add_f32s(simd.sqrt_f32s(least), simd.splat_f32s(SLACK));
+            let mut count = 0;
+            for &chunk in &self.candidates[..candidates] {
+                let index = chunk as usize;
+                let centre = self.centres.each_ref().map(|axis| axis[index]);
+                let reach = simd.add_f32s(bound, simd.splat_f32s(self.radii[index]));
+                let within = simd.less_than_f32s(squared(centre), simd.mul_f32s(reach, reach));
+                // Kept without a branch, which would often be guessed wrong.
+                self.needed[count] = chunk;
+                count += usize::from(bits::<S>(within) != 0 && chunk != first);
+            }
+            for &chunk in &self.needed[..count] {
+                least = nearer(least, chunk);
             }
             *found = least;
         }
@@ -414,29 +435,50 @@ impl Boundary {
         simd.reduce_min_f32s(least)
     }
 
-    /// Finds the chunks with points within `reach`, a chord.
+    /// Finds the chunks with points within `reach`, a chord. Returns the one whose centre is
+    /// at the squared chord `least`, and how many there are.
     #[inline(always)]
-    fn choose<S: Simd>(&mut self, simd: S, reach: f32) {
-        self.candidates.clear();
-        let (reach, none) = (simd.splat_f32s(reach), simd.splat_f32s(0.0));
-        let powers = lanes::<S>(&POWERS)[0];
+    fn choose<S: Simd>(&mut self, simd: S, least: f32, reach: f32) -> (u32, usize) {
+        let (least, reach) = (simd.splat_f32s(least), simd.splat_f32s(reach));
         let words = lanes::<S>(&self.chords).chunks_exact(WORD / S::F32_LANES);
         let radii = lanes::<S>(&self.radii).chunks_exact(WORD / S::F32_LANES);
+        let (mut nearest, mut count) = (0, 0);
         for ((chords, radii), first) in words.zip(radii).zip((0..).step_by(WORD)) {
-            // One bit per chunk, first summed as powers of two, which is exact.
-            let mut near = 0;
+            let (mut near, mut least_of_all) = (0, 0);
             for (i, (chord, radius)) in chords.iter().zip(radii).enumerate() {
                 let reach = simd.add_f32s(reach, *radius);
                 let within = simd.less_than_f32s(*chord, simd.mul_f32s(reach, reach));
-                let bits = simd.reduce_sum_f32s(simd.select_f32s(within, powers, none));
-                near |= (bits as u64) << (i * S::F32_LANES);
+                near |= bits::<S>(within) << (i * S::F32_LANES);
+                let equal = simd.equal_f32s(*chord, least);
+                least_of_all |= bits::<S>(equal) << (i * S::F32_LANES);
+            }
+            if least_of_all != 0 {
+                nearest = first + least_of_all.trailing_zeros();
             }
             while near != 0 {
-                self.candidates.push(first + near.trailing_zeros());
+                self.candidates[count] = first + near.trailing_zeros();
+                count += 1;
                 near &= near - 1;
             }
         }
+        (nearest, count)
     }
+}
+
+/// One bit per lane. `first_true_m32s` of pulp 0.22 counts from the wrong end with AVX-512.
+#[inline(always)]
+fn bits<S: Simd>(mask: S::m32s) -> u64 {
+    let mut bits = [0; size_of::<u64>()];
+    let bytes = bytemuck::bytes_of(&mask);
+    if size_of::<S::m32s>() < size_of::<S::f32s>() {
+        // Lanes are bits, or there is but one.
+        bits[..bytes.len()].copy_from_slice(bytes);
+        return u64::from_le_bytes(bits);
+    }
+    let lanes = bytes.as_chunks::<4>().0.iter().enumerate();
+    lanes.fold(0, |bits, (lane, bytes)| {
+        bits | u64::from(bytes[0] & 1) << lane
+    })
 }
 
 /// A slice whose length is a multiple of all vectors'.
@@ -455,16 +497,15 @@ fn squared_distance(a: [f32; 3], b: [f32; 3]) -> f32 {
 #[inline(always)]
 fn angles(squared: [f32; LANES], limit: f32) -> [f32; LANES] {
     let mut angles = [0.0; LANES];
+    let mut large = false;
     for lane in 0..LANES {
-        // Rounding may leave less than nothing.
-        angles[lane] = small_angle(squared[lane].max(0.0));
+        let angle = small_angle(squared[lane]);
+        angles[lane] = if angle < limit { angle } else { limit };
+        large |= squared[lane] > SMALL_SQUARED_CHORD;
     }
-    for lane in 0..LANES {
+    if large {
         // The series is for small angles.
-        if squared[lane] > SMALL_SQUARED_CHORD {
-            angles[lane] = angle_of_squared_chord(squared[lane]);
-        }
-        angles[lane] = angles[lane].min(limit);
+        angles = squared.map(|squared| angle_of_squared_chord(squared).min(limit));
     }
     angles
 }
@@ -572,6 +613,8 @@ fn small_angle(squared: f32) -> f32 {
 
 #[cfg(test)]
 mod tests {
+    use std::cmp::Ordering;
+
     use super::*;
 
     fn brute_force(samples: &Directions, resolution: u32, bitmap: &Bitmap, limit: f32) -> Vec<f32> {

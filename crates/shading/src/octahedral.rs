@@ -56,15 +56,26 @@ pub struct Footprint {
 
 impl Footprint {
     /// At a point of an `n` × `n` map in texels: texel (x, y) has its centre at (x, y).
+    #[inline]
     pub fn new(at: Vec2, n: u32) -> Self {
-        let low = at.floor();
-        let Vec2 { x: u, y: v } = at - low;
+        // Without SSE4.1, `floor` is a call.
+        let floor = |x: f32| x as i32 - i32::from(x < x as i32 as f32);
+        let (left, top) = (floor(at.x), floor(at.y));
+        let (u, v) = (at.x - left as f32, at.y - top as f32);
         let texel = |right: i32, down: i32| {
-            let (x, y) = wrap(low.x as i32 + right, low.y as i32 + down, n);
+            let (x, y) = wrap(left + right, top + down, n);
             (y * n + x) as usize
         };
+        let last = n as i32 - 1;
+        let texels = if left.min(top) >= 0 && left.max(top) < last {
+            // Most are: nothing wraps.
+            let (first, n) = ((top * n as i32 + left) as usize, n as usize);
+            [first, first + 1, first + n, first + n + 1]
+        } else {
+            [texel(0, 0), texel(1, 0), texel(0, 1), texel(1, 1)]
+        };
         Self {
-            texels: [texel(0, 0), texel(1, 0), texel(0, 1), texel(1, 1)],
+            texels,
             weights: [(1.0 - u) * (1.0 - v), u * (1.0 - v), (1.0 - u) * v, u * v],
         }
     }

@@ -1,12 +1,20 @@
 //! Where contours cross the links between neighbouring texels of different class, to far
 //! below a texel.
 
-use super::layers::{CLEARANCE, Point, first_from};
+use pulp::{Arch, Simd, WithSimd};
+
+use super::layers::{CLEARANCE, Point};
 use crate::ssdf::Crossings;
 use crate::visibility::Bitmap;
 
-/// Texels per side of the cells by which contours far from the boundary are told.
-const CELL: usize = 4;
+/// How many texels a short segment reaches from its middle to the first texel of a link that
+/// it crosses, at most: one to either side, and a link begins before it.
+const MARGIN: usize = 2;
+
+/// Segments that are chosen from together; at most 256, a power of two.
+const CHUNK: usize = 128;
+/// Segments that are looked at side by side.
+const LANES: usize = 16;
 
 /// Finds the crossings of contours, given in texels of a map of `n` to a side, that
 /// `visible` shows.
@@ -18,50 +26,167 @@ pub(super) fn locate(
 ) {
     let positions = &mut crossings.positions;
     positions.resize(2 * n * n, f32::NAN);
-    let per_side = n.div_ceil(CELL);
-    let mut mixed = vec![false; per_side * per_side];
+    let mut near = Near::new(n);
     visible.for_links(n, |x, y, below| {
-        mixed[y / CELL * per_side + x / CELL] = true;
+        near.mark(x, y);
         positions[usize::from(below) * n * n + y * n + x] = f32::NAN;
     });
-    let cells = Cells::near_to(&mixed, per_side);
-    let mut links = Links {
-        n,
-        visible,
-        positions,
-    };
-    for &[a, b] in segments {
-        let reach = (a[0] - b[0]).abs().max((a[1] - b[1]).abs());
-        if reach >= CELL as f32 || cells.near(a) {
-            links.add_segment(a, b);
+    Arch::new().dispatch(Locate {
+        segments,
+        near: &near,
+        links: Links {
+            n,
+            visible,
+            positions,
+        },
+    });
+}
+
+/// The vectorised part of [`locate`].
+struct Locate<'a> {
+    segments: &'a [[Point; 2]],
+    near: &'a Near,
+    links: Links<'a>,
+}
+
+impl WithSimd for Locate<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self {
+            segments,
+            near,
+            mut links,
+        } = self;
+        let mut found = [0; CHUNK];
+        for segments in segments.chunks(CHUNK) {
+            // Collected without a branch, which would often be guessed wrong.
+            let mut count = 0;
+            for (index, [a, b]) in segments.iter().enumerate() {
+                let reach = (a[0] - b[0]).abs().max((a[1] - b[1]).abs());
+                let middle = [0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1])];
+                found[count % CHUNK] = index as u8;
+                count += usize::from((reach >= 2.0) | near.at(middle));
+            }
+            for found in found[..count].chunks(LANES) {
+                let mut lanes = [[[0.0; LANES]; 2]; 2];
+                for (lane, index) in found.iter().enumerate() {
+                    let [a, b] = segments[usize::from(*index)];
+                    (lanes[0][0][lane], lanes[0][1][lane]) = (a[0], a[1]);
+                    (lanes[1][0][lane], lanes[1][1][lane]) = (b[0], b[1]);
+                }
+                for axis in [0, 1] {
+                    let lines = Lines::new(&lanes, axis, links.n);
+                    for lane in 0..found.len() {
+                        for line in lines.first[lane]..lines.past[lane] {
+                            links.cross(axis, line as usize, lines.at(lane, line));
+                        }
+                    }
+                }
+            }
         }
     }
 }
 
-/// Cells that have texels of different class in them or beside them.
-struct Cells {
-    per_side: usize,
-    near: Vec<bool>,
+/// Where segments side by side cross the lines of texel centres: columns or rows.
+struct Lines {
+    first: [i32; LANES],
+    past: [i32; LANES],
+    /// An end's coordinates, across the lines and along them.
+    end: [[f32; LANES]; 2],
+    slope: [f32; LANES],
+    /// Bounds along the lines.
+    low: [f32; LANES],
+    high: [f32; LANES],
 }
 
-impl Cells {
-    fn near_to(mixed: &[bool], per_side: usize) -> Self {
-        let mut near = vec![false; per_side * per_side];
-        for (i, _) in mixed.iter().enumerate().filter(|(_, mixed)| **mixed) {
-            let (x, y) = (i % per_side, i / per_side);
-            for y in y.saturating_sub(1)..(y + 2).min(per_side) {
-                near[y * per_side + x.saturating_sub(1)..y * per_side + (x + 2).min(per_side)]
-                    .fill(true);
-            }
+impl Lines {
+    #[inline(always)]
+    fn new(ends: &[[[f32; LANES]; 2]; 2], axis: usize, n: usize) -> Self {
+        let mut lines = Self {
+            first: [0; LANES],
+            past: [0; LANES],
+            end: [[0.0; LANES]; 2],
+            slope: [0.0; LANES],
+            low: [0.0; LANES],
+            high: [0.0; LANES],
+        };
+        let [[a, other_a], [b, other_b]] = [0, 1].map(|end| [ends[end][axis], ends[end][1 - axis]]);
+        for lane in 0..LANES {
+            let (a, other_a) = (a[lane], other_a[lane]);
+            let (b, other_b) = (b[lane], other_b[lane]);
+            let swap = a > b;
+            let (p, other_p) = if swap { (b, other_b) } else { (a, other_a) };
+            let (q, other_q) = if swap { (a, other_a) } else { (b, other_b) };
+            let first = (p - CLEARANCE).ceil() as i32;
+            let past = (q + CLEARANCE + 1.0) as i32;
+            let length = q - p;
+            let slope = (other_q - other_p) / if length > 1e-12 { length } else { 1e-12 };
+            let (low, high) = if other_p < other_q {
+                (other_p, other_q)
+            } else {
+                (other_q, other_p)
+            };
+            // What is not finite crosses nothing.
+            let finite = (p + q + low + high).abs() < f32::INFINITY;
+            lines.first[lane] = if first > 0 { first } else { 0 };
+            lines.past[lane] = if !finite {
+                0
+            } else if past < n as i32 {
+                past
+            } else {
+                n as i32
+            };
+            (lines.end[0][lane], lines.end[1][lane]) = (p, other_p);
+            lines.slope[lane] = slope;
+            lines.low[lane] = low;
+            lines.high[lane] = high;
         }
-        Self { per_side, near }
+        lines
     }
 
     #[inline(always)]
-    fn near(&self, [x, y]: Point) -> bool {
-        // Casts saturate at zero.
-        let cell = |x: f32| (x as usize / CELL).min(self.per_side - 1);
-        self.near[cell(y) * self.per_side + cell(x)]
+    fn at(&self, lane: usize, line: i32) -> f32 {
+        let across = line as f32 - self.end[0][lane];
+        let at = self.end[1][lane] + across * self.slope[lane];
+        at.clamp(self.low[lane], self.high[lane])
+    }
+}
+
+/// Texels near to links between texels of different class: most contours are short and pass
+/// far from all of them.
+struct Near {
+    stride: usize,
+    /// With a margin on all sides.
+    texels: Vec<bool>,
+}
+
+impl Near {
+    fn new(n: usize) -> Self {
+        let stride = n + 2 * MARGIN;
+        Self {
+            stride,
+            texels: vec![false; stride * stride],
+        }
+    }
+
+    /// Marks the texels around the first of a link.
+    #[inline(always)]
+    fn mark(&mut self, x: usize, y: usize) {
+        for row in y..=y + 2 * MARGIN {
+            self.texels[row * self.stride + x..][..=2 * MARGIN]
+                .copy_from_slice(&[true; 2 * MARGIN + 1]);
+        }
+    }
+
+    #[inline(always)]
+    fn at(&self, [x, y]: Point) -> bool {
+        // Coordinates are above −1, and casts round towards zero.
+        let [x, y] = [x, y].map(|x| (x + MARGIN as f32) as i32 as usize);
+        self.texels
+            .get(y * self.stride + x)
+            .is_some_and(|near| *near)
     }
 }
 
@@ -72,25 +197,6 @@ struct Links<'a> {
 }
 
 impl Links<'_> {
-    #[inline(always)]
-    fn add_segment(&mut self, a: Point, b: Point) {
-        if !(a[0] + a[1] + b[0] + b[1]).is_finite() {
-            return;
-        }
-        for axis in [0, 1] {
-            let other = 1 - axis;
-            let (p, q) = if a[axis] <= b[axis] { (a, b) } else { (b, a) };
-            let first = first_from(p[axis] - CLEARANCE);
-            let past = (q[axis] + CLEARANCE + 1.0).max(0.0) as usize;
-            let slope = (q[other] - p[other]) / (q[axis] - p[axis]).max(1e-12);
-            let (low, high) = (p[other].min(q[other]), p[other].max(q[other]));
-            for line in first..past.min(self.n) {
-                let at = (p[other] + (line as f32 - p[axis]) * slope).clamp(low, high);
-                self.cross(axis, line, at);
-            }
-        }
-    }
-
     /// A contour crosses a line of texel centres: column `line` if `axis` is 0, else row
     /// `line`. Of a link's crossings the one next to its visible end counts: there the first
     /// layer begins.
@@ -98,8 +204,8 @@ impl Links<'_> {
     fn cross(&mut self, axis: usize, line: usize, at: f32) {
         // Right at a texel's centre it belongs to the links on both sides. Coordinates are
         // above −1, and casts round towards zero.
-        let low = (at + 1.0 - CLEARANCE) as usize;
-        let high = (at + 1.0 + CLEARANCE) as usize;
+        let low = (at + 1.0 - CLEARANCE) as i32 as usize;
+        let high = (at + 1.0 + CLEARANCE) as i32 as usize;
         self.add(axis, line, low, at);
         if high != low {
             self.add(axis, line, high, at);

@@ -1,5 +1,5 @@
-//! Visibility from contours against one ray per texel and against Embree, on the same
-//! vertices, directions and threads, in one run.
+//! Visibility from contours, and signed distances with it, against one ray per texel and
+//! against Embree, on the same vertices, directions and threads, in one run.
 //!
 //! `cargo bench -p relight-bake --bench visibility -- [MESH...] [--vertices N]
 //! [--threads N] [--rounds N] [--robust] [--json]`
@@ -19,7 +19,7 @@ use common::Subject;
 use glam::Vec3;
 use rayon::prelude::*;
 use relight_bake::contour::{ContourMesh, GROUP};
-use relight_bake::ssdf::{Crossings, Transform};
+use relight_bake::ssdf::Transform;
 use relight_bake::visibility::{self, Bitmap, Directions};
 use serde_json::{Value, json};
 
@@ -44,34 +44,38 @@ fn main() {
         if rows.is_empty() {
             println!("us per vertex, {threads} threads, best of {rounds} rounds in turn");
             println!(
-                "{:<14}{:>9}{:>10}{:>9}{:>9}{:>10}{:>10}{:>7}{:>9}{:>8}{:>8}{:>9}",
+                "{:<14}{:>9}{:>10}{:>10}{:>6}{:>9}{:>9}{:>10}{:>10}{:>11}{:>7}{:>9}{:>8}{:>9}",
                 "mesh",
                 "triangles",
                 "contours",
+                "crossings",
+                "SSDF",
                 "rays",
                 "Embree",
                 "rays/c.",
                 "Embree/c.",
+                "Embree/all",
                 "rays",
                 "differ",
                 "Embree",
-                "SSDF",
                 "set-up",
             );
         }
         println!(
-            "{:<14}{:>9}{:>10.0}{:>9.0}{:>9.0}{:>10.2}{:>10.2}{:>7.0}{:>9}{:>8}{:>7.0}%{:>6.0} ms",
+            "{:<14}{:>9}{:>10.0}{:>10.0}{:>6.0}{:>9.0}{:>9.0}{:>10.2}{:>10.2}{:>11.2}{:>7.0}{:>9}{:>8}{:>6.0} ms",
             row["mesh"].as_str().unwrap_or_default(),
             row["triangles"].to_string(),
             figure(&row["contours_us"]),
+            figure(&row["crossings_us"]),
+            figure(&row["ssdf_us"]),
             figure(&row["rays_us"]),
             figure(&row["embree_us"]),
             figure(&row["rays_over_contours"]),
             figure(&row["embree_over_contours"]),
+            figure(&row["embree_over_all"]),
             figure(&row["rays_per_vertex"]),
             row["differing_texels"].to_string(),
             row["embree_differing_texels"].to_string(),
-            figure(&row["ssdf_fraction"]) * 100.0,
             figure(&row["setup_ms"]),
         );
         rows.push(row);
@@ -99,8 +103,8 @@ fn measure(subject: &Subject, rounds: usize, threads: usize) -> Value {
     let transform = Transform::new(&directions, BASIS_RESOLUTION);
     let mut embree =
         Embree::find().map(|program| Embree::start(&program, subject, &directions, threads));
-    // Contours, rays, Embree, SSDF.
-    let mut best = [f64::INFINITY; 4];
+    // Contours, rays, Embree, contours with crossings, and with crossings and distances.
+    let mut best = [f64::INFINITY; 5];
     let mut exact: Vec<Bitmap> = Vec::new();
     let mut fast: Vec<(Bitmap, u32)> = Vec::new();
     for _ in 0..rounds {
@@ -127,11 +131,24 @@ fn measure(subject: &Subject, rounds: usize, threads: usize) -> Value {
                 .map(|&origin| visibility::sample(contours.caster(), origin, &directions))
                 .collect();
         });
-        lap(3, &mut || {
-            exact.par_iter().for_each(|bitmap| {
-                std::hint::black_box(transform.apply(bitmap, &Crossings::default(), 0.5));
+        let distances = |scratch: &mut _, group: &[Vec3], transform: Option<&Transform>| {
+            contours.prepare(group, scratch);
+            for &origin in group {
+                let (bitmap, _) = contours.sample(origin, &directions, scratch);
+                let crossings = contours.crossings(&bitmap, scratch);
+                std::hint::black_box(
+                    transform.map(|transform| transform.apply(&bitmap, crossings, 0.5)),
+                );
+            }
+        };
+        for (contender, transform) in [(3, None), (4, Some(&transform))] {
+            lap(contender, &mut || {
+                (origins.par_chunks(GROUP)).for_each_init(
+                    || contours.scratch(&directions),
+                    |scratch, group| distances(scratch, group, transform),
+                );
             });
-        });
+        }
         if let Some(embree) = &mut embree {
             best[2] = best[2].min(embree.round());
         }
@@ -152,8 +169,8 @@ fn measure(subject: &Subject, rounds: usize, threads: usize) -> Value {
         "rays_over_contours": best[1] / best[0],
         "rays_per_vertex": rays as f64 / origins.len() as f64,
         "differing_texels": differing,
-        "ssdf_us": per_vertex(best[3]),
-        "ssdf_fraction": best[3] / best[0],
+        "crossings_us": per_vertex(best[3] - best[0]),
+        "ssdf_us": per_vertex(best[4] - best[3]),
         "setup_ms": setup * 1e3,
     });
     if let Some(embree) = embree {
@@ -167,6 +184,7 @@ fn measure(subject: &Subject, rounds: usize, threads: usize) -> Value {
             .sum();
         row["embree_us"] = json!(per_vertex(best[2]));
         row["embree_over_contours"] = json!(best[2] / best[0]);
+        row["embree_over_all"] = json!(best[2] / best[4]);
         row["embree_differing_texels"] = json!(differing);
         row["embree_robust"] = json!(common::flag("--robust"));
     }

@@ -32,7 +32,11 @@ const ITERATIONS: usize = 4;
 /// come to less than a tenth of its square.
 const BASIS_ROUNDING: f32 = 0.25;
 const COEFFICIENT_ROUNDING: f32 = 0.15;
-/// Largest step of basis images, in 127ths of their range.
+/// What coefficients of the coefficient scale are stored as.
+const MAX_COEFFICIENT: f32 = 32767.0;
+/// Coefficients of an image are multiples of at most this.
+const MAX_MULTIPLE: f32 = 1024.0;
+/// Largest step of basis images, in 127ths of their largest texel.
 const MAX_STEP: f32 = 16.0;
 /// Texels whose weight at every vertex is below this part of the largest are told by the
 /// [`SKIPPED`]th of them.
@@ -251,6 +255,19 @@ impl Compressed {
         (self.squared_error / vertices as f64).sqrt() as f32
     }
 
+    /// The same of vertices in another order, of which each comes once.
+    #[must_use]
+    pub fn reordered(self, order: &[usize]) -> Self {
+        let channels = self.tiles as usize * CHANNELS_PER_TILE;
+        let rows = order
+            .iter()
+            .map(|vertex| &self.coefficients[vertex * channels..][..channels]);
+        Self {
+            coefficients: rows.flatten().copied().collect(),
+            ..self
+        }
+    }
+
     /// The stored SSDF of a vertex, radians, at every texel.
     pub fn decode(&self, vertex: usize) -> Vec<f32> {
         let channels = self.tiles as usize * CHANNELS_PER_TILE;
@@ -265,7 +282,7 @@ pub fn decode(coefficients: &[i16], basis: &[i8], coefficient_scale: f32) -> Vec
     let coefficients = coefficients.chunks_exact(CHANNELS_PER_TILE);
     let tile_bytes = basis.len() / coefficients.len();
     let mut ssdf = vec![0.0; tile_bytes / CHANNELS_PER_TILE];
-    let scale = coefficient_scale / (32767.0 * 127.0);
+    let scale = coefficient_scale / (MAX_COEFFICIENT * 127.0);
     for (coefficients, tile) in coefficients.zip(basis.chunks_exact(tile_bytes)) {
         for (distance, images) in ssdf.iter_mut().zip(tile.chunks_exact(CHANNELS_PER_TILE)) {
             for (coefficient, image) in coefficients.iter().zip(images) {
@@ -498,21 +515,30 @@ pub fn encode(fitted: &Fitted, images: &Images, max_error: f32) -> Compressed {
     let decoded = quantised.map(|value: i8| f32::from(value) / 127.0);
     let systems = fitted.systems(&decoded);
     let coefficients = solve_each(&systems, channels);
-    // What an error of one in every coefficient costs: the traces of the normal matrices.
-    let diagonal = (0..channels).map(|channel| channel * (channel + 3) / 2);
-    let trace = diagonal.map(|row| systems.row(row).sum()).sum::<f32>() / vertices as f32;
-    let step = max_error * COEFFICIENT_ROUNDING * (12.0 / trace).sqrt();
-    let coefficient_scale = if step.is_finite() {
-        coefficients.amax().max(32767.0 * step)
+    // Coefficients of every image err by the same. What one costs that is off by one: the
+    // diagonal of the normal matrices.
+    let rounding = max_error * COEFFICIENT_ROUNDING / (channels as f32).sqrt();
+    let steps: Vec<f32> = (0..channels)
+        .map(|channel| {
+            let cost = systems.row(channel * (channel + 3) / 2).sum() / vertices as f32;
+            rounding * (12.0 / cost).sqrt()
+        })
+        .collect();
+    let least = steps.iter().copied().fold(f32::MAX, f32::min);
+    let representable = coefficients.amax() / MAX_COEFFICIENT;
+    // Images of nothing have no least step.
+    let finest = if least < f32::MAX {
+        least.max(representable)
     } else {
-        coefficients.amax()
+        representable
     };
-    let to_integer = if coefficient_scale > 0.0 {
-        32767.0 / coefficient_scale
-    } else {
-        0.0
-    };
-    let integers = coefficients.map(|value| (value * to_integer).round() as i16);
+    let coefficient_scale = finest * MAX_COEFFICIENT;
+    let integers = DMatrix::from_fn(channels, vertices, |channel, vertex| {
+        let multiple = (steps[channel] / finest).floor().clamp(1.0, MAX_MULTIPLE);
+        let most = (MAX_COEFFICIENT / multiple).floor();
+        let value = coefficients[(channel, vertex)] / (finest * multiple);
+        (value.round().clamp(-most, most) * multiple) as i16
+    });
     let tiles = channels.div_ceil(CHANNELS_PER_TILE);
     let stored = tiles * CHANNELS_PER_TILE;
     let mut coefficients = vec![0i16; vertices * stored];
@@ -536,7 +562,7 @@ pub fn encode(fitted: &Fitted, images: &Images, max_error: f32) -> Compressed {
         let count = BLOCK_VERTICES.min(vertices - first);
         let values = integers
             .columns(first, count)
-            .map(|value| f32::from(value) / 32767.0 * coefficient_scale);
+            .map(|value| f32::from(value) * finest);
         let found = &decoded * values;
         for ((found, exact), weights) in columns(&found, 0)
             .zip(columns(ssdfs, first))
@@ -574,21 +600,19 @@ fn squared_error(found: &[f32], exact: &[f32], weights: &[f32]) -> f32 {
     sums.iter().sum()
 }
 
-/// Images in 127ths of their range, in steps that together err by `rounding`, radians root
-/// mean square. Images of small coefficients need less precision and compress better.
+/// Images in steps that together err by `rounding`, radians root mean square, and the values
+/// that those stand for. Images of small coefficients need less precision: they take part of
+/// the range, and compress better.
 fn quantise(images: &Images, rounding: f32) -> DMatrix<i8> {
     let (texels, channels) = images.values.shape();
     let each = rounding * (12.0 / channels as f32).sqrt();
     let mut quantised = DMatrix::zeros(texels, channels);
     let pairs = quantised.column_iter_mut().zip(images.values.column_iter());
     for ((mut out, image), amplitude) in pairs.zip(&images.amplitudes) {
-        let largest = image.amax();
-        if largest > 0.0 {
-            let unit = largest / 127.0;
-            let step = (each / (amplitude * unit)).floor().clamp(1.0, MAX_STEP);
-            out.iter_mut().zip(&image).for_each(|(out, value)| {
-                *out = ((value / (unit * step)).round() * step).clamp(-127.0, 127.0) as i8;
-            });
+        let finest = image.amax() / 127.0;
+        if finest > 0.0 {
+            let step = (each / amplitude).clamp(finest, MAX_STEP * finest);
+            out.zip_apply(&image, |out, value| *out = (value / step).round() as i8);
         }
     }
     quantised
@@ -739,6 +763,7 @@ mod tests {
         // Beyond 8, the caps are as good as their images' eight bits: measured within 0.4 %.
         let falls = errors[..3].windows(2).all(|pair| pair[1] < pair[0]);
         let stays = errors[2..].windows(2).all(|pair| pair[1] < 1.005 * pair[0]);
+
         assert!(falls && stays, "{errors:?}");
     }
 

@@ -5,6 +5,7 @@
 //! next. What is held grows with neither vertices × texels nor threads.
 
 mod budget;
+mod layout;
 mod surface;
 
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
@@ -42,10 +43,10 @@ const RELATIVE_EDGE: f32 = 0.02;
 /// further only see larger errors.
 const NORMAL_MAP_TILT: f32 = 0.35;
 /// What the error aimed at, squared, is worth in bytes per vertex.
-const BYTES_PER_ERROR: f32 = 30.0;
+const BYTES_PER_ERROR: f32 = 20.0;
 /// Bytes that a texel of a basis image and a coefficient take in a file, about.
-const BASIS_BYTES: f32 = 0.4;
-const COEFFICIENT_BYTES: f32 = 1.5;
+const BASIS_BYTES: f32 = 0.28;
+const COEFFICIENT_BYTES: f32 = 0.8;
 /// Part of a cluster's squared error that a split is taken to take away at most.
 const SPLIT_GAIN: f32 = 0.75;
 /// A cluster of fewer vertices is not split further: its basis would outweigh it.
@@ -224,6 +225,8 @@ pub struct Bake<'a> {
     triangles: Vec<[u32; 3]>,
     origins: Vec<Vec3>,
     chunks: Vec<Vec<u32>>,
+    /// Of stored coordinates, metres.
+    position_step: f32,
     contours: ContourMesh,
     directions: Directions,
     transform: ssdf::Transform,
@@ -357,6 +360,7 @@ impl<'a> Bake<'a> {
             mesh,
             triangles,
             chunks,
+            position_step: layout::position_step(diagonal),
             contours,
             directions,
             transform,
@@ -938,12 +942,16 @@ impl Bake<'_> {
                 cluster: 0,
             }
         };
+        let triangles: Vec<_> = triangles.iter().map(triangle).collect();
+        let (triangles, order) = layout::walk(&triangles, vertices.len());
+        let vertex = |&column: &usize| {
+            let vertex = self.mesh.vertices[vertices[column] as usize];
+            layout::rounded(vertex, self.position_step)
+        };
         Cluster {
-            vertices: (vertices.iter())
-                .map(|&vertex| self.mesh.vertices[vertex as usize])
-                .collect(),
-            triangles: triangles.iter().map(triangle).collect(),
-            compressed,
+            vertices: order.iter().map(vertex).collect(),
+            triangles,
+            compressed: compressed.reordered(&order),
             errors,
         }
     }

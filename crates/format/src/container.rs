@@ -12,7 +12,7 @@ use crate::{Error, Issue};
 /// First eight bytes of every asset. The line feed catches text-mode transfers.
 pub const MAGIC: [u8; 8] = *b"RELIGHT\n";
 /// Format version this crate writes.
-pub const VERSION: u32 = 2;
+pub const VERSION: u32 = 3;
 
 const HEADER_LENGTH: usize = 24;
 const ENTRY_LENGTH: usize = 32;
@@ -53,13 +53,13 @@ impl Kind {
 pub enum SectionKind {
     /// bincode metadata.
     Metadata = 1,
-    /// [`crate::Vertex`] array.
+    /// [`crate::Vertex`] array, as differences from what neighbours predict.
     Vertices = 2,
-    /// [`crate::Triangle`] array.
+    /// [`crate::Triangle`] array, as distances between corners.
     Triangles = 3,
     /// [`crate::Cluster`] array.
     Clusters = 4,
-    /// 16-bit SSDF coefficients.
+    /// 16-bit SSDF coefficients, as differences from what neighbours predict.
     Coefficients = 5,
     /// 8-bit basis tiles, as differences from what neighbours predict.
     Basis = 6,
@@ -91,8 +91,8 @@ impl SectionKind {
 
 /// How much memory a reader may allocate for one asset.
 ///
-/// Arrays are decompressed in place, so the sum of raw lengths bounds them; textures are
-/// held twice while they are split. Decoded metadata takes a few times its raw length, and
+/// Arrays are decompressed in place, so the sum of raw lengths bounds them; those that hold
+/// differences, and textures, are held twice while they are decoded. Decoded metadata takes a few times its raw length, and
 /// decompression up to 8 MiB of window.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {

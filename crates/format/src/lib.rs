@@ -13,6 +13,7 @@
 mod container;
 mod environment;
 mod error;
+mod geometry;
 mod material;
 mod material_asset;
 mod prediction;

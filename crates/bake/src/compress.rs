@@ -763,7 +763,6 @@ mod tests {
         // Beyond 8, the caps are as good as their images' eight bits: measured within 0.4 %.
         let falls = errors[..3].windows(2).all(|pair| pair[1] < pair[0]);
         let stays = errors[2..].windows(2).all(|pair| pair[1] < 1.005 * pair[0]);
-
         assert!(falls && stays, "{errors:?}");
     }
 

@@ -136,7 +136,7 @@ impl Options {
         Self {
             aim: 0.0025,
             max_tiles: 6,
-            max_edge: 0.03,
+            max_edge: 0.06,
             refine_error: 0.01,
             ..Self::standard()
         }
@@ -309,8 +309,15 @@ impl<'a> Bake<'a> {
             warnings: input.warnings,
             ..Default::default()
         };
-        let mut mesh = refine::refine(input.mesh, max_edge, bound.max_vertices);
-        if bound.error.is_finite() {
+        let by_error = bound.error.is_finite();
+        // Of the vertices that may be added, half are kept for where shadows fall.
+        let even_vertices = if by_error {
+            usize::midpoint(input.mesh.vertices.len(), bound.max_vertices)
+        } else {
+            bound.max_vertices
+        };
+        let mut mesh = refine::refine(input.mesh, max_edge, even_vertices);
+        if by_error {
             mesh = refine::refine_wrong(mesh, &contours, bound, monitor)?;
         }
         for warning in mesh.warnings.drain(..) {

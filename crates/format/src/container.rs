@@ -92,8 +92,8 @@ impl SectionKind {
 /// How much memory a reader may allocate for one asset.
 ///
 /// Arrays are decompressed in place, so the sum of raw lengths bounds them; those that hold
-/// differences, and textures, are held twice while they are decoded. Decoded metadata takes a few times its raw length, and
-/// decompression up to 8 MiB of window.
+/// differences, and textures, are held twice while they are decoded. Decoded metadata takes
+/// a few times its raw length, and decompression up to 8 MiB of window.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
     /// Sum of the raw lengths of all sections, bytes. Default 4 GiB.

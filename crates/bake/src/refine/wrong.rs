@@ -3,6 +3,7 @@
 //! The SSDF in the middle of an edge is compared with the mean of those at its ends, which
 //! is what would be shaded there. What differs most is cut first.
 
+use std::cmp::Reverse;
 use std::collections::{HashMap, HashSet};
 
 use glam::Vec3;
@@ -53,6 +54,15 @@ struct Edge {
     normal: Vec3,
 }
 
+/// An edge that is to be cut.
+struct Wrong {
+    /// In terms of [`Bound::error`]; above zero.
+    error: f32,
+    vertices: [u32; 2],
+    /// The SSDF in its middle.
+    middle: Coarse,
+}
+
 /// Where visibility is sampled.
 #[derive(Clone, Copy)]
 struct Point {
@@ -79,6 +89,7 @@ pub fn refine(
     let sampler = Sampler::new(contours);
     let mut ssdfs: HashMap<u32, Coarse> = HashMap::new();
     let mut known: HashSet<[u32; 2]> = HashSet::new();
+    let mut wrong: Vec<Wrong> = Vec::new();
     for _ in 0..MAX_ROUNDS {
         let edges: Vec<Edge> = (edges(&mesh).into_iter())
             .filter(|edge| {
@@ -86,9 +97,6 @@ pub fn refine(
                 cut(a, b, bound.min_edge).is_some() && known.insert(edge.vertices)
             })
             .collect();
-        if edges.is_empty() {
-            break;
-        }
         sample_ends(&mesh, &edges, &mut ssdfs, &sampler, bound, monitor)?;
         let points: Vec<Point> = edges
             .iter()
@@ -102,39 +110,50 @@ pub fn refine(
             let edge = &edges[index];
             let ends = edge.vertices.map(|vertex| &ssdfs[&vertex]);
             let error = sampler.error(&middle, ends, normal) * (length(edge) / bound.edge);
-            (error > bound.error).then(|| (error, coarse(&middle)))
-        })?;
-        let mut wrong: Vec<(f32, Key, usize)> = (found.iter().enumerate())
-            .filter_map(|(index, found)| {
-                let (error, _) = found.as_ref()?;
-                let [a, b] = ends(&mesh, &edges[index]);
-                Some((*error, key(a, b), index))
+            (error > bound.error).then(|| Wrong {
+                error,
+                vertices: edge.vertices,
+                middle: coarse(&middle),
             })
-            .collect();
-        wrong.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)).then(a.2.cmp(&b.2)));
+        })?;
+        wrong.extend(found.into_iter().flatten());
+        let at = |edge: &Wrong| {
+            let [a, b] = edge.vertices.map(|vertex| position(&mesh, vertex));
+            key(a, b)
+        };
+        wrong.sort_by_cached_key(|edge| (Reverse(edge.error.to_bits()), at(edge), edge.vertices));
         let room = bound.max_vertices.saturating_sub(mesh.vertices.len());
-        let full = wrong.len() > room;
-        let chosen: HashSet<Key> = wrong.iter().take(room).map(|(_, key, _)| *key).collect();
+        if wrong.is_empty() || room == 0 {
+            break;
+        }
+        // With less room than edges, what the worst of them leave may be worse than the rest.
+        let count = if wrong.len() > room {
+            room.div_ceil(2)
+        } else {
+            wrong.len()
+        };
+        let chosen: HashSet<Key> = wrong[..count].iter().map(at).collect();
         let middles = divide(&mut mesh, |a, b| {
             chosen.contains(&key(a, b)).then(|| cut(a, b, 0.0))?
         });
-        for (edge, found) in edges.iter().zip(found) {
-            if let (Some(vertex), Some((_, ssdf))) = (middles.get(&edge.vertices), found) {
-                ssdfs.insert(*vertex, ssdf);
+        wrong.retain_mut(|edge| {
+            let vertex = middles.get(&edge.vertices);
+            if let Some(vertex) = vertex {
+                ssdfs.insert(*vertex, std::mem::take(&mut edge.middle));
             }
-        }
-        if full {
-            mesh.warnings.push(format!(
-                "refinement stopped at {} of at most {} vertices; {} edges are left that are \
-                 off by more than {} rad, at {} m",
-                mesh.vertices.len(),
-                bound.max_vertices,
-                wrong.len().saturating_sub(room),
-                bound.error,
-                bound.edge,
-            ));
-            break;
-        }
+            vertex.is_none()
+        });
+    }
+    if !wrong.is_empty() {
+        mesh.warnings.push(format!(
+            "refinement stopped at {} of at most {} vertices; {} edges are left that are off by \
+             more than {} rad, at {} m",
+            mesh.vertices.len(),
+            bound.max_vertices,
+            wrong.len(),
+            bound.error,
+            bound.edge,
+        ));
     }
     Ok(mesh)
 }

@@ -48,7 +48,8 @@ pub struct Settings {
     pub bake: Options,
 }
 
-/// What fits into so many bytes, with at most so many vertices, where shadows fall.
+/// What fits into so many bytes, with at most so many vertices, where shadows fall. A mesh of
+/// more may have half as many again.
 const TO_A_SIZE: &str = "clusters, refined, to a size";
 const SIZES: [(u64, usize); 2] = [(5_000_000, 50_000), (15_000_000, 200_000)];
 
@@ -170,9 +171,14 @@ fn measure(
 ) -> anyhow::Result<()> {
     let surfaces = [DIFFUSE, GLOSSY];
     let mut truths = Vec::new();
-    for (curve, setting, options) in curves(&settings.bake) {
+    for (curve, setting, mut options) in curves(&settings.bake) {
         let start = Instant::now();
         let mut input = scene_input::load(path)?;
+        // A bound below what the mesh has would leave nothing for shadows.
+        let imported = input.mesh.vertices.len();
+        if imported > options.max_vertices {
+            options.max_vertices = imported + imported / 2;
+        }
         // Bytes are those of visibility and geometry.
         input.mesh.textures.clear();
         put_on(&mut input.mesh.materials, &surfaces[0]);

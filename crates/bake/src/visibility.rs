@@ -101,10 +101,10 @@ impl Bitmap {
                 let links = rows.fold(0, |links, (row, bits)| {
                     links | (bits >> first & 0xf) << (SIDE * row)
                 });
-                for_bits(links, |link| {
+                for link in ones(links) {
                     let (x, y) = (link % SIDE, link / SIDE);
                     call(left + first + x, top + y % SIDE, y >= SIDE);
-                });
+                }
             }
         }
     }
@@ -134,18 +134,19 @@ impl Bitmap {
     }
 }
 
-/// Calls back with the number of each set bit.
+/// Numbers of the set bits.
 #[inline(always)]
-fn for_bits(mut word: u64, mut call: impl FnMut(usize)) {
-    while word != 0 {
-        call(word.trailing_zeros() as usize);
-        word &= word - 1;
-    }
+pub(crate) fn ones(mut word: u64) -> impl Iterator<Item = usize> {
+    std::iter::from_fn(move || {
+        let bit = (word != 0).then(|| word.trailing_zeros() as usize);
+        word &= word.wrapping_sub(1);
+        bit
+    })
 }
 
-/// A word of the lowest bits of 64 bytes.
+/// A word of the lowest bits of up to 64 bytes, a multiple of 8.
 #[inline(always)]
-pub(crate) fn pack_bits(bits: &[u8; 64]) -> u64 {
+pub(crate) fn pack_bits<const COUNT: usize>(bits: &[u8; COUNT]) -> u64 {
     let mut word = 0;
     for (byte, eight) in bits.as_chunks::<8>().0.iter().enumerate() {
         // Gathers the lowest bit of each byte into the top byte.

@@ -8,12 +8,11 @@ use glam::Vec3;
 use pulp::{Arch, Simd, WithSimd};
 
 use super::Contour;
+use super::batch::{Batch, LANES};
 use super::facing::{BLOCK, Edges, Facing, IrregularEdge, Sides, block_of};
 
 /// Numbers below this stand for triangles that face no point of the group, or every point.
 const KNOWN: usize = 2;
-/// Contours that are projected side by side.
-pub(super) const LANES: usize = 16;
 
 /// Contours of the points within a sphere.
 pub(super) struct Candidates {
@@ -22,7 +21,7 @@ pub(super) struct Candidates {
     /// Contours that every point sees.
     pub(super) sure: Vec<Contour>,
     /// The same, with the coordinates of their vertices.
-    sure_batches: Vec<Batch>,
+    sure_batches: Vec<Batch<3>>,
     /// Triangles that may face some points and others not, as in [`Facing`].
     planes: [Vec<f32>; 4],
     precise: Vec<[f64; 4]>,
@@ -36,37 +35,8 @@ pub(super) struct Candidates {
     in_plane: Vec<u32>,
     /// Contours that this point sees besides.
     found: Vec<Contour>,
-    found_batches: Vec<Batch>,
+    found_batches: Vec<Batch<3>>,
     sides: Sides,
-}
-
-/// Contours side by side, structure of arrays.
-pub(super) struct Batch {
-    /// Coordinates of both vertices.
-    pub(super) ends: [[[f32; LANES]; 3]; 2],
-    pub(super) steps: [i32; LANES],
-    /// Lanes in use.
-    pub(super) count: usize,
-}
-
-impl Batch {
-    fn gather(contours: &[Contour], positions: &[Vec3]) -> Self {
-        let mut batch = Self {
-            ends: [[[0.0; LANES]; 3]; 2],
-            steps: [0; LANES],
-            count: contours.len(),
-        };
-        for (lane, contour) in contours.iter().enumerate() {
-            batch.steps[lane] = contour.step;
-            for (end, vertex) in batch.ends.iter_mut().zip(contour.vertices) {
-                let p = positions[vertex as usize];
-                end[0][lane] = p.x;
-                end[1][lane] = p.y;
-                end[2][lane] = p.z;
-            }
-        }
-        batch
-    }
 }
 
 impl Default for Candidates {
@@ -104,10 +74,7 @@ impl Candidates {
         let mut sides = std::mem::take(&mut self.sides);
         facing.find_candidates(self.centre, self.radius, &mut sides, self);
         self.sides = sides;
-        self.sure_batches.clear();
-        let batches = self.sure.chunks(LANES);
-        self.sure_batches
-            .extend(batches.map(|contours| Batch::gather(contours, positions)));
+        gather(&self.sure, positions, &mut self.sure_batches);
     }
 
     /// Whether these are the contours of `eye` among others.
@@ -166,15 +133,12 @@ impl Candidates {
         let irregular = self.irregular.iter();
         self.found
             .extend(irregular.filter_map(|edge| edge.contour(face)));
-        self.found_batches.clear();
-        let batches = self.found.chunks(LANES);
-        self.found_batches
-            .extend(batches.map(|contours| Batch::gather(contours, positions)));
+        gather(&self.found, positions, &mut self.found_batches);
         self.touches(positions, eye, 4.0 * facing.rounding_at(eye))
     }
 
     /// The contours of the point looked at last.
-    pub(super) fn contours(&self) -> impl Iterator<Item = &Batch> {
+    pub(super) fn contours(&self) -> impl Iterator<Item = &Batch<3>> {
         self.sure_batches.iter().chain(&self.found_batches)
     }
 
@@ -213,6 +177,21 @@ impl Candidates {
             }
         }
     }
+}
+
+fn gather(contours: &[Contour], positions: &[Vec3], batches: &mut Vec<Batch<3>>) {
+    batches.clear();
+    batches.extend(contours.chunks(LANES).map(|contours| {
+        let mut batch = Batch::EMPTY;
+        batch.count = contours.len();
+        for (lane, contour) in contours.iter().enumerate() {
+            let [a, b] = contour
+                .vertices
+                .map(|vertex| positions[vertex as usize].into());
+            batch.set(lane, [a, b], contour.step);
+        }
+        batch
+    }));
 }
 
 /// The vectorised body of [`Candidates::look`].

@@ -3,27 +3,17 @@
 
 use pulp::{Arch, Simd, WithSimd};
 
-use super::layers::{CLEARANCE, Point};
+use super::batch::{Batch, CLEARANCE, LANES, Lines, whole};
 use crate::ssdf::Crossings;
-use crate::visibility::Bitmap;
+use crate::visibility::{Bitmap, ones, pack_bits};
 
 /// How many texels a short segment reaches from its middle to the first texel of a link that
 /// it crosses, at most: one to either side, and a link begins before it.
 const MARGIN: usize = 2;
 
-/// Segments that are chosen from together; at most 256, a power of two.
-const CHUNK: usize = 128;
-/// Segments that are looked at side by side.
-const LANES: usize = 16;
-
 /// Finds the crossings of contours, given in texels of a map of `n` to a side, that
 /// `visible` shows.
-pub(super) fn locate(
-    segments: &[[Point; 2]],
-    visible: &Bitmap,
-    n: usize,
-    crossings: &mut Crossings,
-) {
+pub(super) fn locate(segments: &[Batch<2>], visible: &Bitmap, n: usize, crossings: &mut Crossings) {
     let positions = &mut crossings.positions;
     positions.resize(2 * n * n, f32::NAN);
     let mut near = Near::new(n);
@@ -44,7 +34,7 @@ pub(super) fn locate(
 
 /// The vectorised part of [`locate`].
 struct Locate<'a> {
-    segments: &'a [[Point; 2]],
+    segments: &'a [Batch<2>],
     near: &'a Near,
     links: Links<'a>,
 }
@@ -59,98 +49,15 @@ impl WithSimd for Locate<'_> {
             near,
             mut links,
         } = self;
-        let mut found = [0; CHUNK];
-        for segments in segments.chunks(CHUNK) {
-            // Collected without a branch, which would often be guessed wrong.
-            let mut count = 0;
-            for (index, [a, b]) in segments.iter().enumerate() {
-                let reach = (a[0] - b[0]).abs().max((a[1] - b[1]).abs());
-                let middle = [0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1])];
-                found[count % CHUNK] = index as u8;
-                count += usize::from((reach >= 2.0) | near.at(middle));
-            }
-            for found in found[..count].chunks(LANES) {
-                let mut lanes = [[[0.0; LANES]; 2]; 2];
-                for (lane, index) in found.iter().enumerate() {
-                    let [a, b] = segments[usize::from(*index)];
-                    (lanes[0][0][lane], lanes[0][1][lane]) = (a[0], a[1]);
-                    (lanes[1][0][lane], lanes[1][1][lane]) = (b[0], b[1]);
-                }
-                for axis in [0, 1] {
-                    let lines = Lines::new(&lanes, axis, links.n);
-                    for lane in 0..found.len() {
-                        for line in lines.first[lane]..lines.past[lane] {
-                            links.cross(axis, line as usize, lines.at(lane, line));
-                        }
-                    }
-                }
+        let mut chosen = Vec::new();
+        for batch in segments {
+            for lane in ones(near.to(batch)) {
+                Batch::append(&mut chosen, batch.lane(lane), 0);
             }
         }
-    }
-}
-
-/// Where segments side by side cross the lines of texel centres: columns or rows.
-struct Lines {
-    first: [i32; LANES],
-    past: [i32; LANES],
-    /// An end's coordinates, across the lines and along them.
-    end: [[f32; LANES]; 2],
-    slope: [f32; LANES],
-    /// Bounds along the lines.
-    low: [f32; LANES],
-    high: [f32; LANES],
-}
-
-impl Lines {
-    #[inline(always)]
-    fn new(ends: &[[[f32; LANES]; 2]; 2], axis: usize, n: usize) -> Self {
-        let mut lines = Self {
-            first: [0; LANES],
-            past: [0; LANES],
-            end: [[0.0; LANES]; 2],
-            slope: [0.0; LANES],
-            low: [0.0; LANES],
-            high: [0.0; LANES],
-        };
-        let [[a, other_a], [b, other_b]] = [0, 1].map(|end| [ends[end][axis], ends[end][1 - axis]]);
-        for lane in 0..LANES {
-            let (a, other_a) = (a[lane], other_a[lane]);
-            let (b, other_b) = (b[lane], other_b[lane]);
-            let swap = a > b;
-            let (p, other_p) = if swap { (b, other_b) } else { (a, other_a) };
-            let (q, other_q) = if swap { (a, other_a) } else { (b, other_b) };
-            let first = (p - CLEARANCE).ceil() as i32;
-            let past = (q + CLEARANCE + 1.0) as i32;
-            let length = q - p;
-            let slope = (other_q - other_p) / if length > 1e-12 { length } else { 1e-12 };
-            let (low, high) = if other_p < other_q {
-                (other_p, other_q)
-            } else {
-                (other_q, other_p)
-            };
-            // What is not finite crosses nothing.
-            let finite = (p + q + low + high).abs() < f32::INFINITY;
-            lines.first[lane] = if first > 0 { first } else { 0 };
-            lines.past[lane] = if !finite {
-                0
-            } else if past < n as i32 {
-                past
-            } else {
-                n as i32
-            };
-            (lines.end[0][lane], lines.end[1][lane]) = (p, other_p);
-            lines.slope[lane] = slope;
-            lines.low[lane] = low;
-            lines.high[lane] = high;
+        for batch in &chosen {
+            links.cross(batch);
         }
-        lines
-    }
-
-    #[inline(always)]
-    fn at(&self, lane: usize, line: i32) -> f32 {
-        let across = line as f32 - self.end[0][lane];
-        let at = self.end[1][lane] + across * self.slope[lane];
-        at.clamp(self.low[lane], self.high[lane])
     }
 }
 
@@ -158,8 +65,8 @@ impl Lines {
 /// far from all of them.
 struct Near {
     stride: usize,
-    /// With a margin on all sides.
-    texels: Vec<bool>,
+    /// 1 for those, 0 for others; with a margin on all sides.
+    texels: Vec<u8>,
 }
 
 impl Near {
@@ -167,7 +74,7 @@ impl Near {
         let stride = n + 2 * MARGIN;
         Self {
             stride,
-            texels: vec![false; stride * stride],
+            texels: vec![0; stride * stride],
         }
     }
 
@@ -176,17 +83,27 @@ impl Near {
     fn mark(&mut self, x: usize, y: usize) {
         for row in y..=y + 2 * MARGIN {
             self.texels[row * self.stride + x..][..=2 * MARGIN]
-                .copy_from_slice(&[true; 2 * MARGIN + 1]);
+                .copy_from_slice(&[1; 2 * MARGIN + 1]);
         }
     }
 
+    /// Lanes of long segments and of those whose middle is near.
     #[inline(always)]
-    fn at(&self, [x, y]: Point) -> bool {
-        // Coordinates are above −1, and casts round towards zero.
-        let [x, y] = [x, y].map(|x| (x + MARGIN as f32) as i32 as usize);
-        self.texels
-            .get(y * self.stride + x)
-            .is_some_and(|near| *near)
+    fn to(&self, batch: &Batch<2>) -> u64 {
+        let [a, b] = &batch.ends;
+        let (mut texels, mut wanted) = ([0; LANES], [0; LANES]);
+        for lane in 0..LANES {
+            // Coordinates are above −1.
+            let middle = |axis: usize| 0.5 * (a[axis][lane] + b[axis][lane]) + MARGIN as f32;
+            texels[lane] = whole(middle(1).floor() * self.stride as f32 + middle(0).floor());
+            let long = |axis: usize| (a[axis][lane] - b[axis][lane]).abs() >= 2.0;
+            wanted[lane] = u8::from(long(0) || long(1));
+        }
+        for lane in 0..LANES {
+            let near = self.texels.get(texels[lane] as usize);
+            wanted[lane] |= near.copied().unwrap_or(0);
+        }
+        pack_bits(&wanted) & batch.lanes()
     }
 }
 
@@ -197,39 +114,57 @@ struct Links<'a> {
 }
 
 impl Links<'_> {
-    /// A contour crosses a line of texel centres: column `line` if `axis` is 0, else row
-    /// `line`. Of a link's crossings the one next to its visible end counts: there the first
-    /// layer begins.
     #[inline(always)]
-    fn cross(&mut self, axis: usize, line: usize, at: f32) {
-        // Right at a texel's centre it belongs to the links on both sides. Coordinates are
-        // above −1, and casts round towards zero.
-        let low = (at + 1.0 - CLEARANCE) as i32 as usize;
-        let high = (at + 1.0 + CLEARANCE) as i32 as usize;
-        self.add(axis, line, low, at);
-        if high != low {
-            self.add(axis, line, high, at);
+    fn cross(&mut self, segments: &Batch<2>) {
+        for axis in [0, 1] {
+            let mut lines = Lines::new(segments, axis, self.n);
+            while lines.crossing != 0 {
+                self.cross_lines(axis, &lines);
+                lines.advance();
+            }
         }
     }
 
-    /// Adds a crossing to the link before texel `past` of a line.
+    /// Adds crossings of columns if `axis` is 0, else of rows.
     #[inline(always)]
-    fn add(&mut self, axis: usize, line: usize, past: usize, at: f32) {
-        let n = self.n;
-        if past == 0 || past >= n {
-            return;
+    fn cross_lines(&mut self, axis: usize, lines: &Lines) {
+        let n = self.n as f32;
+        let (along, across) = if axis == 0 { (n, 1.0) } else { (1.0, n) };
+        let at = lines.at();
+        let (mut texels, mut positions) = ([0; LANES], [0.0; LANES]);
+        let (mut within, mut also_next) = ([0; LANES], [0; LANES]);
+        for lane in 0..LANES {
+            let start = (at[lane] - CLEARANCE).floor();
+            let next = (at[lane] + CLEARANCE).floor();
+            texels[lane] = whole(start.max(0.0) * along + lines.line[lane] * across);
+            positions[lane] = at[lane] - start;
+            within[lane] = u8::from(start >= 0.0) & u8::from(start < n - 1.0);
+            also_next[lane] = u8::from(start != next) & u8::from(next < n - 1.0);
         }
-        let start = past - 1;
-        let (texel, next, index) = if axis == 0 {
-            let texel = start * n + line;
-            (texel, texel + n, n * n + texel)
+        for lane in ones(lines.crossing & pack_bits(&within)) {
+            self.add(axis, texels[lane] as usize, positions[lane].min(1.0));
+        }
+        // Right at a texel's centre it belongs to the links on both sides.
+        for lane in ones(lines.crossing & pack_bits(&also_next)) {
+            let start = at[lane].round();
+            let texel = start * along + lines.line[lane] * across;
+            self.add(axis, texel as usize, (at[lane] - start).max(0.0));
+        }
+    }
+
+    /// Adds a crossing of the link from a texel to the one below if `axis` is 0, else to its
+    /// right. Of a link's crossings the one next to its visible end counts: there the first
+    /// layer begins.
+    #[inline(always)]
+    fn add(&mut self, axis: usize, texel: usize, position: f32) {
+        let n = self.n;
+        let (next, index) = if axis == 0 {
+            (texel + n, n * n + texel)
         } else {
-            let texel = line * n + start;
-            (texel, texel + 1, texel)
+            (texel + 1, texel)
         };
         let first = self.visible.get(texel);
         let differ = first != self.visible.get(next);
-        let position = (at - start as f32).clamp(0.0, 1.0);
         let nearest = &mut self.positions[index];
         // Either takes the other operand where nothing was found yet. Whether texels differ
         // is as good as random: no branch depends on it.

@@ -10,14 +10,10 @@
 use glam::Vec3;
 use pulp::{Arch, Simd, WithSimd};
 
-use super::candidates::{Batch, LANES};
-use crate::visibility::Bitmap;
+use super::batch::{Batch, CLEARANCE, LANES, Lines, whole};
+use crate::visibility::{Bitmap, ones, pack_bits};
 
-/// Distance from a segment within which a texel centre is uncertain, in texels: several
-/// times the rounding of projected segments and of the texels' directions.
-pub(super) const CLEARANCE: f32 = 2.5e-4;
-
-pub(super) type Point = [f32; 2];
+type Point = [f32; 2];
 
 /// Sums of steps, and the layers that they lead to.
 pub(super) struct Layers {
@@ -31,9 +27,9 @@ pub(super) struct Layers {
     totals: Vec<i32>,
     /// Texels that need a ray of their own; some may be named twice.
     uncertain: Vec<u32>,
-    /// Contours in texels, cut at the borders of octants; none that passes between all lines
-    /// of texel centres.
-    segments: Vec<[Point; 2]>,
+    /// Contours in texels, cut at the borders of octants, but for those that pass between all
+    /// lines of texel centres.
+    segments: Vec<Batch<2>>,
     /// Whether some contour could not be projected.
     broken: bool,
 }
@@ -57,12 +53,12 @@ impl Layers {
     }
 
     /// Contours of the last count, in texels.
-    pub(super) fn segments(&self) -> &[[Point; 2]] {
+    pub(super) fn segments(&self) -> &[Batch<2>] {
         &self.segments
     }
 
     /// Sums the steps of all contours, seen from `eye`.
-    pub(super) fn count<'a>(&mut self, eye: Vec3, contours: impl Iterator<Item = &'a Batch>) {
+    pub(super) fn count<'a>(&mut self, eye: Vec3, contours: impl Iterator<Item = &'a Batch<3>>) {
         self.steps.fill(0);
         self.first_row.fill(0);
         self.uncertain.clear();
@@ -135,53 +131,52 @@ impl Layers {
         true
     }
 
-    /// Adds a piece of an edge within one octant.
+    /// Adds segments' steps.
     #[inline(always)]
-    fn add_segment(&mut self, a: Point, b: Point, step: i32) {
-        if !(a[0] + a[1] + b[0] + b[1]).is_finite() {
-            // The edge ends at the eye.
-            self.broken = true;
-            return;
-        }
+    fn add(&mut self, segments: &Batch<2>) {
         let n = self.n;
-        // To the left of a segment of growing x lies growing y.
-        let (p, q, down) = if a[0] <= b[0] {
-            (a, b, step)
-        } else {
-            (b, a, -step)
-        };
-        let first = first_from(p[0] - CLEARANCE);
-        let last = (q[0] + CLEARANCE + 1.0) as usize;
-        let slope = (q[1] - p[1]) / (q[0] - p[0]).max(1e-12);
-        let reach = CLEARANCE + CLEARANCE * slope.abs();
-        let low = p[1].min(q[1]) - CLEARANCE;
-        let high = p[1].max(q[1]) + CLEARANCE;
-        for column in first..last.min(n) {
-            let line = column as f32;
-            let at = p[1] + (line - p[0]) * slope;
-            let near = first_from((at - reach).clamp(low, high));
-            // One past the last row within reach.
-            let past = ((at + reach).clamp(low, high) + 1.0) as usize;
-            for row in near..past.min(n) {
-                self.uncertain.push((row * n + column) as u32);
+        let mut columns = Lines::new(segments, 0, n);
+        // Some edge ends at the eye.
+        self.broken |= columns.finite != segments.lanes();
+        while columns.crossing != 0 {
+            let at = columns.at();
+            let (mut steps, mut close) = ([0; LANES], [0; LANES]);
+            for lane in 0..LANES {
+                let link = if at[lane] > 0.0 { at[lane].ceil() } else { 0.0 };
+                steps[lane] = whole(link * n as f32 + columns.line[lane]);
+                let (before, reach) = (link - at[lane], reach(columns.slope[lane]));
+                close[lane] = u8::from(before <= reach) | u8::from(1.0 - before <= reach);
             }
-            if p[0] <= line && line < q[0] {
-                let link = first_from(at.clamp(low, high));
-                self.steps[link.min(n) * n + column] += down;
+            for lane in ones(columns.crossing & pack_bits(&close)) {
+                let (at, reach) = (at[lane], reach(columns.slope[lane]));
+                let low = columns.low[lane] - CLEARANCE;
+                let high = columns.high[lane] + CLEARANCE;
+                // One past the last row within reach.
+                let past = ((at + reach).min(high) + 1.0) as usize;
+                for row in first_from((at - reach).max(low))..past.min(n) {
+                    let texel = row * n + columns.line[lane] as usize;
+                    self.uncertain.push(texel as u32);
+                }
             }
+            for lane in ones(columns.separating()) {
+                self.steps[steps[lane] as usize] += columns.steps[lane];
+            }
+            columns.advance();
         }
-        // To the right of a segment of growing y lies growing x.
-        let (p, q, along) = if a[1] <= b[1] {
-            (a, b, -step)
-        } else {
-            (b, a, step)
-        };
-        if p[1] <= 0.0 && 0.0 < q[1] {
-            let at = p[0] - p[1] * (q[0] - p[0]) / (q[1] - p[1]);
-            let link = first_from(at);
-            self.first_row[link.min(n)] += along;
+        let first_row = Lines::new(segments, 1, 1);
+        let at = first_row.at();
+        for lane in ones(first_row.separating()) {
+            // Layers to the left of growing y are those of smaller x.
+            self.first_row[first_from(at[lane]).min(n)] -= first_row.steps[lane];
         }
     }
+}
+
+/// How far along a column a texel centre may be from where a segment of this slope crosses
+/// it, to be uncertain.
+#[inline(always)]
+fn reach(slope: f32) -> f32 {
+    CLEARANCE + CLEARANCE * slope.abs()
 }
 
 /// Calls back with the straight segments that an edge, relative to the eye, maps to: one
@@ -194,24 +189,23 @@ fn for_pieces(from: Vec3, to: Vec3, half: f32, mut call: impl FnMut(Point, Point
         return;
     }
     // Cut at the coordinate planes.
-    let mut cuts = [(1.0, 3); 4];
-    for axis in 0..3 {
+    let mut cuts = [1.0; 3];
+    for (axis, cut) in cuts.iter_mut().enumerate() {
         let (a, b) = (from[axis], to[axis]);
         if (a < 0.0) != (b < 0.0) {
-            cuts[axis] = (a / (a - b), axis);
+            *cut = a / (a - b);
         }
     }
-    cuts.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
     let (mut start, mut done) = (from, 0.0);
-    for (cut, axis) in cuts {
-        if cut <= done {
-            continue;
-        }
-        let mut end = to;
-        if cut < 1.0 {
-            end = from.lerp(to, cut);
-            // Exactly on the plane, so that the pieces on both sides meet.
-            end[axis] = 0.0;
+    while done < 1.0 {
+        let (mut end, mut cut) = (to, 1.0);
+        for axis in 0..3 {
+            if done < cuts[axis] && cuts[axis] < cut {
+                cut = cuts[axis];
+                end = from.lerp(to, cut);
+                // Exactly on the plane, so that the pieces on both sides meet.
+                end[axis] = 0.0;
+            }
         }
         let middle = start + end;
         let sign = Vec3::ONE.copysign(middle);
@@ -276,7 +270,7 @@ struct Count<'a, I> {
     contours: I,
 }
 
-impl<'a, I: Iterator<Item = &'a Batch>> WithSimd for Count<'_, I> {
+impl<'a, I: Iterator<Item = &'a Batch<3>>> WithSimd for Count<'_, I> {
     type Output = ();
 
     #[inline(always)]
@@ -289,18 +283,9 @@ impl<'a, I: Iterator<Item = &'a Batch>> WithSimd for Count<'_, I> {
         let half = layers.n as f32 * 0.5;
         for batch in contours {
             let edges = Edges::project(batch, eye, half);
-            let (counted, crossing) = edges.cross_lines();
-            for lane in 0..batch.count {
-                if !crossing[lane] {
-                    continue;
-                }
+            for lane in ones(edges.cross_lines()) {
                 let step = batch.steps[lane];
-                let mut add = |a, b| {
-                    layers.segments.push([a, b]);
-                    if counted[lane] {
-                        layers.add_segment(a, b, step);
-                    }
-                };
+                let mut add = |a, b| Batch::append(&mut layers.segments, [a, b], step);
                 if let Some([a, b]) = edges.segment(lane) {
                     add(a, b);
                 } else {
@@ -309,6 +294,11 @@ impl<'a, I: Iterator<Item = &'a Batch>> WithSimd for Count<'_, I> {
                 }
             }
         }
+        let segments = std::mem::take(&mut layers.segments);
+        for batch in &segments {
+            layers.add(batch);
+        }
+        layers.segments = segments;
     }
 }
 
@@ -318,15 +308,18 @@ struct Edges {
     ends: [[[f32; LANES]; 3]; 2],
     points: [[[f32; LANES]; 2]; 2],
     octants: [[u8; LANES]; 2],
+    /// Those in use.
+    lanes: u64,
 }
 
 impl Edges {
     #[inline(always)]
-    fn project(batch: &Batch, eye: Vec3, half: f32) -> Self {
+    fn project(batch: &Batch<3>, eye: Vec3, half: f32) -> Self {
         let mut edges = Self {
             ends: [[[0.0; LANES]; 3]; 2],
             points: [[[0.0; LANES]; 2]; 2],
             octants: [[0; LANES]; 2],
+            lanes: batch.lanes(),
         };
         for i in 0..2 {
             let vertices = &batch.ends[i];
@@ -363,21 +356,19 @@ impl Edges {
         within.then_some([[u0[lane], v0[lane]], [u1[lane], v1[lane]]])
     }
 
-    /// Which edges come near a line that steps are summed on, and which near any line of
-    /// texel centres.
+    /// Lanes of edges that come near a line of texel centres.
     #[inline(always)]
-    fn cross_lines(&self) -> ([bool; LANES], [bool; LANES]) {
-        let (mut counted, mut crossing) = ([true; LANES], [true; LANES]);
+    fn cross_lines(&self) -> u64 {
+        let mut crossing = [0; LANES];
         let [[u0, v0], [u1, v1]] = &self.points;
         let [from, to] = &self.octants;
         for lane in 0..LANES {
             // Written so that NaN crosses.
-            let between = between_lines(u0[lane], u1[lane]) && from[lane] == to[lane];
-            let below = v0[lane] > CLEARANCE && v1[lane] > CLEARANCE;
-            counted[lane] = !(between && below);
-            crossing[lane] = !(between && below && between_lines(v0[lane], v1[lane]));
+            let between = between_lines(u0[lane], u1[lane]) && between_lines(v0[lane], v1[lane]);
+            let within = from[lane] == to[lane];
+            crossing[lane] = u8::from(!(between && within));
         }
-        (counted, crossing)
+        pack_bits(&crossing) & self.lanes
     }
 }
 

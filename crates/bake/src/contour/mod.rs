@@ -14,6 +14,7 @@
 //! their own, and sums around the map, which must vanish, are checked: where they do not,
 //! rays are cast, as they are from a point that lies on another surface.
 
+mod batch;
 mod candidates;
 mod crossings;
 mod facing;

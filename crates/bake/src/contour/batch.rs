@@ -1,0 +1,200 @@
+//! Contours side by side, and where they cross the lines of texel centres.
+
+use crate::visibility::pack_bits;
+
+/// Contours that are looked at side by side.
+pub(super) const LANES: usize = 16;
+/// Distance from a segment within which a texel centre is uncertain, in texels: several
+/// times the rounding of projected segments and of the texels' directions.
+pub(super) const CLEARANCE: f32 = 2.5e-4;
+
+/// Contours side by side, structure of arrays: in space, or projected to the map.
+pub(super) struct Batch<const AXES: usize> {
+    /// Coordinates of both ends.
+    pub(super) ends: [[[f32; LANES]; AXES]; 2],
+    pub(super) steps: [i32; LANES],
+    /// Lanes in use.
+    pub(super) count: usize,
+}
+
+impl<const AXES: usize> Batch<AXES> {
+    pub(super) const EMPTY: Self = Self {
+        ends: [[[0.0; LANES]; AXES]; 2],
+        steps: [0; LANES],
+        count: 0,
+    };
+
+    /// Adds a contour to the last of `batches`, or to a new one.
+    #[inline(always)]
+    pub(super) fn append(batches: &mut Vec<Self>, ends: [[f32; AXES]; 2], step: i32) {
+        if batches.last().is_none_or(|batch| batch.count == LANES) {
+            batches.push(Self::EMPTY);
+        }
+        if let Some(batch) = batches.last_mut() {
+            batch.set(batch.count % LANES, ends, step);
+            batch.count += 1;
+        }
+    }
+
+    #[inline(always)]
+    pub(super) fn set(&mut self, lane: usize, ends: [[f32; AXES]; 2], step: i32) {
+        for (all, end) in self.ends.iter_mut().zip(ends) {
+            for (axis, coordinate) in all.iter_mut().zip(end) {
+                axis[lane] = coordinate;
+            }
+        }
+        self.steps[lane] = step;
+    }
+
+    /// Lanes in use.
+    #[inline(always)]
+    pub(super) fn lanes(&self) -> u64 {
+        (1 << self.count) - 1
+    }
+
+    /// Coordinates of the ends of one contour.
+    #[inline(always)]
+    pub(super) fn lane(&self, lane: usize) -> [[f32; AXES]; 2] {
+        let mut ends = [[0.0; AXES]; 2];
+        for (end, all) in ends.iter_mut().zip(&self.ends) {
+            for (coordinate, axis) in end.iter_mut().zip(all) {
+                *coordinate = axis[lane];
+            }
+        }
+        ends
+    }
+}
+
+/// A whole number from 0 to below 2²³; of others, any. Casts, which saturate, do not vectorise.
+#[inline(always)]
+pub(super) fn whole(x: f32) -> u32 {
+    const ONES: f32 = (1 << 23) as f32;
+    (x + ONES).to_bits().wrapping_sub(ONES.to_bits())
+}
+
+/// Where segments side by side cross the lines of texel centres: columns or rows. All go
+/// from line to line at once. A segment begins where its coordinate across the lines is
+/// least.
+pub(super) struct Lines {
+    /// Lanes that come near to the line that they are at.
+    pub(super) crossing: u64,
+    /// Lanes of segments with finite ends.
+    pub(super) finite: u64,
+    /// The line that a segment is at, and one past its last.
+    pub(super) line: [f32; LANES],
+    past: [f32; LANES],
+    /// Coordinates across the lines.
+    from: [f32; LANES],
+    to: [f32; LANES],
+    /// Where a segment begins, along the lines.
+    start: [f32; LANES],
+    pub(super) slope: [f32; LANES],
+    /// Bounds along the lines.
+    pub(super) low: [f32; LANES],
+    pub(super) high: [f32; LANES],
+    /// Layers to the side of growing coordinates along the lines, less those to the other, for
+    /// columns; its opposite for rows.
+    pub(super) steps: [i32; LANES],
+}
+
+impl Lines {
+    /// Of the first `count` lines across `axis`.
+    #[inline(always)]
+    pub(super) fn new(batch: &Batch<2>, axis: usize, count: usize) -> Self {
+        let mut lines = Self {
+            crossing: 0,
+            finite: 0,
+            line: [0.0; LANES],
+            past: [0.0; LANES],
+            from: [0.0; LANES],
+            to: [0.0; LANES],
+            start: [0.0; LANES],
+            slope: [0.0; LANES],
+            low: [0.0; LANES],
+            high: [0.0; LANES],
+            steps: [0; LANES],
+        };
+        let count = count as f32;
+        let mut finite = [0; LANES];
+        let ends = batch.ends.each_ref();
+        let [[a, other_a], [b, other_b]] = ends.map(|end| [&end[axis], &end[1 - axis]]);
+        for lane in 0..LANES {
+            let (a, other_a) = (a[lane], other_a[lane]);
+            let (b, other_b) = (b[lane], other_b[lane]);
+            let swap = a > b;
+            let (p, other_p) = if swap { (b, other_b) } else { (a, other_a) };
+            let (q, other_q) = if swap { (a, other_a) } else { (b, other_b) };
+            let first = (p - CLEARANCE).ceil();
+            let past = (q + CLEARANCE).floor() + 1.0;
+            lines.line[lane] = if first > 0.0 { first } else { 0.0 };
+            lines.past[lane] = if past < count { past } else { count };
+            let length = q - p;
+            let slope = (other_q - other_p) / if length > 1e-12 { length } else { 1e-12 };
+            let (low, high) = if other_p < other_q {
+                (other_p, other_q)
+            } else {
+                (other_q, other_p)
+            };
+            finite[lane] = u8::from((p + q + low + high).abs() < f32::INFINITY);
+            (lines.from[lane], lines.to[lane]) = (p, q);
+            lines.start[lane] = other_p;
+            lines.slope[lane] = slope;
+            (lines.low[lane], lines.high[lane]) = (low, high);
+            let step = batch.steps[lane];
+            lines.steps[lane] = if swap { -step } else { step };
+        }
+        lines.finite = pack_bits(&finite) & batch.lanes();
+        lines.find_crossing();
+        lines
+    }
+
+    #[inline(always)]
+    fn find_crossing(&mut self) {
+        let mut crossing = [0; LANES];
+        for lane in 0..LANES {
+            crossing[lane] = u8::from(self.line[lane] < self.past[lane]);
+        }
+        // What is not finite crosses nothing.
+        self.crossing = pack_bits(&crossing) & self.finite;
+    }
+
+    /// Takes every segment to its next line.
+    #[inline(always)]
+    pub(super) fn advance(&mut self) {
+        self.line.iter_mut().for_each(|line| *line += 1.0);
+        self.find_crossing();
+    }
+
+    /// Where segments cross their lines.
+    #[inline(always)]
+    pub(super) fn at(&self) -> [f32; LANES] {
+        let mut result = [0.0; LANES];
+        for lane in 0..LANES {
+            let across = self.line[lane] - self.from[lane];
+            let at = self.start[lane] + across * self.slope[lane];
+            let at = if at < self.low[lane] {
+                self.low[lane]
+            } else {
+                at
+            };
+            let at = if at > self.high[lane] {
+                self.high[lane]
+            } else {
+                at
+            };
+            result[lane] = at;
+        }
+        result
+    }
+
+    /// Lanes whose line passes between the segment's ends, not only near one.
+    #[inline(always)]
+    pub(super) fn separating(&self) -> u64 {
+        let mut separating = [0; LANES];
+        for lane in 0..LANES {
+            let line = self.line[lane];
+            separating[lane] = u8::from(self.from[lane] <= line) & u8::from(line < self.to[lane]);
+        }
+        self.crossing & pack_bits(&separating)
+    }
+}

@@ -151,8 +151,8 @@ impl Lines {
     #[inline(always)]
     fn find_crossing(&mut self) {
         let mut crossing = [0; LANES];
-        for lane in 0..LANES {
-            crossing[lane] = u8::from(self.line[lane] < self.past[lane]);
+        for (lane, crossing) in crossing.iter_mut().enumerate() {
+            *crossing = u8::from(self.line[lane] < self.past[lane]);
         }
         // What is not finite crosses nothing.
         self.crossing = pack_bits(&crossing) & self.finite;
@@ -169,7 +169,7 @@ impl Lines {
     #[inline(always)]
     pub(super) fn at(&self) -> [f32; LANES] {
         let mut result = [0.0; LANES];
-        for lane in 0..LANES {
+        for (lane, result) in result.iter_mut().enumerate() {
             let across = self.line[lane] - self.from[lane];
             let at = self.start[lane] + across * self.slope[lane];
             let at = if at < self.low[lane] {
@@ -182,7 +182,7 @@ impl Lines {
             } else {
                 at
             };
-            result[lane] = at;
+            *result = at;
         }
         result
     }
@@ -191,9 +191,9 @@ impl Lines {
     #[inline(always)]
     pub(super) fn separating(&self) -> u64 {
         let mut separating = [0; LANES];
-        for lane in 0..LANES {
+        for (lane, separating) in separating.iter_mut().enumerate() {
             let line = self.line[lane];
-            separating[lane] = u8::from(self.from[lane] <= line) & u8::from(line < self.to[lane]);
+            *separating = u8::from(self.from[lane] <= line) & u8::from(line < self.to[lane]);
         }
         self.crossing & pack_bits(&separating)
     }

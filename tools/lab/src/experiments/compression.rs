@@ -49,7 +49,7 @@ pub struct Settings {
 }
 
 /// What fits into so many bytes, with at most so many vertices, where shadows fall. A mesh of
-/// more may have half as many again.
+/// more may have a quarter as many again.
 const TO_A_SIZE: &str = "clusters, refined, to a size";
 const SIZES: [(u64, usize); 2] = [(5_000_000, 50_000), (15_000_000, 200_000)];
 
@@ -177,7 +177,7 @@ fn measure(
         // A bound below what the mesh has would leave nothing for shadows.
         let imported = input.mesh.vertices.len();
         if imported > options.max_vertices {
-            options.max_vertices = imported + imported / 2;
+            options.max_vertices = imported + imported / 4;
         }
         // Bytes are those of visibility and geometry.
         input.mesh.textures.clear();

@@ -2,20 +2,55 @@
 
 use glam::Vec3;
 
+/// How far a quarter turn of the normal counts, in extents of the scene, if at all.
+const NORMAL_WEIGHT: f32 = 0.25;
+/// Most vertices that groups of similar normals may store, in those of groups by place alone.
+const SCATTERED: f32 = 1.03;
+
 /// Splits the triangles into compact groups whose vertices number at most `max_vertices` (or
 /// that hold one triangle), by recursive median cuts along the axis of largest spread.
 /// Groups come in spatial order; triangles within a group keep their order.
 ///
-/// Place alone counts. Groups of similar normals see more alike, but on bumpy surfaces
-/// they are scattered: each has neighbours of another everywhere, whose vertices both store.
+/// Vertices of similar normals see more alike. But on bumpy surfaces groups of similar normals
+/// are scattered: each has neighbours of another everywhere, whose vertices both store. There
+/// place alone counts.
 pub fn partition(positions: &[Vec3], triangles: &[[u32; 3]], max_vertices: usize) -> Vec<Vec<u32>> {
-    let centres: Vec<Vec3> = (triangles.iter())
-        .map(|triangle| centre(triangle.map(|vertex| positions[vertex as usize])))
-        .collect();
-    let mut groups = Vec::new();
-    let all = (0..triangles.len() as u32).collect();
-    split(all, &centres, triangles, max_vertices, &mut groups);
-    groups
+    let with = |normal_weight: f32| {
+        let features = features(positions, triangles, normal_weight);
+        let mut groups = Vec::new();
+        let all = (0..triangles.len() as u32).collect();
+        split(all, &features, triangles, max_vertices, &mut groups);
+        let vertices = groups
+            .iter()
+            .map(|group| vertices_of(group, triangles).len());
+        (vertices.sum::<usize>() as f32, groups)
+    };
+    let (compact, alike) = (with(0.0), with(NORMAL_WEIGHT));
+    if alike.0 <= SCATTERED * compact.0 {
+        alike.1
+    } else {
+        compact.1
+    }
+}
+
+/// A triangle's place in extents of the scene, and its weighted normal.
+type Feature = [f32; 6];
+
+fn features(positions: &[Vec3], triangles: &[[u32; 3]], normal_weight: f32) -> Vec<Feature> {
+    let (low, high) = positions.iter().fold(
+        (Vec3::INFINITY, Vec3::NEG_INFINITY),
+        |(low, high), position| (low.min(*position), high.max(*position)),
+    );
+    let scale = 1.0 / (high - low).max_element().max(f32::MIN_POSITIVE);
+    (triangles.iter())
+        .map(|triangle| {
+            let corners = triangle.map(|vertex| positions[vertex as usize]);
+            let [a, b, c] = corners;
+            let place = centre(corners) * scale;
+            let normal = (b - a).cross(c - a).normalize_or_zero() * normal_weight;
+            [place.x, place.y, place.z, normal.x, normal.y, normal.z]
+        })
+        .collect()
 }
 
 /// Of a triangle's corners.
@@ -25,7 +60,7 @@ pub(crate) fn centre([a, b, c]: [Vec3; 3]) -> Vec3 {
 
 fn split(
     mut group: Vec<u32>,
-    centres: &[Vec3],
+    features: &[Feature],
     triangles: &[[u32; 3]],
     max_vertices: usize,
     groups: &mut Vec<Vec<u32>>,
@@ -37,22 +72,27 @@ fn split(
         }
         return;
     }
-    let axis = widest_axis(group.iter().map(|&t| centres[t as usize]));
+    let axis = widest_axis(&group, features);
     // Ties are broken by index: the cut does not depend on the sort's implementation.
     group.sort_unstable_by(|&a, &b| {
-        centres[a as usize][axis]
-            .total_cmp(&centres[b as usize][axis])
+        features[a as usize][axis]
+            .total_cmp(&features[b as usize][axis])
             .then(a.cmp(&b))
     });
     let upper = group.split_off(group.len() / 2);
-    split(group, centres, triangles, max_vertices, groups);
-    split(upper, centres, triangles, max_vertices, groups);
+    split(group, features, triangles, max_vertices, groups);
+    split(upper, features, triangles, max_vertices, groups);
 }
 
-fn widest_axis(places: impl Iterator<Item = Vec3> + Clone) -> usize {
-    let mean = places.clone().sum::<Vec3>() / places.clone().count() as f32;
-    let spread: Vec3 = places.map(|place| (place - mean) * (place - mean)).sum();
-    (0..3)
+fn widest_axis(group: &[u32], features: &[Feature]) -> usize {
+    let spread = [0, 1, 2, 3, 4, 5].map(|axis| {
+        let values = group
+            .iter()
+            .map(|&triangle| features[triangle as usize][axis]);
+        let mean = values.clone().sum::<f32>() / group.len() as f32;
+        values.map(|value| (value - mean).powi(2)).sum::<f32>()
+    });
+    (0..6)
         .max_by(|&a, &b| spread[a].total_cmp(&spread[b]))
         .unwrap_or(0)
 }

@@ -225,8 +225,6 @@ pub struct Bake<'a> {
     triangles: Vec<[u32; 3]>,
     origins: Vec<Vec3>,
     chunks: Vec<Vec<u32>>,
-    /// Of stored coordinates, metres.
-    position_step: f32,
     contours: ContourMesh,
     directions: Directions,
     transform: ssdf::Transform,
@@ -367,7 +365,6 @@ impl<'a> Bake<'a> {
             mesh,
             triangles,
             chunks,
-            position_step: layout::position_step(diagonal),
             contours,
             directions,
             transform,
@@ -953,7 +950,7 @@ impl Bake<'_> {
         let (triangles, order) = layout::walk(&triangles, vertices.len());
         let vertex = |&column: &usize| {
             let vertex = self.mesh.vertices[vertices[column] as usize];
-            layout::rounded(vertex, self.position_step)
+            layout::rounded(vertex)
         };
         Cluster {
             vertices: order.iter().map(vertex).collect(),

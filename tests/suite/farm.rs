@@ -285,7 +285,7 @@ fn damaged_shards() -> Outcome {
         .chain([whole.len() - 1]);
     let refused = |bytes: &[u8], what: &str| {
         std::fs::write(&damaged, bytes).expect("a writable folder");
-        let parts = relight_bake::parts::open_all(std::slice::from_ref(&damaged));
+        let parts = relight_bake::scene::parts::open_all(std::slice::from_ref(&damaged));
         assert!(parts.is_err(), "{what}");
     };
     for place in places {

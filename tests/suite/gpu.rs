@@ -6,7 +6,8 @@ use std::sync::{Mutex, PoisonError};
 
 use glam::{Quat, Vec3};
 use libtest_mimic::Trial;
-use relight_bake::{monitor, scene, scene_input};
+use relight_bake::monitor;
+use relight_bake::scene::{self, load};
 use relight_format::{Limits, Scene, read_scene, write_scene};
 use relight_lab::camera::framing;
 use relight_lab::compare::compare;
@@ -52,7 +53,7 @@ fn made_scene() -> Outcome {
 
 /// Bakes a mesh as a file would hold it.
 fn bake(mesh: &Path) -> Result<Scene, libtest_mimic::Failed> {
-    let input = scene_input::load(mesh)?;
+    let input = load::load(mesh)?;
     // Coarse: both devices draw the same errors.
     let options = scene::Options {
         max_edge: 0.05,

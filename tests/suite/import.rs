@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use glam::Vec3;
 use libtest_mimic::Trial;
 use relight_bake::import::{self, Mesh};
-use relight_bake::{refine, scene_input, tangent};
+use relight_bake::mesh::{refine, tangent};
+use relight_bake::scene::load;
 use relight_format::{FieldOfView, Specular, Surface};
 use serde_json::Value;
 
@@ -283,7 +284,7 @@ fn reference_scenes(data: &Path) -> Outcome {
     for (name, scene) in scenes {
         let path = folder.path().join(format!("{name}.toml"));
         std::fs::write(&path, scene_toml(data, scene))?;
-        let input = scene_input::load(&path)?;
+        let input = load::load(&path)?;
         assert_eq!(input.name, *name);
         let environment = input.environment.expect("an environment");
         assert!(environment.is_file(), "{}", environment.display());

@@ -5,7 +5,8 @@ use std::process::Command;
 
 use glam::Vec3;
 use libtest_mimic::Trial;
-use relight_bake::{monitor, scene, scene_input};
+use relight_bake::monitor;
+use relight_bake::scene::{self, load};
 use relight_format::{Environment, EnvironmentReport, Lobe};
 use relight_lab::image_file::{Image, read_exr, write_exr};
 use serde_json::Value;
@@ -124,7 +125,7 @@ fn render_and_truth() -> Outcome {
         max_edge: 1.0,
         ..scene::Options::draft()
     };
-    let input = scene_input::load(&path("scene.obj"))?;
+    let input = load::load(&path("scene.obj"))?;
     let (asset, _) = scene::bake(input, &options, monitor::SILENT)?;
     let lobe = |axis: Vec3, sharpness, amplitude| Lobe {
         axis: axis.normalize().into(),

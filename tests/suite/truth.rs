@@ -6,8 +6,9 @@ use std::path::Path;
 
 use glam::Vec3;
 use libtest_mimic::Trial;
+use relight_bake::environment::hdr;
 use relight_bake::measured::Table;
-use relight_bake::{hdr, scene_input};
+use relight_bake::scene::load;
 use relight_lab::compare::compare;
 use relight_lab::image_file::read_exr;
 use relight_lab::truth::{Filter, Geometry, Options, full};
@@ -107,7 +108,7 @@ fn full_agrees(data: &Path, name: &str, material: &str) -> Outcome {
     let scene_path = temporary.path().join("scene.toml");
     std::fs::write(&scene_path, text)?;
 
-    let input = scene_input::load(&scene_path)?;
+    let input = load::load(&scene_path)?;
     let environment = hdr::load(path(&description["env"])?.as_ref())?;
     let reference = read_exr(&folder.join(format!("{name}.exr")))?;
     let size = [reference.width, reference.height];

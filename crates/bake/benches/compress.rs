@@ -6,8 +6,8 @@ mod common;
 
 use nalgebra::DMatrix;
 use relight_bake::compress::{self, Samples, Weighting};
-use relight_bake::ray::RayCaster;
 use relight_bake::ssdf::{Crossings, Transform};
+use relight_bake::visibility::ray::RayCaster;
 use relight_bake::visibility::{self, Directions};
 
 const RESOLUTION: u32 = 64;

@@ -15,8 +15,8 @@ use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use relight_bake::monitor::{Monitor, Progress};
+use relight_bake::scene::load;
 use relight_bake::scene::{self, Bake, Options, Statistics};
-use relight_bake::scene_input;
 
 /// The stage whose progress is checked; the others are short.
 const STAGE: &str = "visibility and compression";
@@ -95,7 +95,7 @@ impl Measured {
 }
 
 fn measure(path: &Path, vertices: usize, threads: usize) -> Measured {
-    let input = scene_input::load(path).unwrap_or_else(|error| panic!("{error}"));
+    let input = load::load(path).unwrap_or_else(|error| panic!("{error}"));
     let options = Options {
         // Short enough that the bound on vertices decides.
         max_edge: 1e-4,

@@ -5,9 +5,9 @@
 
 mod common;
 
-use relight_bake::contour::{ContourMesh, GROUP};
 use relight_bake::ssdf::Transform;
 use relight_bake::visibility::Directions;
+use relight_bake::visibility::contour::{ContourMesh, GROUP};
 
 fn main() {
     let vertices = common::number("--vertices", 100);

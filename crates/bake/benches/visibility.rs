@@ -18,8 +18,8 @@ use std::time::Instant;
 use common::Subject;
 use glam::Vec3;
 use rayon::prelude::*;
-use relight_bake::contour::{ContourMesh, GROUP};
 use relight_bake::ssdf::Transform;
+use relight_bake::visibility::contour::{ContourMesh, GROUP};
 use relight_bake::visibility::{self, Bitmap, Directions};
 use serde_json::{Value, json};
 

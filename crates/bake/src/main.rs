@@ -1,8 +1,7 @@
 //! The `bake` command: meshes and HDR environments into `.relight` assets.
 
-mod cli;
-mod scene_command;
+mod command;
 
 fn main() -> std::process::ExitCode {
-    cli::run()
+    command::run()
 }

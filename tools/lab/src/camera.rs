@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use glam::Vec3;
-use relight_bake::scene_file;
+use relight_bake::scene::description;
 use relight_format::{Camera, FieldOfView};
 
 /// Why a camera file could not be used.
@@ -37,7 +37,7 @@ pub fn load(path: &Path) -> Result<Camera, Error> {
         path: path.display().to_string(),
         source,
     })?;
-    let camera: scene_file::Camera =
+    let camera: description::Camera =
         toml::from_str(&text).map_err(|reason| error(reason.to_string()))?;
     let found = camera.to_format().ok_or_else(|| {
         error("expected one of fov_x_degrees and fov_y_degrees, found none or both".into())

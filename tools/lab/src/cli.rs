@@ -9,8 +9,9 @@ use anyhow::Context as _;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use glam::Vec3;
 use indicatif::{ProgressBar, ProgressStyle};
+use relight_bake::environment::hdr;
 use relight_bake::monitor::{Monitor, Progress};
-use relight_bake::{hdr, scene, scene_file, scene_input};
+use relight_bake::scene::{self, description, load};
 use relight_format::{Camera, Environment, FieldOfView, Limits, Scene};
 use relight_lab::truth::{self, Filter, Geometry, full, lobes};
 use relight_lab::{bench, camera, compare, demo, experiments, image_file, render};
@@ -547,7 +548,7 @@ fn run_truth(arguments: &Truth) -> anyhow::Result<Value> {
             )
         }
         Kind::Full => {
-            let loaded = scene_input::load(&arguments.scene)?;
+            let loaded = load::load(&arguments.scene)?;
             for warning in &loaded.warnings {
                 eprintln!("warning: {warning}");
             }
@@ -799,11 +800,11 @@ fn read_local_lights(path: Option<&Path>) -> anyhow::Result<Vec<LocalLight>> {
     let Some(path) = path else {
         return Ok(Vec::new());
     };
-    let file = scene_file::load(path)?;
+    let file = description::load(path)?;
     Ok(file
         .lights
         .iter()
-        .map(scene_file::Light::to_local_light)
+        .map(description::Light::to_local_light)
         .collect())
 }
 

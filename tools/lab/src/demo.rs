@@ -7,11 +7,11 @@ use std::time::Instant;
 
 use anyhow::Context as _;
 use glam::Vec3;
-use relight_bake::hdr::LatLong;
+use relight_bake::environment::hdr::LatLong;
 use relight_bake::import::Mesh;
 use relight_bake::monitor::Monitor;
-use relight_bake::scene_file::Ground;
-use relight_bake::scene_input::SceneInput;
+use relight_bake::scene::description::Ground;
+use relight_bake::scene::load::SceneInput;
 use relight_bake::{environment, scene};
 use relight_format::{
     self as format, Camera, FieldOfView, Limits, Material, Specular, Surface, VisibilityErrors,

@@ -3,10 +3,10 @@
 use std::f32::consts::{PI, TAU};
 
 use glam::{Quat, Vec3};
-use relight_bake::ground;
 use relight_bake::import::{ImportedTriangle, Mesh, plain_material};
-use relight_bake::scene_file::Ground;
-use relight_bake::scene_input::SceneInput;
+use relight_bake::mesh::ground;
+use relight_bake::scene::description::Ground;
+use relight_bake::scene::load::SceneInput;
 use relight_format::{Camera, Surface, Vertex};
 
 /// A scene of a mesh and a ground below it.

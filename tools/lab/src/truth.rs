@@ -16,7 +16,7 @@ mod random;
 
 use glam::Vec3;
 use rayon::prelude::*;
-use relight_bake::ray::RayCaster;
+use relight_bake::visibility::ray::RayCaster;
 use relight_format::Scene;
 use relight_shading::camera::View;
 use relight_shading::surface::{SurfacePoint, surface_point};

@@ -7,8 +7,9 @@ use std::time::Instant;
 
 use glam::Vec3;
 use relight_bake::compress::Normal;
-use relight_bake::contour::GROUP;
-use relight_bake::{cluster, import, visibility};
+use relight_bake::mesh::cluster;
+use relight_bake::visibility::contour::GROUP;
+use relight_bake::{import, visibility};
 
 /// Meshes that are measured unless others are named, below the data folder.
 const MESHES: [&str; 5] = [

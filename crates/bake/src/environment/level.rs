@@ -7,7 +7,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::lobe::Shape;
-use crate::hdr::LatLong;
+use crate::environment::hdr::LatLong;
 
 /// A lat-long grid whose rows have as many cells as their circumference needs, so that a
 /// cap of the sphere holds about as many cells at the poles as at the equator.

@@ -122,7 +122,7 @@ pub(super) fn langevin(x: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::hdr::LatLong;
+    use crate::environment::hdr::LatLong;
 
     /// Central differences over 1e-5 of f64 keep about ten digits.
     const SLOPE_TOLERANCE: f64 = 1e-6;

@@ -8,7 +8,7 @@ use relight_format::Lobe;
 
 use super::level::Level;
 use super::lobe::Shape;
-use crate::hdr::LatLong;
+use crate::environment::hdr::LatLong;
 
 /// Exponent beyond which a lobe counts as zero: e⁻⁴⁰ of any f32 radiance is nothing.
 const NEGLIGIBLE: f32 = 40.0;

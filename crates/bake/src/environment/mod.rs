@@ -5,11 +5,10 @@
 //! per channel. Lobes start from peaks of the residual over scales and are moved together;
 //! then lobes that matter least are started anew where most is missing.
 
-pub(crate) mod amplitude;
+pub mod hdr;
 mod level;
 mod lobe;
 mod measure;
-mod minimise;
 mod prefilter;
 pub mod report;
 mod seed;
@@ -19,8 +18,8 @@ use std::path::Path;
 
 use relight_format::{Environment, EnvironmentReport, Lobe};
 
-use crate::hdr::{self, LatLong};
 use crate::monitor::{Interrupted, Monitor};
+use hdr::LatLong;
 use lobe::Shape;
 pub use measure::{energy_error, irradiance_error, relative_l2, render};
 pub use prefilter::prefilter;

@@ -6,7 +6,7 @@ use relight_shading::{octahedral, prefiltered};
 
 use super::level::Level;
 use super::lobe::Shape;
-use crate::hdr::LatLong;
+use crate::environment::hdr::LatLong;
 
 /// Most levels: 256² texels in the sharpest, for lobes of sharpness 3,300 (GGX with α = 0.012).
 const MAX_LEVELS: u32 = 8;

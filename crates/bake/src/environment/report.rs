@@ -7,9 +7,9 @@ use relight_format::Lobe;
 
 use super::Rung;
 use super::measure::render;
-use crate::hdr::LatLong;
-use crate::picture::png;
-use crate::plot::{self, Curve};
+use crate::environment::hdr::LatLong;
+use crate::report::picture::png;
+use crate::report::plot::{self, Curve};
 
 /// 8-bit sRGB pictures of one size, as PNG files in memory.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -16,11 +16,11 @@ use glam::DVec3;
 use nalgebra::{Cholesky, DMatrix, DVector};
 use rayon::prelude::*;
 
-use super::amplitude;
 use super::level::{Level, Moments};
 use super::lobe::{Blurred, GLOSS, Pair, Shape};
-use super::minimise::minimise;
-use crate::hdr::LatLong;
+use crate::environment::hdr::LatLong;
+use crate::solve::amplitude;
+use crate::solve::minimise;
 
 /// Rows of the finest level: its cells are as large as the sharpest lobe is wide.
 const FINEST_ROWS: usize = 1024;

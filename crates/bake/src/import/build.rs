@@ -6,7 +6,7 @@ use glam::{DVec3, Vec3};
 use relight_format::{Material, Texture, Vertex};
 
 use super::{Error, ImportedTriangle, MAX_COORDINATE, MAX_VERTICES, Mesh};
-use crate::tangent;
+use crate::mesh::tangent;
 
 /// Triangles of one material, in world space.
 pub(super) struct Part {

@@ -24,7 +24,7 @@ use relight_shading::reference;
 use relight_shading::surface::{Appearance, MIN_ALPHA, Model, Reflection, fitted_reflection};
 
 use super::{Table, radical_inverse};
-use crate::environment::amplitude;
+use crate::solve::amplitude;
 
 /// When to stop adding lobes.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -5,7 +5,7 @@ use glam::Vec3;
 
 use super::Table;
 use super::fit::{Fit, as_shaded};
-use crate::picture::png;
+use crate::report::picture::png;
 
 /// Pixels per side of each of the three pictures.
 const SIZE: u32 = 320;

@@ -7,7 +7,7 @@ use relight_format::{self as format, VisibilityErrors};
 
 use super::surface::Probe;
 use super::{Bake, Cluster, Counters, Error, ErrorSums, assemble};
-use crate::cluster;
+use crate::mesh::cluster;
 
 /// Chunks that are tried for a size, and for an error at most.
 const SIZE_CHUNKS: usize = 32;

@@ -9,9 +9,9 @@ use std::time::Instant;
 use anyhow::Context as _;
 use relight_bake::import::plain_material;
 use relight_bake::monitor::Monitor;
-use relight_bake::plot::{self, Curve};
+use relight_bake::report::plot::{self, Curve};
 use relight_bake::scene::Options;
-use relight_bake::{scene, scene_input, seam};
+use relight_bake::scene::{self, load, seam};
 use relight_format::{self as format, Limits, Representation, Specular, Surface};
 use relight_runtime::Frame;
 use relight_shading::spherical_gaussian::SphericalGaussian;
@@ -173,7 +173,7 @@ fn measure(
     let mut truths = Vec::new();
     for (curve, setting, mut options) in curves(&settings.bake) {
         let start = Instant::now();
-        let mut input = scene_input::load(path)?;
+        let mut input = load::load(path)?;
         // A bound below what the mesh has would leave nothing for shadows.
         let imported = input.mesh.vertices.len();
         if imported > options.max_vertices {

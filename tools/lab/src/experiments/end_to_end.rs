@@ -2,7 +2,7 @@
 //! that knows of no lobes, and what each step of the way costs.
 
 use relight_bake::environment;
-use relight_bake::hdr::LatLong;
+use relight_bake::environment::hdr::LatLong;
 use relight_bake::measured;
 use relight_format::Scene;
 use relight_runtime::Frame;

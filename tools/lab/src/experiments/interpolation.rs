@@ -4,8 +4,8 @@
 use glam::Vec3;
 use relight_bake::import::{Mesh, plain_material};
 use relight_bake::scene;
-use relight_bake::scene_file::Ground;
-use relight_bake::scene_input::SceneInput;
+use relight_bake::scene::description::Ground;
+use relight_bake::scene::load::SceneInput;
 use relight_format::{Camera, FieldOfView, Specular, Surface};
 use relight_runtime::Frame;
 use relight_shading::spherical_gaussian::SphericalGaussian;
@@ -65,7 +65,7 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
     };
     let data = &laboratory.settings.data;
     let path = super::scene_file("walk_1", &laboratory.settings.folder, data)?;
-    let make = || Ok(relight_bake::scene_input::load(&path)?);
+    let make = || Ok(scene::load::load(&path)?);
     compare_bakes(laboratory, section, "legs", &make, Some(legs), &light.lobes)
 }
 

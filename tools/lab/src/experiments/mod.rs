@@ -20,11 +20,11 @@ use std::path::{Path, PathBuf};
 use std::rc::Rc;
 
 use anyhow::Context as _;
+use relight_bake::environment::hdr::{self, LatLong};
 use relight_bake::environment::{self, FitOptions};
-use relight_bake::hdr::{self, LatLong};
 use relight_bake::monitor::Monitor;
-use relight_bake::scene_input::SceneInput;
-use relight_bake::{scene, scene_input};
+use relight_bake::scene::load::SceneInput;
+use relight_bake::scene::{self, load};
 use relight_format::{self as format, Camera, Environment, Limits, Scene};
 use relight_runtime::{CellsOptions, Frame, Method, PolarOptions};
 use relight_shading::spherical_gaussian::SphericalGaussian;
@@ -282,7 +282,7 @@ fn known<'a>(list: &[(&str, &'a str)], name: &str) -> anyhow::Result<&'a str> {
 }
 
 /// Writes one of the laboratory's scene files, with what it refers to, for people to open and
-/// for [`scene_input::load`].
+/// for [`load::load`].
 pub fn scene_file(name: &str, folder: &Path, data: &Path) -> anyhow::Result<PathBuf> {
     let data = data
         .canonicalize()
@@ -388,7 +388,7 @@ impl<'a> Laboratory<'a> {
     /// One of [`SCENES`] as an input.
     fn input(&self, name: &str) -> anyhow::Result<SceneInput> {
         let path = scene_file(name, &self.settings.folder, &self.settings.data)?;
-        Ok(scene_input::load(&path)?)
+        Ok(load::load(&path)?)
     }
 
     /// One of [`SCENES`], baked.
@@ -497,10 +497,10 @@ impl<'a> Laboratory<'a> {
         name: &str,
         caption: &str,
         axes: [&str; 2],
-        curves: &[relight_bake::plot::Curve],
+        curves: &[relight_bake::report::plot::Curve],
     ) -> anyhow::Result<()> {
         let file = format!("{name}.svg");
-        let svg = relight_bake::plot::svg(caption, axes, curves)
+        let svg = relight_bake::report::plot::svg(caption, axes, curves)
             .with_context(|| format!("{file}: nothing to plot"))?;
         format::write_file(&self.folder.join(&file), svg.as_bytes())?;
         section.figures.push(Figure {

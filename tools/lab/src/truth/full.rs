@@ -5,10 +5,10 @@
 use std::f32::consts::PI;
 
 use glam::{Mat3, Vec2, Vec3};
-use relight_bake::hdr::LatLong;
+use relight_bake::environment::hdr::LatLong;
 use relight_bake::import::ImportedTriangle;
 use relight_bake::measured::{self, Table};
-use relight_bake::scene_input::SceneInput;
+use relight_bake::scene::load::SceneInput;
 use relight_format::{
     BakeReport, Representation, Scene, Surface, Triangle, Vertex, VisibilityParameters,
 };

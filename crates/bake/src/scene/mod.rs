@@ -5,7 +5,12 @@
 //! next. What is held grows with neither vertices × texels nor threads.
 
 mod budget;
+pub mod description;
+pub mod fingerprint;
 mod layout;
+pub mod load;
+pub mod parts;
+pub mod seam;
 mod surface;
 
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
@@ -19,13 +24,14 @@ use relight_format as format;
 use relight_format::{CHANNELS_PER_TILE, MAX_TILES_PER_CLUSTER, Representation};
 
 use crate::compress::{self, Compressed, Normal, Samples, Weighting};
-use crate::contour::{self, ContourMesh, Scratch};
-use crate::fingerprint::Fingerprint;
 use crate::import::Mesh;
+use crate::mesh::{cluster, refine};
 use crate::monitor::{Interrupted, Monitor};
-use crate::scene_input::SceneInput;
+use crate::scene::fingerprint::Fingerprint;
+use crate::scene::load::SceneInput;
 use crate::visibility::Directions;
-use crate::{cluster, refine, ssdf, visibility};
+use crate::visibility::contour::{self, ContourMesh, Scratch};
+use crate::{ssdf, visibility};
 pub use surface::ErrorSums;
 use surface::Probe;
 

@@ -8,10 +8,12 @@ use glam::{Quat, Vec3};
 use relight_format as format;
 use relight_shading::local_light::LocalLight;
 
-use crate::ground;
 use crate::import::{self, Error, Mesh};
 use crate::measured::{self, Table, fit};
-use crate::scene_file::{self, BlendName, LayerFile, MaterialOverride, SceneFile, alpha_pair};
+use crate::mesh::ground;
+use crate::scene::description::{
+    self, BlendName, LayerFile, MaterialOverride, SceneFile, alpha_pair,
+};
 
 /// A scene, ready to bake.
 #[derive(Clone, Debug)]
@@ -29,7 +31,7 @@ pub struct SceneInput {
     /// Lights of the scene file.
     pub lights: Vec<LocalLight>,
     /// Refinement asked for by the scene file, if any.
-    pub refinement: Option<scene_file::Refinement>,
+    pub refinement: Option<description::Refinement>,
     /// Measured BRDFs: index into the mesh's materials and path of the table, relative to
     /// the working directory. Those materials hold the lobes fitted to it.
     pub measured: Vec<(usize, PathBuf)>,
@@ -61,7 +63,7 @@ pub fn load(path: &Path) -> Result<SceneInput, Error> {
             measured: Vec::new(),
         });
     }
-    let file = scene_file::load(path)?;
+    let file = description::load(path)?;
     let folder = path.parent().unwrap_or(Path::new(""));
     let mut mesh = import::mesh(&folder.join(&file.mesh))?;
     place(&mut mesh, &file.transform);
@@ -82,7 +84,7 @@ pub fn load(path: &Path) -> Result<SceneInput, Error> {
     if let Some(options) = &file.ground {
         let material = options.material.as_ref();
         let default = MaterialOverride::Diffuse {
-            diffuse: scene_file::Color::Grey(0.5),
+            diffuse: description::Color::Grey(0.5),
         };
         let made = make(material.unwrap_or(&default), folder, &mut mesh.textures)?;
         measured.extend(made.table.map(|table| (mesh.materials.len(), table)));
@@ -94,12 +96,15 @@ pub fn load(path: &Path) -> Result<SceneInput, Error> {
         warnings: mesh.warnings.clone(),
         object_diagonal,
         mesh,
-        camera: file.camera.as_ref().and_then(scene_file::Camera::to_format),
+        camera: file
+            .camera
+            .as_ref()
+            .and_then(description::Camera::to_format),
         environment: file.environment.map(|environment| folder.join(environment)),
         lights: file
             .lights
             .iter()
-            .map(scene_file::Light::to_local_light)
+            .map(description::Light::to_local_light)
             .collect(),
         refinement: file.refinement,
         measured,
@@ -110,7 +115,7 @@ fn diagonal(mesh: &Mesh) -> f32 {
     mesh.bounds().map_or(0.0, |(low, high)| low.distance(high))
 }
 
-fn place(mesh: &mut Mesh, transform: &scene_file::Transform) {
+fn place(mesh: &mut Mesh, transform: &description::Transform) {
     let axis = Vec3::from(transform.rotation_axis).normalize();
     let rotation = Quat::from_axis_angle(axis, transform.rotation_degrees.to_radians());
     for vertex in &mut mesh.vertices {
@@ -229,7 +234,7 @@ fn make(
 
 /// Reads a file of one material, written as in a scene file, with its textures.
 pub fn load_material(path: &Path) -> Result<(format::Material, Vec<format::Texture>), Error> {
-    let replacement = scene_file::load_material(path)?;
+    let replacement = description::load_material(path)?;
     let folder = path.parent().unwrap_or(Path::new(""));
     let mut textures = Vec::new();
     let made = make(&replacement, folder, &mut textures)?;
@@ -318,7 +323,7 @@ fn layered_material(
 /// it was read.
 fn surface(material: &MaterialOverride, folder: &Path) -> Result<format::Surface, Error> {
     use MaterialOverride as M;
-    let layered = |diffuse: scene_file::Color, specular| format::Surface::Layered {
+    let layered = |diffuse: description::Color, specular| format::Surface::Layered {
         diffuse: diffuse.rgb(),
         specular,
     };

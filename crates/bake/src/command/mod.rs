@@ -1,5 +1,7 @@
 //! The command line: arguments in, assets and messages out.
 
+mod bake_scene;
+
 use std::error::Error;
 use std::fmt::Write;
 use std::io::IsTerminal as _;
@@ -12,13 +14,13 @@ use std::time::{Duration, Instant};
 use anyhow::{Context as _, bail};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use indicatif::{HumanDuration, ProgressBar, ProgressState, ProgressStyle};
+use relight_bake::environment::{self, hdr};
+use relight_bake::import;
 use relight_bake::measured::fit;
 use relight_bake::monitor::{Interrupted, Monitor, Progress};
-use relight_bake::{environment, hdr, import, scene, scene_input};
+use relight_bake::scene::{self, load};
 use relight_format as format;
 use serde_json::{Value, json};
-
-use crate::scene_command;
 
 const EXIT_CODES: &str = "\
 Exit codes:
@@ -241,8 +243,8 @@ pub fn run() -> ExitCode {
         stop: &STOP,
     };
     let result = match &cli.command {
-        Command::Scene(arguments) => scene_command::bake(arguments, monitor),
-        Command::Merge { shards, output } => scene_command::merge(shards, output, monitor),
+        Command::Scene(arguments) => bake_scene::bake(arguments, monitor),
+        Command::Merge { shards, output } => bake_scene::merge(shards, output, monitor),
         Command::Environment(arguments) => bake_environment(arguments, monitor),
         Command::Material(arguments) => bake_material(arguments),
         Command::Inspect { file } => inspect(file),
@@ -474,9 +476,9 @@ fn bake_material(arguments: &MaterialArguments) -> anyhow::Result<Summary> {
     };
     let packed = arguments.input.extension().is_some_and(|e| e == "toml");
     let (mut material, textures) = if packed {
-        scene_input::load_material(&arguments.input)?
+        load::load_material(&arguments.input)?
     } else {
-        let table = scene_input::load_table(&arguments.input)?;
+        let table = load::load_table(&arguments.input)?;
         let stop = match (arguments.lobes, arguments.max_error) {
             (Some(lobes), _) => fit::Stop::Lobes(lobes.into()),
             (None, Some(error)) => fit::Stop::Error(error),
@@ -634,7 +636,7 @@ fn inspect(path: &Path) -> anyhow::Result<Summary> {
                     .iter()
                     .map(|cluster| cluster.tiles)
                     .sum::<u32>(),
-                scene_command::describe(&scene.report.errors),
+                bake_scene::describe(&scene.report.errors),
                 r = parameters.basis_resolution,
                 s = parameters.sample_resolution,
             );

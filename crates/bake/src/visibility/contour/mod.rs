@@ -22,8 +22,8 @@ mod layers;
 
 use glam::Vec3;
 
-use crate::ray::RayCaster;
 use crate::ssdf::Crossings;
+use crate::visibility::ray::RayCaster;
 use crate::visibility::{self, Bitmap, Directions};
 use candidates::Candidates;
 use facing::Facing;

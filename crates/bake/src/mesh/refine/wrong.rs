@@ -10,12 +10,12 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::{Key, cut, divide, key, sides};
-use crate::cluster;
 use crate::compress::{Normal, Weighting};
-use crate::contour::{ContourMesh, GROUP, Scratch};
 use crate::import::Mesh;
+use crate::mesh::cluster;
 use crate::monitor::{Interrupted, Monitor};
 use crate::ssdf::Transform;
+use crate::visibility::contour::{ContourMesh, GROUP, Scratch};
 use crate::visibility::{self, Directions};
 
 /// Texels per side of the visibility that is compared: half of a bake's.

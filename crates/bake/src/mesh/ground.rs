@@ -4,7 +4,7 @@ use glam::Vec3;
 use relight_format::{Material, Vertex};
 
 use crate::import::{ImportedTriangle, Mesh};
-use crate::scene_file::Ground;
+use crate::scene::description::Ground;
 
 /// Default side length, in longest extents of the mesh.
 const DEFAULT_EXTENTS: f32 = 3.0;

@@ -12,7 +12,7 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::Contour;
 use super::candidates::Candidates;
-use crate::cluster;
+use crate::mesh::cluster;
 
 /// Triangles that are tested together; their edges are grouped by it.
 pub(super) const BLOCK: usize = 64;

@@ -1,9 +1,12 @@
 //! Visibility of the sphere of directions from a point: one bit per octahedral texel.
 
+pub mod contour;
+pub mod ray;
+
 use glam::Vec3;
 use relight_shading::octahedral;
 
-use crate::ray::RayCaster;
+use crate::visibility::ray::RayCaster;
 
 /// The directions of an octahedral map's texel centres, row after row.
 #[derive(Debug)]

@@ -9,14 +9,16 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 use anyhow::{Context as _, bail};
-use relight_bake::fingerprint::Fingerprint;
 use relight_bake::monitor::Monitor;
-use relight_bake::parts::{self, Identity, Parts};
-use relight_bake::{scene, scene_input, seam};
+use relight_bake::scene::fingerprint::Fingerprint;
+use relight_bake::scene::parts::{self, Identity, Parts};
+use relight_bake::scene::{self, load, seam};
 use relight_format as format;
 use serde_json::json;
 
-use crate::cli::{SceneArguments, Shard, Summary, check_output, is_interruption, scene_options};
+use crate::command::{
+    SceneArguments, Shard, Summary, check_output, is_interruption, scene_options,
+};
 
 /// Bakes a scene, or a shard of it.
 pub fn bake(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Summary> {
@@ -24,7 +26,7 @@ pub fn bake(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Summ
     check_output(&arguments.output)?;
     let start = Instant::now();
     monitor.step("read", 0.0)?;
-    let input = scene_input::load(&arguments.input)?;
+    let input = load::load(&arguments.input)?;
     let read = start.elapsed();
     let input_name = || arguments.input.display().to_string();
     let mut bake = scene::Bake::new(input, &options, monitor).with_context(input_name)?;
@@ -210,7 +212,7 @@ fn write(path: &Path, scene: format::Scene) -> anyhow::Result<Summary> {
     };
     let meant = fingerprint(&scene);
     drop(scene);
-    crate::cli::write_checked(path, &bytes, |bytes| {
+    crate::command::write_checked(path, &bytes, |bytes| {
         let read = format::read_scene(bytes, &format::Limits::default())?;
         Ok(fingerprint(&read) == meant)
     })?;

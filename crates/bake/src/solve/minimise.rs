@@ -15,7 +15,7 @@ const MAX_STEP: f64 = 0.5;
 /// steps gain less than `tolerance` each. `function` gives value and gradient,
 /// `curvature` a positive guess at the Hessian's diagonal. Returns the best point, never
 /// worse than the start.
-pub(super) fn minimise(
+pub(crate) fn minimise(
     start: Vec<f64>,
     curvature: &[f64],
     iterations: usize,

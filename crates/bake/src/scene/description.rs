@@ -737,7 +737,7 @@ mod tests {
 
     #[test]
     fn the_documented_example_is_valid_and_shows_every_model() {
-        let document = include_str!("../SCENE.md");
+        let document = include_str!("../../SCENE.md");
         let (_, rest) = document.split_once("```toml\n").expect("an example");
         let (example, _) = rest.split_once("```").expect("its end");
         let scene = parse(example).expect("a valid example");

@@ -74,8 +74,8 @@ fn decode(scene: &format::Scene, cluster: usize, vertex: usize) -> Vec<f32> {
 mod tests {
     use super::*;
     use crate::monitor::SILENT;
+    use crate::scene::load;
     use crate::scene::{Options, bake};
-    use crate::scene_input;
 
     #[test]
     fn shared_vertices_differ_by_no_more_than_both_errors() {
@@ -100,7 +100,7 @@ mod tests {
             aim: 0.01,
             ..Options::standard()
         };
-        let input = scene_input::load(&path).unwrap();
+        let input = load::load(&path).unwrap();
         let (scene, _) = bake(input, &options, SILENT).unwrap();
         assert!(scene.clusters.len() > 1);
         let seams = measure(&scene);

@@ -2,10 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use glam::Vec3;
 use libtest_mimic::Trial;
-use relight_bake::import::{self, Mesh};
-use relight_bake::mesh::{refine, tangent};
+use relight_bake::import;
+use relight_bake::mesh::{Mesh, Vertex, refine, tangent};
 use relight_bake::scene::load;
 use relight_format::{FieldOfView, Specular, Surface};
 use serde_json::Value;
@@ -153,7 +152,7 @@ fn good_files(data: &Path) -> Outcome {
     Ok(())
 }
 
-/// What `import::Mesh` promises.
+/// What `mesh::Mesh` promises.
 fn assert_promises(mesh: &Mesh, file: &str) {
     /// f32 normalisation, and a dot product of two unit vectors.
     const TOLERANCE: f32 = 1e-4;
@@ -161,7 +160,7 @@ fn assert_promises(mesh: &Mesh, file: &str) {
     for triangle in &mesh.triangles {
         let [a, b, c] = triangle.vertices.map(|index| {
             used[index as usize] = true;
-            Vec3::from(mesh.vertices[index as usize].position).as_dvec3()
+            mesh.vertices[index as usize].position.as_dvec3()
         });
         assert!(
             (b - a).cross(c - a).length() > 0.0,
@@ -182,8 +181,9 @@ fn assert_promises(mesh: &Mesh, file: &str) {
             numbers.iter().all(|number| number.is_finite()),
             "{file}: {vertex:?}"
         );
-        let normal = Vec3::from(vertex.normal);
-        let tangent = Vec3::from_slice(&vertex.tangent[..3]);
+        let Vertex {
+            normal, tangent, ..
+        } = *vertex;
         assert!(
             (normal.length() - 1.0).abs() < TOLERANCE,
             "{file}: {vertex:?}"
@@ -193,7 +193,7 @@ fn assert_promises(mesh: &Mesh, file: &str) {
             "{file}: {vertex:?}"
         );
         assert!(normal.dot(tangent).abs() < TOLERANCE, "{file}: {vertex:?}");
-        assert!(vertex.tangent[3].abs() == 1.0, "{file}: {vertex:?}");
+        assert!(vertex.bitangent_sign.abs() == 1.0, "{file}: {vertex:?}");
     }
 }
 
@@ -395,12 +395,9 @@ fn mikktspace(data: &Path) -> Outcome {
         tangent::set_mikktspace(&mut vertices, &mut triangles);
         let mut agreeing = 0;
         for (old, new) in given.iter().flatten().zip(triangles.iter().flatten()) {
-            let (old, new) = (
-                mesh.vertices[*old as usize].tangent,
-                vertices[*new as usize].tangent,
-            );
-            let cosine = Vec3::from_slice(&old[..3]).dot(Vec3::from_slice(&new[..3]));
-            agreeing += usize::from(cosine > AGREES && old[3] == new[3]);
+            let (old, new) = (&mesh.vertices[*old as usize], &vertices[*new as usize]);
+            let cosine = old.tangent.dot(new.tangent);
+            agreeing += usize::from(cosine > AGREES && old.bitangent_sign == new.bitangent_sign);
         }
         let fraction = agreeing as f64 / (given.len() * 3) as f64;
         println!("{file}: {:.2} % of corners agree", 100.0 * fraction);
@@ -437,6 +434,7 @@ fn open_edges(mesh: &Mesh) -> usize {
         let corners = triangle.vertices.map(|index| {
             mesh.vertices[index as usize]
                 .position
+                .to_array()
                 .map(|x| (x + 0.0).to_bits())
         });
         for (a, b) in [(0, 1), (1, 2), (2, 0)] {

@@ -8,7 +8,7 @@ use std::time::Instant;
 use anyhow::Context as _;
 use glam::Vec3;
 use relight_bake::environment::hdr::LatLong;
-use relight_bake::import::Mesh;
+use relight_bake::mesh::Mesh;
 use relight_bake::monitor::Monitor;
 use relight_bake::scene::description::Ground;
 use relight_bake::scene::load::SceneInput;

@@ -2,12 +2,12 @@
 
 use std::f32::consts::{PI, TAU};
 
-use glam::{Quat, Vec3};
-use relight_bake::import::{ImportedTriangle, Mesh, plain_material};
-use relight_bake::mesh::ground;
+use glam::{Quat, Vec2, Vec3};
+use relight_bake::import::plain_material;
+use relight_bake::mesh::{Mesh, Triangle, Vertex, ground};
 use relight_bake::scene::description::Ground;
 use relight_bake::scene::load::SceneInput;
-use relight_format::{Camera, Surface, Vertex};
+use relight_format::{Camera, Surface};
 
 /// A scene of a mesh and a ground below it.
 pub fn over_ground(
@@ -17,7 +17,7 @@ pub fn over_ground(
     surface: Surface,
     camera: Camera,
 ) -> anyhow::Result<SceneInput> {
-    let diagonal = mesh.bounds().map_or(0.0, |(low, high)| low.distance(high));
+    let diagonal = mesh.diagonal();
     ground::append(&mut mesh, ground, plain_material("ground", surface))
         .map_err(|(place, expected, found)| anyhow::anyhow!("{place}: {expected}, {found}"))?;
     Ok(SceneInput {
@@ -52,11 +52,11 @@ pub fn grid(
             let a = base + row * (columns + 1) + column;
             let (b, c, d) = (a + 1, a + columns + 1, a + columns + 2);
             for vertices in [[a, c, b], [b, c, d]] {
-                let [p, q, r] = vertices.map(|v| Vec3::from(mesh.vertices[v as usize].position));
+                let [p, q, r] = vertices.map(|v| mesh.vertices[v as usize].position);
                 // At a pole two corners are one but for rounding.
                 let [a, b] = [q - p, r - p];
                 if a.cross(b).length() > 1e-5 * (a.length_squared() + b.length_squared()) {
-                    mesh.triangles.push(ImportedTriangle { vertices, material });
+                    mesh.triangles.push(Triangle { vertices, material });
                 }
             }
         }
@@ -113,10 +113,11 @@ pub fn cuboid(mesh: &mut Mesh, material: u16, low: Vec3, high: Vec3) {
 
 fn vertex(position: Vec3, normal: Vec3, tangent: Vec3, uv: [f32; 2]) -> Vertex {
     Vertex {
-        position: position.into(),
-        normal: normal.into(),
-        tangent: tangent.extend(1.0).into(),
-        uv,
+        position,
+        normal,
+        tangent,
+        bitangent_sign: 1.0,
+        uv: Vec2::from(uv),
     }
 }
 
@@ -134,8 +135,8 @@ mod tests {
             let corners = triangle
                 .vertices
                 .map(|vertex| &mesh.vertices[vertex as usize]);
-            let [a, b, c] = corners.map(|corner| Vec3::from(corner.position));
-            let normal: Vec3 = corners.iter().map(|corner| Vec3::from(corner.normal)).sum();
+            let [a, b, c] = corners.map(|corner| corner.position);
+            let normal: Vec3 = corners.iter().map(|corner| corner.normal).sum();
             assert!((b - a).cross(c - a).dot(normal) > 0.0, "{corners:?}");
         }
     }

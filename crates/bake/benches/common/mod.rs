@@ -91,10 +91,12 @@ pub fn data_folder() -> PathBuf {
 /// equal steps.
 pub fn subject(path: &Path, count: usize) -> Subject {
     let mesh = import::mesh(path).unwrap_or_else(|error| panic!("{error}"));
-    let positions: Vec<Vec3> = mesh.vertices.iter().map(|v| v.position.into()).collect();
-    let triangles: Vec<[u32; 3]> = mesh.triangles.iter().map(|t| t.vertices).collect();
     let (low, high) = mesh.bounds().expect("imported meshes have vertices");
-    let origins = visibility::origins(&positions, &triangles, 1e-4 * low.distance(high));
+    let origins = visibility::origins(
+        &mesh.positions(),
+        &mesh.indices(),
+        1e-4 * low.distance(high),
+    );
     let mut order: Vec<u32> = (0..origins.len() as u32).collect();
     cluster::arrange(&mut order, GROUP, &|&vertex| {
         (origins[vertex as usize].to_array(), vertex)
@@ -104,7 +106,7 @@ pub fn subject(path: &Path, count: usize) -> Subject {
         .copied()
         .collect();
     let normal = |&vertex: &u32| Normal {
-        direction: Vec3::from(mesh.vertices[vertex as usize].normal).normalize_or_zero(),
+        direction: (mesh.vertices[vertex as usize].normal).normalize_or_zero(),
         tilt: 0.0,
     };
     Subject {

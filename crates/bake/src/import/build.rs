@@ -2,21 +2,31 @@
 
 use std::path::Path;
 
-use glam::{DVec3, Vec3};
-use relight_format::{Material, Texture, Vertex};
+use glam::{DVec3, Vec2, Vec3};
+use relight_format::{Material, Texture};
 
-use super::{Error, ImportedTriangle, MAX_COORDINATE, MAX_VERTICES, Mesh};
-use crate::mesh::tangent;
+use super::{Error, MAX_VERTICES};
+use crate::mesh::{self, MAX_COORDINATE, Mesh, Triangle, Vertex, tangent};
 
 /// Triangles of one material, in world space.
 pub(super) struct Part {
-    /// A zero normal or tangent stands for none.
-    pub vertices: Vec<Vertex>,
+    pub vertices: Vec<GivenVertex>,
     pub triangles: Vec<[u32; 3]>,
     /// Index into the materials given to [`Builder::finish`].
     pub material: usize,
     pub tangents: Tangents,
     pub double_sided: bool,
+}
+
+/// A vertex as far as a file describes it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct GivenVertex {
+    pub position: Vec3,
+    pub normal: Option<Vec3>,
+    /// Tangent, and the sign of the bitangent.
+    pub tangent: Option<(Vec3, f32)>,
+    /// Zero where there are none.
+    pub uv: Vec2,
 }
 
 /// Where a part's tangents come from.
@@ -68,75 +78,86 @@ impl<'a> Builder<'a> {
     /// Cleans, completes and appends a part. Its indices must be in range and its numbers
     /// finite.
     pub fn push(&mut self, mut part: Part) -> Result<(), Error> {
-        if let Some(position) = Mesh::distant_position(&part.vertices) {
+        let positions = part.vertices.iter().map(|vertex| vertex.position);
+        if let Some(position) = mesh::distant_position(positions) {
             return Err(Error::invalid(
                 self.file,
                 "mesh, in world space",
                 format_args!("coordinates within {MAX_COORDINATE} m of the origin"),
-                format_args!("{position:?}"),
+                format_args!("{:?}", position.to_array()),
             ));
         }
         let before = part.triangles.len();
-        let vertices = &part.vertices;
+        let corners = |vertices: &[GivenVertex], triangle: [u32; 3]| {
+            triangle.map(|index| vertices[index as usize].position)
+        };
         part.triangles
-            .retain(|triangle| face_normal(vertices, *triangle).is_some());
+            .retain(|triangle| face_normal(corners(&part.vertices, *triangle)).is_some());
         self.degenerate += before - part.triangles.len();
         drop_unused(&mut part.vertices, &mut part.triangles);
-        self.complete_normals(&mut part);
+        let normals = self.normals(&part);
+        let complete = |(given, normal): (&GivenVertex, Vec3)| {
+            let (tangent, bitangent_sign) = (given.tangent)
+                .and_then(|(tangent, sign)| {
+                    let sign = if sign < 0.0 { -1.0 } else { 1.0 };
+                    Some((tangent::orthogonal(normal, tangent)?, sign))
+                })
+                .unwrap_or_else(|| (tangent::around_axis(normal), 1.0));
+            Vertex {
+                position: given.position,
+                normal,
+                tangent,
+                bitangent_sign,
+                uv: given.uv,
+            }
+        };
+        let mut vertices: Vec<Vertex> = (part.vertices.iter().zip(normals)).map(complete).collect();
+        let mut triangles = part.triangles;
         match part.tangents {
-            Tangents::Given => {
-                for vertex in &mut part.vertices {
-                    let [x, y, z, w] = vertex.tangent;
-                    let normal = vertex.normal.into();
-                    vertex.tangent = match tangent::orthogonal(normal, Vec3::new(x, y, z)) {
-                        Some(tangent) => tangent.extend(if w < 0.0 { -1.0 } else { 1.0 }),
-                        None => tangent::around_axis(normal).extend(1.0),
-                    }
-                    .into();
-                }
-            }
-            Tangents::MikkTSpace => {
-                tangent::set_mikktspace(&mut part.vertices, &mut part.triangles);
-            }
-            Tangents::FromUv => tangent::set_from_uv(&mut part.vertices, &part.triangles),
-            Tangents::AroundAxis => tangent::set_around_axis(&mut part.vertices),
+            Tangents::Given | Tangents::AroundAxis => {}
+            Tangents::MikkTSpace => tangent::set_mikktspace(&mut vertices, &mut triangles),
+            Tangents::FromUv => tangent::set_from_uv(&mut vertices, &triangles),
         }
-        self.append(&part)?;
+        self.append(&vertices, &triangles, part.material)?;
         if part.double_sided {
-            self.second_sheets += part.triangles.len();
-            self.append(&reversed(part))?;
+            self.second_sheets += triangles.len();
+            reverse(&mut vertices, &mut triangles);
+            self.append(&vertices, &triangles, part.material)?;
         }
         Ok(())
     }
 
-    fn complete_normals(&mut self, part: &mut Part) {
+    /// Unit normals: the part's own, else those of faces.
+    fn normals(&mut self, part: &Part) -> Vec<Vec3> {
+        let position = |index: u32| part.vertices[index as usize].position;
         let mut sums: Option<Vec<DVec3>> = None;
-        for index in 0..part.vertices.len() {
-            let given = Vec3::from(part.vertices[index].normal);
-            let normal = given.try_normalize().unwrap_or_else(|| {
+        let mut normals = Vec::with_capacity(part.vertices.len());
+        for (index, given) in part.vertices.iter().enumerate() {
+            let given = given.normal.and_then(Vec3::try_normalize);
+            normals.push(given.unwrap_or_else(|| {
                 self.invented_normals += 1;
-                let sums = sums.get_or_insert_with(|| {
-                    let indices = part.triangles.iter().map(|t| t.map(|i| i as usize));
-                    smooth_normals(part.vertices.len(), &part.vertices, indices)
-                });
+                let sums = sums.get_or_insert_with(|| smooth_normals(part));
                 // Faces that cancel leave any direction as good as another.
                 sums[index].as_vec3().try_normalize().unwrap_or(Vec3::Y)
-            });
-            part.vertices[index].normal = normal.into();
+            }));
         }
         for triangle in &part.triangles {
-            let face = face_normal(&part.vertices, *triangle).unwrap_or_default();
-            let away = |index: &u32| {
-                face.dot(Vec3::from(part.vertices[*index as usize].normal).as_dvec3()) < 0.0
-            };
+            let face = face_normal(triangle.map(position)).unwrap_or_default();
+            let away = |index: &u32| face.dot(normals[*index as usize].as_dvec3()) < 0.0;
             self.turned_away += usize::from(triangle.iter().all(away));
         }
+        normals
     }
 
-    fn append(&mut self, part: &Part) -> Result<(), Error> {
+    fn append(
+        &mut self,
+        new_vertices: &[Vertex],
+        new_triangles: &[[u32; 3]],
+        material: usize,
+    ) -> Result<(), Error> {
         let base = self.vertices.len();
-        let vertices = base + part.vertices.len();
-        let triangles = self.triangles.len() + part.triangles.len();
+        let vertices = base + new_vertices.len();
+        let triangles = self.triangles.len() + new_triangles.len();
         if vertices.max(triangles) > MAX_VERTICES {
             return Err(Error::invalid(
                 self.file,
@@ -145,11 +166,11 @@ impl<'a> Builder<'a> {
                 format_args!("{vertices} vertices and {triangles} triangles or more"),
             ));
         }
-        self.vertices.extend_from_slice(&part.vertices);
+        self.vertices.extend_from_slice(new_vertices);
         self.triangles.extend(
-            part.triangles
+            new_triangles
                 .iter()
-                .map(|triangle| (triangle.map(|index| index + base as u32), part.material)),
+                .map(|triangle| (triangle.map(|index| index + base as u32), material)),
         );
         Ok(())
     }
@@ -186,7 +207,7 @@ impl<'a> Builder<'a> {
                     "more",
                 ));
             };
-            mesh.triangles.push(ImportedTriangle { vertices, material });
+            mesh.triangles.push(Triangle { vertices, material });
         }
         mesh.textures = textures.to_vec();
         mesh.drop_unused_textures();
@@ -216,26 +237,22 @@ impl<'a> Builder<'a> {
     }
 }
 
-/// Unit normal of the side from which the vertices run counter-clockwise, or `None` for a
+/// Unit normal of the side from which the corners run counter-clockwise, or `None` for a
 /// triangle without area. The cross product of f32 differences is exact enough in f64 to
 /// tell a needle from a line.
-pub(super) fn face_normal(vertices: &[Vertex], triangle: [u32; 3]) -> Option<DVec3> {
-    let [a, b, c] = triangle.map(|index| Vec3::from(vertices[index as usize].position).as_dvec3());
+pub(super) fn face_normal(corners: [Vec3; 3]) -> Option<DVec3> {
+    let [a, b, c] = corners.map(Vec3::as_dvec3);
     (b - a).cross(c - a).try_normalize()
 }
 
-/// Sums of face normals, each weighted by its angle at the vertex (Thürmer & Wüthrich 1998).
-pub(super) fn smooth_normals(
-    count: usize,
-    vertices: &[Vertex],
-    triangles: impl Iterator<Item = [usize; 3]>,
-) -> Vec<DVec3> {
-    let mut sums = vec![DVec3::ZERO; count];
-    for triangle in triangles {
-        let corners = triangle.map(|index| Vec3::from(vertices[index].position).as_dvec3());
-        let weights = angle_weighted_normals(corners);
-        for (index, weight) in triangle.into_iter().zip(weights) {
-            sums[index] += weight;
+/// Per vertex the sum of face normals, each weighted by its angle there (Thürmer & Wüthrich
+/// 1998).
+fn smooth_normals(part: &Part) -> Vec<DVec3> {
+    let mut sums = vec![DVec3::ZERO; part.vertices.len()];
+    for triangle in &part.triangles {
+        let corners = triangle.map(|index| part.vertices[index as usize].position.as_dvec3());
+        for (index, weight) in triangle.iter().zip(angle_weighted_normals(corners)) {
+            sums[*index as usize] += weight;
         }
     }
     sums
@@ -254,20 +271,20 @@ pub(super) fn angle_weighted_normals(corners: [DVec3; 3]) -> [DVec3; 3] {
     })
 }
 
-/// The back of a part. Negating the whole frame negates a normal map's normal as well: what
-/// is a bump on one side of a thin sheet is a dent on the other.
-fn reversed(mut part: Part) -> Part {
-    for vertex in &mut part.vertices {
-        vertex.normal = vertex.normal.map(|x| -x);
-        vertex.tangent = vertex.tangent.map(|x| -x);
+/// Turns a sheet to its back. Negating the whole frame negates a normal map's normal as well:
+/// what is a bump on one side of a thin sheet is a dent on the other.
+fn reverse(vertices: &mut [Vertex], triangles: &mut [[u32; 3]]) {
+    for vertex in vertices {
+        vertex.normal = -vertex.normal;
+        vertex.tangent = -vertex.tangent;
+        vertex.bitangent_sign = -vertex.bitangent_sign;
     }
-    for triangle in &mut part.triangles {
+    for triangle in triangles {
         triangle.swap(1, 2);
     }
-    part
 }
 
-fn drop_unused(vertices: &mut Vec<Vertex>, triangles: &mut [[u32; 3]]) {
+fn drop_unused(vertices: &mut Vec<GivenVertex>, triangles: &mut [[u32; 3]]) {
     let mut moved: Vec<Option<u32>> = vec![None; vertices.len()];
     for index in triangles.iter().flatten() {
         moved[*index as usize] = Some(0);

@@ -7,18 +7,19 @@ use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use glam::{DMat3, DMat4, DQuat, DVec3, Vec3};
+use glam::{DMat3, DMat4, DQuat, DVec3, Vec2, Vec3};
 use gltf::json::accessor::{ComponentType, IndexComponentType, Type};
 use gltf::json::buffer::View;
 use gltf::json::mesh::{Mode, Primitive, Semantic};
 use gltf::json::texture::{Sampler, WrappingMode};
 use gltf::json::validation::{Checked, USize64};
 use gltf::json::{Accessor, Index, Root, material, root::Get, scene, texture};
-use relight_format::{Material, Surface, Texture, TextureEncoding, TextureSlot, Vertex};
+use relight_format::{Material, Surface, Texture, TextureEncoding, TextureSlot};
 use serde::Deserialize;
 
-use super::build::{Builder, Part, Tangents, face_normal};
-use super::{Error, MAX_VERTICES, Mesh, image, plain_material};
+use super::build::{Builder, GivenVertex, Part, Tangents, face_normal};
+use super::{Error, MAX_VERTICES, image, plain_material};
+use crate::mesh::Mesh;
 
 /// Extensions that change nothing, or only what this product does not show: lights,
 /// emission, alternative materials, metadata.
@@ -435,8 +436,7 @@ impl Document<'_> {
         let direction = |matrix: DMat3, vector: [f32; 3]| {
             (matrix * Vec3::from(vector).as_dvec3())
                 .try_normalize()
-                .unwrap_or_default()
-                .as_vec3()
+                .map(|direction| direction.as_vec3())
         };
         let mut vertices = Vec::with_capacity(count);
         for (index, position) in positions.into_iter().enumerate() {
@@ -447,18 +447,17 @@ impl Document<'_> {
                 let found = format!("{position} at vertex {index}, in world space");
                 return Err(self.invalid(key("POSITION"), "finite coordinates", found));
             }
-            let tangent = tangents.as_ref().map_or([0.0; 4], |tangents| {
+            let tangent = tangents.as_ref().and_then(|tangents| {
                 let [x, y, z, w] = tangents[index];
-                direction(linear, [x, y, z]).extend(w * sign as f32).into()
+                Some((direction(linear, [x, y, z])?, w * sign as f32))
             });
-            let normal = normals
-                .as_ref()
-                .map(|normals| direction(cofactors, normals[index]));
-            vertices.push(Vertex {
-                position: position.into(),
-                normal: normal.unwrap_or_default().into(),
+            let normal =
+                (normals.as_ref()).and_then(|normals| direction(cofactors, normals[index]));
+            vertices.push(GivenVertex {
+                position,
+                normal,
                 tangent,
-                uv: uvs.as_ref().map_or([0.0; 2], |uvs| uvs[index]),
+                uv: uvs.as_ref().map_or(Vec2::ZERO, |uvs| uvs[index].into()),
             });
         }
 
@@ -758,16 +757,17 @@ fn assemble(mode: Mode, indices: &[u32]) -> Vec<[u32; 3]> {
 }
 
 /// Gives every triangle its own vertices, with its face's normal.
-fn flat_shaded(vertices: &[Vertex], triangles: &[[u32; 3]]) -> (Vec<Vertex>, Vec<[u32; 3]>) {
+fn flat_shaded(
+    vertices: &[GivenVertex],
+    triangles: &[[u32; 3]],
+) -> (Vec<GivenVertex>, Vec<[u32; 3]>) {
     let mut flat = Vec::with_capacity(triangles.len() * 3);
     for triangle in triangles {
-        let normal = face_normal(vertices, *triangle)
-            .unwrap_or_default()
-            .as_vec3()
-            .into();
-        flat.extend(triangle.map(|index| Vertex {
-            normal,
-            ..vertices[index as usize]
+        let corners = triangle.map(|index| vertices[index as usize]);
+        let normal = face_normal(corners.map(|corner| corner.position));
+        flat.extend(corners.map(|corner| GivenVertex {
+            normal: normal.map(|normal| normal.as_vec3()),
+            ..corner
         }));
     }
     let triangles = (0..triangles.len() as u32)

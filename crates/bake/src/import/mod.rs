@@ -17,38 +17,12 @@ use std::path::{Path, PathBuf};
 
 use relight_format as format;
 
+use crate::mesh::Mesh;
+
 /// Most vertices, and most triangles, that an imported mesh may have.
 pub const MAX_VERTICES: usize = 1 << 25;
 /// Most texels per side of a texture.
 pub const MAX_IMAGE_SIZE: u32 = 16384;
-
-/// Largest absolute coordinate, so that products of three coordinates fit an f32.
-pub const MAX_COORDINATE: f32 = 1e12;
-
-/// A triangle of an imported mesh.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ImportedTriangle {
-    /// Indices into [`Mesh::vertices`], counter-clockwise seen from outside.
-    pub vertices: [u32; 3],
-    /// Index into [`Mesh::materials`].
-    pub material: u16,
-}
-
-/// Triangles in world space. Imported meshes hold only finite numbers, unit normals, unit
-/// tangents orthogonal to them, and no triangle of zero area.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Mesh {
-    /// Vertices; each is used by at least one triangle.
-    pub vertices: Vec<format::Vertex>,
-    /// Triangles.
-    pub triangles: Vec<ImportedTriangle>,
-    /// Materials; each is used by at least one triangle.
-    pub materials: Vec<format::Material>,
-    /// Textures that materials refer to.
-    pub textures: Vec<format::Texture>,
-    /// What was left out or changed, one sentence each.
-    pub warnings: Vec<String>,
-}
 
 /// A material without textures.
 pub fn plain_material(name: &str, surface: format::Surface) -> format::Material {
@@ -75,46 +49,6 @@ pub(crate) fn texture(
         .map(|other| u64::from(other.width) * u64::from(other.height))
         .sum();
     image::decode(path, "file", &bytes, encoding, &mut texels)
-}
-
-impl Mesh {
-    /// A position outside [`MAX_COORDINATE`], if any.
-    pub(crate) fn distant_position(vertices: &[format::Vertex]) -> Option<[f32; 3]> {
-        let mut positions = vertices.iter().map(|vertex| vertex.position);
-        // Written so that NaN counts as outside.
-        positions.find(|position| !position.iter().all(|x| x.abs() <= MAX_COORDINATE))
-    }
-
-    /// Removes textures that no material refers to.
-    pub(crate) fn drop_unused_textures(&mut self) {
-        let mut moved: Vec<Option<u32>> = vec![None; self.textures.len()];
-        let mut textures = Vec::new();
-        for material in &mut self.materials {
-            for slot in material.slots_mut() {
-                let old = slot.texture as usize;
-                slot.texture = *moved[old].get_or_insert_with(|| {
-                    textures.push(self.textures[old].clone());
-                    textures.len() as u32 - 1
-                });
-            }
-        }
-        self.textures = textures;
-    }
-
-    /// Smallest and largest coordinates; `None` for a mesh without vertices.
-    pub fn bounds(&self) -> Option<(glam::Vec3, glam::Vec3)> {
-        let mut positions = self.vertices.iter().map(|v| glam::Vec3::from(v.position));
-        let first = positions.next()?;
-        Some(positions.fold((first, first), |(low, high), p| (low.min(p), high.max(p))))
-    }
-
-    /// Corners of every triangle.
-    pub fn soup(&self) -> Vec<[glam::Vec3; 3]> {
-        let position = |vertex: u32| self.vertices[vertex as usize].position.into();
-        (self.triangles.iter())
-            .map(|triangle| triangle.vertices.map(position))
-            .collect()
-    }
 }
 
 /// Why a scene file, mesh, material library or texture could not be read.

@@ -7,12 +7,13 @@
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
-use glam::{DVec2, DVec3, Vec3};
-use relight_format::{Material, Specular, Surface, Texture, TextureEncoding, TextureSlot, Vertex};
+use glam::{DVec2, DVec3, Vec2, Vec3};
+use relight_format::{Material, Specular, Surface, Texture, TextureEncoding, TextureSlot};
 
-use super::build::{Builder, Part, Tangents, angle_weighted_normals};
+use super::build::{Builder, GivenVertex, Part, Tangents, angle_weighted_normals};
 use super::mtl::{self, Map, MtlMaterial};
-use super::{Error, Mesh, image, plain_material};
+use super::{Error, image, plain_material};
+use crate::mesh::Mesh;
 
 /// Most corners of a face that is not convex, which bounds the time to triangulate it.
 const MAX_CONCAVE_CORNERS: usize = 1024;
@@ -364,8 +365,9 @@ fn triangulate(points: &[DVec3]) -> Option<Vec<[usize; 3]>> {
 }
 
 /// The normal of each corner of each triangle: the file's, else the angle-weighted mean over
-/// the triangles that share the position and the smoothing group, else the face's.
-fn corner_normals(obj: &Obj, triangles: &[Triangle]) -> Vec<[Vec3; 3]> {
+/// the triangles that share the position and the smoothing group, else the face's; none where
+/// faces cancel.
+fn corner_normals(obj: &Obj, triangles: &[Triangle]) -> Vec<[Option<Vec3>; 3]> {
     let given = |corner: u32| {
         let index = obj.corners[corner as usize].normal?;
         obj.normals.get(index as usize)?.try_normalize()
@@ -394,17 +396,14 @@ fn corner_normals(obj: &Obj, triangles: &[Triangle]) -> Vec<[Vec3; 3]> {
         }
     }
     let smooth = |triangle: &Triangle, corner: u32| {
-        let sum = sums
-            .get(&key(triangle, corner))
-            .copied()
-            .unwrap_or_default();
-        sum.try_normalize().unwrap_or_default().as_vec3()
+        let sum = sums.get(&key(triangle, corner))?;
+        Some(sum.try_normalize()?.as_vec3())
     };
     triangles
         .iter()
         .map(|t| {
             t.corners
-                .map(|corner| given(corner).unwrap_or_else(|| smooth(t, corner)))
+                .map(|corner| given(corner).or_else(|| smooth(t, corner)))
         })
         .collect()
 }
@@ -414,7 +413,7 @@ fn push_part(
     builder: &mut Builder,
     obj: &Obj,
     triangles: &[Triangle],
-    normals: &[[Vec3; 3]],
+    normals: &[[Option<Vec3>; 3]],
     material: usize,
     description: &Material,
 ) -> Result<(), Error> {
@@ -426,17 +425,17 @@ fn push_part(
         if obj.faces[triangle.face as usize].material != material {
             continue;
         }
-        let mut vertex = |corner: u32, normal: Vec3| {
+        let mut vertex = |corner: u32, normal: Option<Vec3>| {
             let Corner { position, uv, .. } = obj.corners[corner as usize];
             let uv = uv.filter(|&uv| (uv as usize) < obj.uvs.len());
             has_uv &= uv.is_some();
-            let key = (position, uv, normal.to_array().map(f32::to_bits));
+            let key = (position, uv, normal.map(|n| n.to_array().map(f32::to_bits)));
             *indices.entry(key).or_insert_with(|| {
-                vertices.push(Vertex {
-                    position: obj.positions[position as usize].into(),
-                    normal: normal.into(),
-                    tangent: [0.0; 4],
-                    uv: uv.map_or([0.0; 2], |uv| obj.uvs[uv as usize]),
+                vertices.push(GivenVertex {
+                    position: obj.positions[position as usize],
+                    normal,
+                    tangent: None,
+                    uv: uv.map_or(Vec2::ZERO, |uv| obj.uvs[uv as usize].into()),
                 });
                 vertices.len() as u32 - 1
             })

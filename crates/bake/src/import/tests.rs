@@ -4,11 +4,12 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use glam::Vec3;
-use relight_format::{Specular, Surface, Vertex};
+use relight_format::{Specular, Surface};
 use serde_json::{Value, json};
 
 use super::build::face_normal;
-use super::{Error, Mesh, gltf, obj};
+use super::{Error, gltf, obj};
+use crate::mesh::{Mesh, Vertex};
 
 /// Vectors that should be equal or orthogonal are computed along different paths in f32.
 const TOLERANCE: f32 = 1e-5;
@@ -86,17 +87,21 @@ fn import_obj(text: &str) -> Result<Mesh, Error> {
 }
 
 fn area_normals(mesh: &Mesh) -> Vec<Vec3> {
-    let normal = |t: &super::ImportedTriangle| face_normal(&mesh.vertices, t.vertices);
-    mesh.triangles
-        .iter()
-        .map(|t| normal(t).expect("an area").as_vec3())
+    mesh.soup()
+        .into_iter()
+        .map(|corners| face_normal(corners).expect("an area").as_vec3())
         .collect()
 }
 
 fn frame(vertex: &Vertex) -> [Vec3; 3] {
-    let normal = Vec3::from(vertex.normal);
-    let tangent = Vec3::from_slice(&vertex.tangent[..3]);
-    [tangent, normal.cross(tangent) * vertex.tangent[3], normal]
+    let Vertex {
+        normal, tangent, ..
+    } = *vertex;
+    [
+        tangent,
+        normal.cross(tangent) * vertex.bitangent_sign,
+        normal,
+    ]
 }
 
 fn assert_close(a: Vec3, b: Vec3) {
@@ -111,8 +116,8 @@ fn a_square_arrives_as_it_is() {
     assert_eq!(mesh.warnings, Vec::<String>::new());
     assert_eq!(mesh.materials[0].name, "paint");
     for vertex in &mesh.vertices {
-        let [x, y, _] = vertex.position;
-        assert_eq!(vertex.uv, [x, 1.0 - y]);
+        let [x, y, _] = vertex.position.to_array();
+        assert_eq!(vertex.uv.to_array(), [x, 1.0 - y]);
         assert_eq!(frame(vertex), [Vec3::X, Vec3::Y, Vec3::Z]);
     }
     for normal in area_normals(&mesh) {
@@ -133,9 +138,9 @@ fn transforms_carry_the_whole_frame_mirrors_included() {
     let mesh = import_good(&json, &blob);
     assert_eq!(mesh.warnings, Vec::<String>::new());
     for vertex in &mesh.vertices {
-        let [u, v] = vertex.uv;
+        let [u, v] = vertex.uv.to_array();
         let expected = Vec3::new(5.0 - 3.0 * (1.0 - v), -u, 0.0);
-        assert_close(vertex.position.into(), expected);
+        assert_close(vertex.position, expected);
         let [tangent, bitangent, normal] = frame(vertex);
         assert_close(tangent, Vec3::NEG_Y);
         assert_close(bitangent, Vec3::NEG_X);
@@ -152,7 +157,7 @@ fn a_shear_keeps_normals_orthogonal() {
     json["nodes"][0]["matrix"] = json!([1, 0, 1, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]);
     let mesh = import_good(&json, &blob);
     for (vertex, face) in mesh.vertices.iter().zip([area_normals(&mesh)[0]; 4]) {
-        assert_close(vertex.normal.into(), face);
+        assert_close(vertex.normal, face);
     }
 }
 
@@ -190,7 +195,7 @@ fn missing_normals_are_flat_and_void_the_tangents() {
     assert!(faces[0].distance(faces[1]) > 0.1);
     for (triangle, face) in mesh.triangles.iter().zip(faces) {
         for index in triangle.vertices {
-            assert_close(mesh.vertices[index as usize].normal.into(), face);
+            assert_close(mesh.vertices[index as usize].normal, face);
         }
     }
 }
@@ -229,9 +234,9 @@ fn quantised_attributes_are_scaled() {
     json["nodes"][0]["scale"] = json!([0.001, 0.001, 0.001]);
     let mesh = import_good(&json, &blob);
     for vertex in &mesh.vertices {
-        let [u, v] = vertex.uv;
-        assert_close(vertex.position.into(), Vec3::new(u, 1.0 - v, 0.007));
-        assert_close(vertex.normal.into(), Vec3::Z);
+        let [u, v] = vertex.uv.to_array();
+        assert_close(vertex.position, Vec3::new(u, 1.0 - v, 0.007));
+        assert_close(vertex.normal, Vec3::Z);
     }
 }
 
@@ -255,8 +260,8 @@ fn sparse_accessors_replace_elements() {
         "values": {"bufferView": 6},
     });
     let mesh = import_good(&json, &blob);
-    assert_eq!(mesh.vertices[2].position, [2.0, 2.0, 0.0]);
-    assert_eq!(mesh.vertices[1].position, [1.0, 0.0, 0.0]);
+    assert_eq!(mesh.vertices[2].position, Vec3::new(2.0, 2.0, 0.0));
+    assert_eq!(mesh.vertices[1].position, Vec3::X);
 }
 
 #[test]
@@ -558,10 +563,7 @@ fn no_mutation_of_a_textured_glb_panics() {
                     numbers.iter().all(|number| number.is_finite()),
                     "{vertex:?}"
                 );
-                assert!(
-                    Vec3::from_slice(&vertex.tangent[..3]).is_normalized(),
-                    "{vertex:?}"
-                );
+                assert!(vertex.tangent.is_normalized(), "{vertex:?}");
             }
         }
     }
@@ -586,8 +588,8 @@ fn corner_normals_of_a_cube_are_its_diagonals() {
     // Whatever the diagonals of the faces are, the angles at a corner sum to 90° per face.
     assert_eq!((mesh.vertices.len(), mesh.triangles.len()), (8, 12));
     for vertex in &mesh.vertices {
-        let diagonal = (Vec3::from(vertex.position) - 0.5).normalize();
-        assert_close(vertex.normal.into(), diagonal);
+        let diagonal = (vertex.position - 0.5).normalize();
+        assert_close(vertex.normal, diagonal);
     }
 }
 
@@ -670,7 +672,7 @@ fn concave_faces_are_covered_once() {
                 .map(|triangle| {
                     let [a, b, c] = triangle
                         .vertices
-                        .map(|index| Vec3::from(mesh.vertices[index as usize].position));
+                        .map(|index| mesh.vertices[index as usize].position);
                     let vector = (b - a).cross(c - a) * 0.5;
                     assert!(vector.z > 0.0, "a triangle faces backwards or has no area");
                     vector.z
@@ -694,9 +696,9 @@ fn obj_indices_may_be_relative_and_lines_continued() {
     )
     .expect("a triangle");
     assert_eq!(mesh.vertices.len(), 3);
-    assert_eq!(mesh.vertices[0].uv, [0.25, 0.25]);
-    assert_eq!(mesh.vertices[2].uv, [1.0, 1.0]);
-    assert_eq!(mesh.vertices[1].normal, [0.0, 0.0, 1.0]);
+    assert_eq!(mesh.vertices[0].uv.to_array(), [0.25, 0.25]);
+    assert_eq!(mesh.vertices[2].uv.to_array(), [1.0, 1.0]);
+    assert_eq!(mesh.vertices[1].normal, Vec3::Z);
 }
 
 #[test]

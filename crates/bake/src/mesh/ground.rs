@@ -1,9 +1,9 @@
 //! A horizontal receiver under a mesh, fine enough to carry the mesh's shadow.
 
-use glam::Vec3;
-use relight_format::{Material, Vertex};
+use glam::{Vec2, Vec3};
+use relight_format::Material;
 
-use crate::import::{ImportedTriangle, Mesh};
+use super::{Mesh, Triangle, Vertex};
 use crate::scene::description::Ground;
 
 /// Default side length, in longest extents of the mesh.
@@ -63,10 +63,11 @@ pub fn append(
             let uv = [i, j].map(|k| k as f32 / cells as f32);
             let [u, v] = uv.map(|t| (t - 0.5) * size);
             mesh.vertices.push(Vertex {
-                position: [x + u, height, z + v],
-                normal: [0.0, 1.0, 0.0],
-                tangent: [1.0, 0.0, 0.0, 1.0],
-                uv,
+                position: Vec3::new(x + u, height, z + v),
+                normal: Vec3::Y,
+                tangent: Vec3::X,
+                bitangent_sign: 1.0,
+                uv: Vec2::from(uv),
             });
         }
     }
@@ -80,11 +81,10 @@ pub fn append(
             } else {
                 [[a, c, b], [b, c, d]]
             };
-            mesh.triangles
-                .extend(halves.map(|vertices| ImportedTriangle {
-                    vertices,
-                    material: index,
-                }));
+            mesh.triangles.extend(halves.map(|vertices| Triangle {
+                vertices,
+                material: index,
+            }));
         }
     }
     Ok(())

@@ -4,8 +4,9 @@
 //! Where texture coordinates exist the tangent points along increasing u and the bitangent
 //! along decreasing v: "up" in an image whose row 0 is at v = 0.
 
-use glam::{Vec2, Vec3};
-use relight_format::Vertex;
+use glam::Vec3;
+
+use super::Vertex;
 
 /// The part of `tangent` orthogonal to the unit `normal`, normalised; `None` if there is none.
 pub fn orthogonal(normal: Vec3, tangent: Vec3) -> Option<Vec3> {
@@ -22,7 +23,8 @@ pub fn around_axis(normal: Vec3) -> Vec3 {
 /// Sets every tangent to [`around_axis`].
 pub fn set_around_axis(vertices: &mut [Vertex]) {
     for vertex in vertices {
-        vertex.tangent = around_axis(vertex.normal.into()).extend(1.0).into();
+        vertex.tangent = around_axis(vertex.normal);
+        vertex.bitangent_sign = 1.0;
     }
 }
 
@@ -32,8 +34,8 @@ pub fn set_from_uv(vertices: &mut [Vertex], triangles: &[[u32; 3]]) {
     let mut against_v = vec![Vec3::ZERO; vertices.len()];
     for triangle in triangles {
         let [a, b, c] = triangle.map(|index| vertices[index as usize]);
-        let [p, q, r] = [a, b, c].map(|vertex| Vec3::from(vertex.position));
-        let [u, v, w] = [a, b, c].map(|vertex| Vec2::from(vertex.uv));
+        let [p, q, r] = [a, b, c].map(|vertex| vertex.position);
+        let [u, v, w] = [a, b, c].map(|vertex| vertex.uv);
         let (pq, pr, uv, uw) = (q - p, r - p, v - u, w - u);
         // Only the direction of ∂p/∂u is wanted, so the determinant enters by its sign.
         let sign = uv.perp_dot(uw).signum();
@@ -46,13 +48,13 @@ pub fn set_from_uv(vertices: &mut [Vertex], triangles: &[[u32; 3]]) {
         }
     }
     for ((vertex, along_u), against_v) in vertices.iter_mut().zip(along_u).zip(against_v) {
-        let normal = Vec3::from(vertex.normal);
-        vertex.tangent = match orthogonal(normal, along_u) {
+        let normal = vertex.normal;
+        (vertex.tangent, vertex.bitangent_sign) = match orthogonal(normal, along_u) {
             Some(tangent) => {
                 let flipped = normal.cross(tangent).dot(against_v) < 0.0;
-                tangent.extend(if flipped { -1.0 } else { 1.0 }).into()
+                (tangent, if flipped { -1.0 } else { 1.0 })
             }
-            None => around_axis(normal).extend(1.0).into(),
+            None => (around_axis(normal), 1.0),
         };
     }
 }
@@ -73,24 +75,29 @@ pub fn set_mikktspace(vertices: &mut Vec<Vertex>, triangles: &mut [[u32; 3]]) {
     for (corner, given) in tangents.into_iter().enumerate() {
         let index = &mut triangles[corner / 3][corner % 3];
         let old = *index as usize;
-        let normal = Vec3::from(vertices[old].normal);
+        let normal = vertices[old].normal;
         let [x, y, z, w] = given;
-        let tangent = match orthogonal(normal, Vec3::new(x, y, z)) {
+        let (tangent, bitangent_sign) = match orthogonal(normal, Vec3::new(x, y, z)) {
             // The algorithm takes v to point up; ours points down.
-            Some(tangent) => tangent.extend(-w).to_array(),
-            None => around_axis(normal).extend(1.0).to_array(),
+            Some(tangent) => (tangent, -w),
+            None => (around_axis(normal), 1.0),
         };
         *index = *split
-            .entry((old, tangent.map(f32::to_bits)))
+            .entry((
+                old,
+                tangent.extend(bitangent_sign).to_array().map(f32::to_bits),
+            ))
             .or_insert_with(|| {
                 if std::mem::replace(&mut assigned[old], true) {
                     vertices.push(Vertex {
                         tangent,
+                        bitangent_sign,
                         ..vertices[old]
                     });
                     vertices.len() as u32 - 1
                 } else {
                     vertices[old].tangent = tangent;
+                    vertices[old].bitangent_sign = bitangent_sign;
                     old as u32
                 }
             });
@@ -119,15 +126,15 @@ impl mikktspace::Geometry for Corners<'_> {
     }
 
     fn position(&self, face: usize, corner: usize) -> [f32; 3] {
-        self.vertex(face, corner).position
+        self.vertex(face, corner).position.into()
     }
 
     fn normal(&self, face: usize, corner: usize) -> [f32; 3] {
-        self.vertex(face, corner).normal
+        self.vertex(face, corner).normal.into()
     }
 
     fn tex_coord(&self, face: usize, corner: usize) -> [f32; 2] {
-        self.vertex(face, corner).uv
+        self.vertex(face, corner).uv.into()
     }
 
     fn set_tangent_encoded(&mut self, tangent: [f32; 4], face: usize, corner: usize) {
@@ -137,6 +144,8 @@ impl mikktspace::Geometry for Corners<'_> {
 
 #[cfg(test)]
 mod tests {
+    use glam::Vec2;
+
     use super::*;
 
     /// Rounding of a few products in f32.
@@ -149,10 +158,11 @@ mod tests {
         for x in [-1f32, 0.0, 1.0] {
             for y in [0f32, 1.0] {
                 vertices.push(Vertex {
-                    position: [x, y, 0.0],
-                    normal: [0.0, 0.0, 1.0],
-                    tangent: [0.0; 4],
-                    uv: [x.abs(), 1.0 - y],
+                    position: Vec3::new(x, y, 0.0),
+                    normal: Vec3::Z,
+                    tangent: Vec3::ZERO,
+                    bitangent_sign: 0.0,
+                    uv: Vec2::new(x.abs(), 1.0 - y),
                 });
             }
         }
@@ -160,9 +170,9 @@ mod tests {
     }
 
     fn assert_frame(vertex: &Vertex, tangent: Vec3, bitangent: Vec3) {
-        let found = Vec3::from_slice(&vertex.tangent[..3]);
+        let found = vertex.tangent;
         assert!(found.distance(tangent) < TOLERANCE, "{vertex:?}");
-        let across = Vec3::from(vertex.normal).cross(found) * vertex.tangent[3];
+        let across = vertex.normal.cross(found) * vertex.bitangent_sign;
         assert!(across.distance(bitangent) < TOLERANCE, "{vertex:?}");
     }
 
@@ -188,8 +198,8 @@ mod tests {
     fn without_usable_texture_coordinates_tangents_run_around_the_axis() {
         let (mut vertices, mut triangles) = mirrored_pair();
         for vertex in &mut vertices {
-            vertex.uv = [0.5; 2];
-            vertex.normal = Vec3::new(1.0, 0.5, 2.0).normalize().into();
+            vertex.uv = Vec2::splat(0.5);
+            vertex.normal = Vec3::new(1.0, 0.5, 2.0).normalize();
         }
         let around = Vec3::new(2.0, 0.0, -1.0).normalize();
         for method in 0..3 {
@@ -199,9 +209,9 @@ mod tests {
                 _ => set_mikktspace(&mut vertices, &mut triangles),
             }
             for vertex in &vertices {
-                let tangent = Vec3::from_slice(&vertex.tangent[..3]);
+                let tangent = vertex.tangent;
                 assert!(tangent.is_normalized(), "method {method}: {vertex:?}");
-                assert!(tangent.dot(vertex.normal.into()).abs() < TOLERANCE);
+                assert!(tangent.dot(vertex.normal).abs() < TOLERANCE);
                 if method < 2 {
                     assert!(
                         tangent.distance(around) < TOLERANCE,

@@ -8,9 +8,9 @@ use glam::{Quat, Vec3};
 use relight_format as format;
 use relight_shading::local_light::LocalLight;
 
-use crate::import::{self, Error, Mesh};
+use crate::import::{self, Error};
 use crate::measured::{self, Table, fit};
-use crate::mesh::ground;
+use crate::mesh::{self, MAX_COORDINATE, Mesh, ground};
 use crate::scene::description::{
     self, BlendName, LayerFile, MaterialOverride, SceneFile, alpha_pair,
 };
@@ -54,7 +54,7 @@ pub fn load(path: &Path) -> Result<SceneInput, Error> {
         return Ok(SceneInput {
             name,
             warnings: mesh.warnings.clone(),
-            object_diagonal: diagonal(&mesh),
+            object_diagonal: mesh.diagonal(),
             mesh,
             camera: None,
             environment: None,
@@ -67,20 +67,18 @@ pub fn load(path: &Path) -> Result<SceneInput, Error> {
     let folder = path.parent().unwrap_or(Path::new(""));
     let mut mesh = import::mesh(&folder.join(&file.mesh))?;
     place(&mut mesh, &file.transform);
-    if let Some(position) = Mesh::distant_position(&mesh.vertices) {
+    let mut positions = mesh.vertices.iter().map(|vertex| vertex.position);
+    if let Some(position) = mesh::distant_position(&mut positions) {
         return Err(Error::invalid(
             path,
             "transform",
-            format_args!(
-                "coordinates within {} m of the origin",
-                import::MAX_COORDINATE
-            ),
-            format_args!("{position:?}"),
+            format_args!("coordinates within {MAX_COORDINATE} m of the origin"),
+            format_args!("{:?}", position.to_array()),
         ));
     }
     let mut measured = Vec::new();
     override_materials(path, &file, &mut mesh, &mut measured)?;
-    let object_diagonal = diagonal(&mesh);
+    let object_diagonal = mesh.diagonal();
     if let Some(options) = &file.ground {
         let material = options.material.as_ref();
         let default = MaterialOverride::Diffuse {
@@ -111,19 +109,14 @@ pub fn load(path: &Path) -> Result<SceneInput, Error> {
     })
 }
 
-fn diagonal(mesh: &Mesh) -> f32 {
-    mesh.bounds().map_or(0.0, |(low, high)| low.distance(high))
-}
-
 fn place(mesh: &mut Mesh, transform: &description::Transform) {
     let axis = Vec3::from(transform.rotation_axis).normalize();
     let rotation = Quat::from_axis_angle(axis, transform.rotation_degrees.to_radians());
     for vertex in &mut mesh.vertices {
-        let position = rotation * (Vec3::from(vertex.position) * transform.scale);
-        vertex.position = (position + Vec3::from(transform.translation)).into();
-        vertex.normal = (rotation * Vec3::from(vertex.normal)).into();
-        let [x, y, z, sign] = vertex.tangent;
-        vertex.tangent = (rotation * Vec3::new(x, y, z)).extend(sign).into();
+        let position = rotation * (vertex.position * transform.scale);
+        vertex.position = position + Vec3::from(transform.translation);
+        vertex.normal = rotation * vertex.normal;
+        vertex.tangent = rotation * vertex.tangent;
     }
 }
 
@@ -496,7 +489,7 @@ mod tests {
             list.extend(
                 triangle
                     .vertices
-                    .map(|index| Vec3::from(input.mesh.vertices[index as usize].position)),
+                    .map(|index| input.mesh.vertices[index as usize].position),
             );
         }
         let bounds = |points: &[Vec3]| {

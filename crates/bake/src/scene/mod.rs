@@ -24,8 +24,7 @@ use relight_format as format;
 use relight_format::{CHANNELS_PER_TILE, MAX_TILES_PER_CLUSTER, Representation};
 
 use crate::compress::{self, Compressed, Normal, Samples, Weighting};
-use crate::import::Mesh;
-use crate::mesh::{cluster, refine};
+use crate::mesh::{Mesh, cluster, refine};
 use crate::monitor::{Interrupted, Monitor};
 use crate::scene::fingerprint::Fingerprint;
 use crate::scene::load::SceneInput;
@@ -302,10 +301,7 @@ impl<'a> Bake<'a> {
         clock = Instant::now();
         monitor.step("refine", 0.0)?;
         let fingerprint = fingerprint(&input, options);
-        let diagonal = input
-            .mesh
-            .bounds()
-            .map_or(0.0, |(low, high)| low.distance(high));
+        let diagonal = input.mesh.diagonal();
         let (max_edge, bound) = refinement(&input, options, RELATIVE_RAY_OFFSET * diagonal);
         let mut report = format::BakeReport {
             source_vertices: input.mesh.vertices.len() as u64,
@@ -349,8 +345,8 @@ impl<'a> Bake<'a> {
             coefficients: Vec::new(),
             basis: Vec::new(),
         };
-        let positions: Vec<Vec3> = mesh.vertices.iter().map(|v| v.position.into()).collect();
-        let triangles: Vec<[u32; 3]> = mesh.triangles.iter().map(|t| t.vertices).collect();
+        let positions = mesh.positions();
+        let triangles = mesh.indices();
         let chunks = match options.representation {
             Representation::ClusteredPca => {
                 cluster::partition(&positions, &triangles, CHUNK_VERTICES)
@@ -707,8 +703,7 @@ impl Bake<'_> {
     fn normals(&self, triangles: &[u32], vertices: &[u32]) -> Vec<Normal> {
         let mut normals: Vec<Normal> = (vertices.iter())
             .map(|&vertex| Normal {
-                direction: Vec3::from(self.mesh.vertices[vertex as usize].normal)
-                    .normalize_or_zero(),
+                direction: (self.mesh.vertices[vertex as usize].normal).normalize_or_zero(),
                 tilt: 0.0,
             })
             .collect();
@@ -956,7 +951,7 @@ impl Bake<'_> {
         let (triangles, order) = layout::walk(&triangles, vertices.len());
         let vertex = |&column: &usize| {
             let vertex = self.mesh.vertices[vertices[column] as usize];
-            layout::rounded(vertex)
+            layout::rounded(vertex.into())
         };
         Cluster {
             vertices: order.iter().map(vertex).collect(),

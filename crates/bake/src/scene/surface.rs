@@ -109,9 +109,8 @@ impl Bake<'_> {
             .map(|probe| (probe.mean(|vertex| self.origins[vertex as usize]), probe))
             .collect();
         self.sample(points, |probe, sampled| {
-            let direction = probe.mean(|vertex| {
-                Vec3::from(self.mesh.vertices[vertex as usize].normal).normalize_or_zero()
-            });
+            let direction = probe
+                .mean(|vertex| (self.mesh.vertices[vertex as usize].normal).normalize_or_zero());
             probe.normal.direction = direction.normalize_or_zero();
             probe.resolution = self.transform.squared_error(
                 sampled.visible,
@@ -126,8 +125,7 @@ impl Bake<'_> {
 
     fn probe(&self, triangle: u32) -> Probe {
         let vertices = self.triangles[triangle as usize];
-        let [a, b, c] =
-            vertices.map(|vertex| Vec3::from(self.mesh.vertices[vertex as usize].position));
+        let [a, b, c] = self.mesh.corners(&self.mesh.triangles[triangle as usize]);
         // An additive recurrence covers a square evenly, whatever triangles are taken
         // (Roberts 2018); its upper half is folded onto the lower one.
         let along = |ratio: f64| (f64::from(triangle) * ratio).fract() as f32;

@@ -2,7 +2,8 @@
 //! about it.
 
 use glam::Vec3;
-use relight_bake::import::{Mesh, plain_material};
+use relight_bake::import::plain_material;
+use relight_bake::mesh::Mesh;
 use relight_bake::scene;
 use relight_bake::scene::description::Ground;
 use relight_bake::scene::load::SceneInput;

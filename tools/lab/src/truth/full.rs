@@ -6,7 +6,6 @@ use std::f32::consts::PI;
 
 use glam::{Mat3, Vec2, Vec3};
 use relight_bake::environment::hdr::LatLong;
-use relight_bake::import::ImportedTriangle;
 use relight_bake::measured::{self, Table};
 use relight_bake::scene::load::SceneInput;
 use relight_format::{
@@ -29,7 +28,7 @@ const RAY_OFFSET: f32 = 1e-4;
 /// that [`render`] reads is missing.
 pub fn unbaked(input: &SceneInput) -> Scene {
     let mesh = &input.mesh;
-    let diagonal = mesh.bounds().map_or(0.0, |(low, high)| low.distance(high));
+    let diagonal = mesh.diagonal();
     Scene {
         name: input.name.clone(),
         visibility: VisibilityParameters {
@@ -43,13 +42,13 @@ pub fn unbaked(input: &SceneInput) -> Scene {
         materials: mesh.materials.clone(),
         textures: mesh.textures.clone(),
         report: BakeReport::default(),
-        vertices: mesh.vertices.clone(),
+        vertices: mesh.vertices.iter().map(|&vertex| vertex.into()).collect(),
         triangles: mesh
             .triangles
             .iter()
-            .map(|&ImportedTriangle { vertices, material }| Triangle {
-                vertices,
-                material,
+            .map(|triangle| Triangle {
+                vertices: triangle.vertices,
+                material: triangle.material,
                 cluster: 0,
             })
             .collect(),

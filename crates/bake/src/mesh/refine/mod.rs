@@ -5,10 +5,9 @@ mod wrong;
 
 use std::collections::HashMap;
 
-use glam::{Vec2, Vec3};
-use relight_format::Vertex;
+use glam::Vec3;
 
-use crate::import::{ImportedTriangle, Mesh};
+use super::{Mesh, Triangle, Vertex};
 
 pub use wrong::{Bound, refine as refine_wrong};
 
@@ -70,7 +69,7 @@ fn cut(a: Vec3, b: Vec3, bound: f32) -> Option<Vec3> {
 /// Lengths of edges to cut, longest first, one per pair of vertex indices: as many as
 /// cutting them adds vertices.
 fn long_edges(mesh: &Mesh, max_edge: f32) -> Vec<f32> {
-    let position = |index: u32| Vec3::from(mesh.vertices[index as usize].position);
+    let position = |index: u32| mesh.vertices[index as usize].position;
     let mut edges: Vec<[u32; 2]> = (mesh.triangles.iter())
         .flat_map(|triangle| sides(triangle.vertices))
         .filter(|&[a, b]| cut(position(a), position(b), max_edge).is_some())
@@ -96,14 +95,14 @@ fn divide(mesh: &mut Mesh, cut: impl Fn(Vec3, Vec3) -> Option<Vec3>) -> HashMap<
     let mut middles: HashMap<[u32; 2], u32> = HashMap::new();
     let mut triangles = Vec::with_capacity(mesh.triangles.len() * 2);
     let vertices = &mut mesh.vertices;
-    for &ImportedTriangle {
+    for &Triangle {
         vertices: corners,
         material,
     } in &mesh.triangles
     {
         let mut middle = |a: u32, b: u32| {
             let (first, second) = (vertices[a as usize], vertices[b as usize]);
-            let position = cut(first.position.into(), second.position.into())?;
+            let position = cut(first.position, second.position)?;
             Some(*middles.entry([a.min(b), a.max(b)]).or_insert_with(|| {
                 vertices.push(average(&first, &second, position));
                 vertices.len() as u32 - 1
@@ -118,7 +117,7 @@ fn divide(mesh: &mut Mesh, cut: impl Fn(Vec3, Vec3) -> Option<Vec3>) -> HashMap<
             _ => 0,
         };
         let [a, b, c] = [0, 1, 2].map(|i| corners[(i + turned) % 3]);
-        let position = |index: u32| Vec3::from(vertices[index as usize].position);
+        let position = |index: u32| vertices[index as usize].position;
         let cut_up: &[[u32; 3]] = match [0, 1, 2].map(|i| halves[(i + turned) % 3]) {
             [None, ..] => &[[a, b, c]],
             [Some(ab), None, _] => &[[a, ab, c], [ab, b, c]],
@@ -137,7 +136,7 @@ fn divide(mesh: &mut Mesh, cut: impl Fn(Vec3, Vec3) -> Option<Vec3>) -> HashMap<
         triangles.extend(
             cut_up
                 .iter()
-                .map(|&vertices| ImportedTriangle { vertices, material }),
+                .map(|&vertices| Triangle { vertices, material }),
         );
     }
     mesh.triangles = triangles;
@@ -145,19 +144,20 @@ fn divide(mesh: &mut Mesh, cut: impl Fn(Vec3, Vec3) -> Option<Vec3>) -> HashMap<
 }
 
 fn average(a: &Vertex, b: &Vertex, position: Vec3) -> Vertex {
-    let [x, y, z, sign] = a.tangent;
-    let tangent = (Vec3::new(x, y, z) + Vec3::from_slice(&b.tangent[..3])) * 0.5;
     Vertex {
-        position: position.into(),
-        normal: ((Vec3::from(a.normal) + Vec3::from(b.normal)) * 0.5).into(),
-        tangent: tangent.extend(sign).into(),
-        uv: ((Vec2::from(a.uv) + Vec2::from(b.uv)) * 0.5).into(),
+        position,
+        normal: (a.normal + b.normal) * 0.5,
+        tangent: (a.tangent + b.tangent) * 0.5,
+        bitangent_sign: a.bitangent_sign,
+        uv: (a.uv + b.uv) * 0.5,
     }
 }
 
 #[cfg(test)]
 mod tests {
     use std::collections::{HashMap, HashSet};
+
+    use glam::Vec2;
 
     use super::*;
 
@@ -166,10 +166,11 @@ mod tests {
 
     fn vertex(position: Vec3) -> Vertex {
         Vertex {
-            position: position.into(),
-            normal: position.normalize_or(Vec3::Y).into(),
-            tangent: [1.0, 0.0, 0.0, -1.0],
-            uv: [position.x * 3.0 - position.y, position.z + 0.25],
+            position,
+            normal: position.normalize_or(Vec3::Y),
+            tangent: Vec3::X,
+            bitangent_sign: -1.0,
+            uv: Vec2::new(position.x * 3.0 - position.y, position.z + 0.25),
         }
     }
 
@@ -189,7 +190,7 @@ mod tests {
             let flipped = (octant.count_ones() % 2) as usize;
             let mut vertices = [base, base + 1, base + 2];
             vertices.swap(1, 1 + flipped);
-            mesh.triangles.push(ImportedTriangle {
+            mesh.triangles.push(Triangle {
                 vertices,
                 material: octant,
             });
@@ -198,15 +199,13 @@ mod tests {
     }
 
     fn bits(vertex: &Vertex) -> [u32; 3] {
-        vertex.position.map(|x| (x + 0.0).to_bits())
+        vertex.position.to_array().map(|x| (x + 0.0).to_bits())
     }
 
     fn areas(mesh: &Mesh) -> HashMap<u16, f32> {
         let mut areas = HashMap::new();
         for triangle in &mesh.triangles {
-            let [a, b, c] = triangle
-                .vertices
-                .map(|index| Vec3::from(mesh.vertices[index as usize].position));
+            let [a, b, c] = mesh.corners(triangle);
             *areas.entry(triangle.material).or_default() += (b - a).cross(c - a).length() * 0.5;
         }
         areas
@@ -221,7 +220,7 @@ mod tests {
                 let (a, b) = (&corners[a], &corners[b]);
                 *edges.entry((bits(a), bits(b))).or_default() += 1;
                 *edges.entry((bits(b), bits(a))).or_default() -= 1;
-                let middle = (Vec3::from(a.position) + Vec3::from(b.position)) * 0.5;
+                let middle = (a.position + b.position) * 0.5;
                 assert!(
                     !positions.contains(&bits(&vertex(middle))),
                     "a vertex lies in the middle of the edge {a:?} {b:?}"
@@ -242,9 +241,7 @@ mod tests {
             assert_closed(&mesh);
             assert!(mesh.warnings.is_empty());
             for triangle in &mesh.triangles {
-                let [a, b, c] = triangle
-                    .vertices
-                    .map(|index| Vec3::from(mesh.vertices[index as usize].position));
+                let [a, b, c] = mesh.corners(triangle);
                 let longest = a.distance(b).max(b.distance(c)).max(c.distance(a));
                 assert!(longest <= max_edge, "{longest} is above {max_edge}");
             }
@@ -269,12 +266,12 @@ mod tests {
                 let normal: Vec3 = (0..3)
                     .map(|axis| {
                         let weight = found.position[axis] / face[axis].position[axis];
-                        Vec3::from(face[axis].normal) * weight
+                        face[axis].normal * weight
                     })
                     .sum();
-                assert!(normal.distance(found.normal.into()) < TOLERANCE);
-                let expected = vertex(found.position.into());
-                assert!(Vec2::from(expected.uv).distance(found.uv.into()) < TOLERANCE);
+                assert!(normal.distance(found.normal) < TOLERANCE);
+                let expected = vertex(found.position);
+                assert!(expected.uv.distance(found.uv) < TOLERANCE);
                 assert_eq!(found.tangent, expected.tangent);
             }
         }
@@ -284,9 +281,7 @@ mod tests {
     fn orientation_is_kept() {
         let mesh = refine(soup(), 0.2, usize::MAX);
         for triangle in &mesh.triangles {
-            let [a, b, c] = triangle
-                .vertices
-                .map(|index| Vec3::from(mesh.vertices[index as usize].position));
+            let [a, b, c] = mesh.corners(triangle);
             assert!((b - a).cross(c - a).dot(a + b + c) > 0.0);
         }
     }
@@ -313,9 +308,9 @@ mod tests {
         let mut tiny = soup();
         let up = |x: f32| f32::from_bits(x.to_bits() + 1);
         tiny.triangles.truncate(1);
-        tiny.vertices[0].position = [1e6, 1e6, 1e6];
-        tiny.vertices[1].position = [up(1e6), 1e6, 1e6];
-        tiny.vertices[2].position = [1e6, up(1e6), 1e6];
+        tiny.vertices[0].position = Vec3::splat(1e6);
+        tiny.vertices[1].position = Vec3::new(up(1e6), 1e6, 1e6);
+        tiny.vertices[2].position = Vec3::new(1e6, up(1e6), 1e6);
         let refined = refine(tiny.clone(), 1e-9, usize::MAX);
         assert!(refined.triangles.len() < 100);
     }

@@ -11,8 +11,7 @@ use rayon::prelude::*;
 
 use super::{Key, cut, divide, key, sides};
 use crate::compress::{Normal, Weighting};
-use crate::import::Mesh;
-use crate::mesh::cluster;
+use crate::mesh::{Mesh, cluster};
 use crate::monitor::{Interrupted, Monitor};
 use crate::ssdf::Transform;
 use crate::visibility::contour::{ContourMesh, GROUP, Scratch};
@@ -159,7 +158,7 @@ pub fn refine(
 }
 
 fn position(mesh: &Mesh, vertex: u32) -> Vec3 {
-    mesh.vertices[vertex as usize].position.into()
+    mesh.vertices[vertex as usize].position
 }
 
 fn ends(mesh: &Mesh, edge: &Edge) -> [Vec3; 2] {
@@ -175,7 +174,7 @@ fn edges(mesh: &Mesh) -> Vec<Edge> {
         .collect();
     sides.par_sort_unstable();
     let normal = |triangle: usize| {
-        let [a, b, c] = mesh.triangles[triangle].vertices.map(|v| position(mesh, v));
+        let [a, b, c] = mesh.corners(&mesh.triangles[triangle]);
         (b - a).cross(c - a)
     };
     sides
@@ -190,10 +189,10 @@ fn edges(mesh: &Mesh) -> Vec<Edge> {
 /// Where the vertex will be sampled that a cut makes.
 fn middle(mesh: &Mesh, edge: &Edge, bound: Bound) -> Point {
     let [a, b] = edge.vertices.map(|vertex| &mesh.vertices[vertex as usize]);
-    let position = (Vec3::from(a.position) + Vec3::from(b.position)) * 0.5;
+    let position = (a.position + b.position) * 0.5;
     Point {
         origin: position + bound.ray_offset * edge.normal.normalize_or_zero(),
-        normal: (Vec3::from(a.normal) + Vec3::from(b.normal)).normalize_or_zero(),
+        normal: (a.normal + b.normal).normalize_or_zero(),
     }
 }
 
@@ -214,9 +213,7 @@ fn sample_ends(
     if missing.is_empty() {
         return Ok(());
     }
-    let positions: Vec<Vec3> = mesh.vertices.iter().map(|v| v.position.into()).collect();
-    let triangles: Vec<[u32; 3]> = mesh.triangles.iter().map(|t| t.vertices).collect();
-    let origins = visibility::origins(&positions, &triangles, bound.ray_offset);
+    let origins = visibility::origins(&mesh.positions(), &mesh.indices(), bound.ray_offset);
     let points: Vec<Point> = (missing.iter())
         .map(|&vertex| Point {
             origin: origins[vertex as usize],
@@ -306,17 +303,19 @@ impl<'a> Sampler<'a> {
 
 #[cfg(test)]
 mod tests {
+    use glam::Vec3Swizzles;
+
     use super::*;
-    use crate::import::ImportedTriangle;
+    use crate::mesh::{Triangle, Vertex};
     use crate::monitor::SILENT;
-    use relight_format::Vertex;
 
     fn vertex(position: Vec3, normal: Vec3) -> Vertex {
         Vertex {
-            position: position.into(),
-            normal: normal.into(),
-            tangent: [1.0, 0.0, 0.0, 1.0],
-            uv: [position.x, position.z],
+            position,
+            normal,
+            tangent: Vec3::X,
+            bitangent_sign: 1.0,
+            uv: position.xz(),
         }
     }
 
@@ -328,7 +327,7 @@ mod tests {
         mesh.vertices
             .extend(corners.map(|corner| vertex(corner, normal)));
         for [a, b, c] in [[0, 1, 2], [0, 2, 3]] {
-            mesh.triangles.push(ImportedTriangle {
+            mesh.triangles.push(Triangle {
                 vertices: [base + a, base + b, base + c],
                 material: 0,
             });
@@ -378,9 +377,7 @@ mod tests {
     #[test]
     fn cuts_gather_where_shadows_change() {
         let mesh = refined(bound(0.03));
-        let near = |vertex: &&Vertex| {
-            Vec3::from(vertex.position).distance(Vec3::new(2.15, 0.0, 0.3)) < 1.2
-        };
+        let near = |vertex: &&Vertex| vertex.position.distance(Vec3::new(2.15, 0.0, 0.3)) < 1.2;
         let close = mesh.vertices.iter().filter(near).count();
         let floor = 64.0;
         let share = std::f32::consts::PI * 1.2f32.powi(2) / floor;

@@ -1,21 +1,18 @@
 //! `bake` as a user meets it: exit codes, messages, files left behind.
 
 use std::path::Path;
-use std::process::{Command, Output, Stdio};
+use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use libtest_mimic::{Failed, Trial};
 use serde_json::Value;
 
+pub use crate::command::{
+    BAD_INPUT, INPUT_OUTPUT, USAGE, error_line, expect, expect_refusal, expect_success,
+};
+use crate::command::{INTERRUPTED, OK};
 use crate::meshes::sphere_over_ground;
-use crate::support::{Outcome, binary, describe, with_data};
-
-/// Exit codes of `bake`, as README.md lists them.
-const OK: i32 = 0;
-pub const BAD_INPUT: i32 = 1;
-pub const USAGE: i32 = 2;
-pub const INPUT_OUTPUT: i32 = 3;
-const INTERRUPTED: i32 = 130;
+use crate::support::{Outcome, binary, with_data};
 
 /// Cheapest settings: these trials ask what happens, not how good it looks.
 const CHEAP: [&str; 8] = [
@@ -65,52 +62,6 @@ pub fn bake_environment(image: &Path, output: &Path, lobes: usize) -> Command {
     bake.arg("environment").arg(image).arg("-o").arg(output);
     bake.args(["--lobes", &lobes.to_string()]);
     bake
-}
-
-/// Runs a command that must succeed.
-pub fn expect_success(command: &mut Command) -> Output {
-    expect(OK, command)
-}
-
-/// Runs a command that must refuse `file`, and returns the line that says why.
-pub fn expect_refusal(command: &mut Command, file: &Path) -> String {
-    error_line(&expect(BAD_INPUT, command), file)
-}
-
-/// Runs a command that must exit with `code`.
-pub fn expect(code: i32, command: &mut Command) -> Output {
-    let output = command
-        .stdin(Stdio::null())
-        .output()
-        .expect("the binary starts");
-    assert_eq!(
-        output.status.code(),
-        Some(code),
-        "{command:?}: {}",
-        describe(&output)
-    );
-    output
-}
-
-/// The one line that says why, which must name `file`.
-pub fn error_line(output: &Output, file: &Path) -> String {
-    let errors = String::from_utf8(output.stderr.clone()).expect("messages are UTF-8");
-    let lines: Vec<&str> = errors
-        .lines()
-        .filter(|line| line.starts_with("error"))
-        .collect();
-    let [line] = lines[..] else {
-        panic!("not one error line: {}", describe(output))
-    };
-    assert_eq!(
-        errors.lines().last(),
-        Some(line),
-        "more after the error: {}",
-        describe(output)
-    );
-    let name = file.file_name().unwrap().to_str().unwrap();
-    assert!(line.contains(name), "{line:?} does not name {name}");
-    line.to_owned()
 }
 
 fn names(folder: &Path) -> Vec<String> {

@@ -204,7 +204,7 @@ fn refuses_another_scene() -> Outcome {
 fn leftover_is_replaced() -> Outcome {
     let fixture = Fixture::new(8)?;
     let asset = fixture.path("out.relight");
-    std::fs::write(parts_of(&asset), "anything")?;
+    std::fs::write(parts_of(&asset), "RLPARTS\nand anything")?;
     let output = expect_success(&mut bake(&fixture.mesh, &asset));
     let warning = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(warning.contains("--resume"), "{warning}");

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use libtest_mimic::Trial;
+use relight_bake::files::{Access, Files};
 use relight_bake::import;
 use relight_bake::mesh::{Mesh, Vertex, refine, tangent};
 use relight_bake::scene::load;
@@ -284,7 +285,7 @@ fn reference_scenes(data: &Path) -> Outcome {
     for (name, scene) in scenes {
         let path = folder.path().join(format!("{name}.toml"));
         std::fs::write(&path, scene_toml(data, scene))?;
-        let input = load::load(&path)?;
+        let input = load::load_from(&Files::new(&path, &Access::anywhere())?, &path)?;
         assert_eq!(input.name, *name);
         let environment = input.environment.expect("an environment");
         assert!(environment.is_file(), "{}", environment.display());

@@ -2,10 +2,12 @@
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::Command;
 use std::sync::OnceLock;
 
 use libtest_mimic::{Completion, Failed, Trial};
+
+pub use crate::command::describe;
 
 /// What a trial returns; failed assertions count as well.
 pub type Outcome = Result<(), Failed>;
@@ -120,14 +122,4 @@ pub fn binary(name: &str) -> Command {
         folder
     });
     Command::new(folder.join(format!("{name}{}", std::env::consts::EXE_SUFFIX)))
-}
-
-/// What a finished command did, for messages.
-pub fn describe(output: &Output) -> String {
-    format!(
-        "{}\nstdout: {}\nstderr: {}",
-        output.status,
-        String::from_utf8_lossy(&output.stdout),
-        String::from_utf8_lossy(&output.stderr)
-    )
 }

@@ -7,6 +7,7 @@ use std::path::Path;
 use glam::Vec3;
 use libtest_mimic::Trial;
 use relight_bake::environment::hdr;
+use relight_bake::files::{Access, Files};
 use relight_bake::measured::Table;
 use relight_bake::scene::load;
 use relight_lab::compare::compare;
@@ -108,7 +109,7 @@ fn full_agrees(data: &Path, name: &str, material: &str) -> Outcome {
     let scene_path = temporary.path().join("scene.toml");
     std::fs::write(&scene_path, text)?;
 
-    let input = load::load(&scene_path)?;
+    let input = load::load_from(&Files::new(&scene_path, &Access::anywhere())?, &scene_path)?;
     let environment = hdr::load(path(&description["env"])?.as_ref())?;
     let reference = read_exr(&folder.join(format!("{name}.exr")))?;
     let size = [reference.width, reference.height];

@@ -14,6 +14,7 @@ use std::sync::Mutex;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
+use relight_bake::files::{Access, Files};
 use relight_bake::monitor::{Monitor, Progress};
 use relight_bake::scene::load;
 use relight_bake::scene::{self, Bake, Options, Statistics};
@@ -95,7 +96,9 @@ impl Measured {
 }
 
 fn measure(path: &Path, vertices: usize, threads: usize) -> Measured {
-    let input = load::load(path).unwrap_or_else(|error| panic!("{error}"));
+    let input = Files::new(path, &Access::anywhere())
+        .and_then(|files| load::load_from(&files, path))
+        .unwrap_or_else(|error| panic!("{error}"));
     let options = Options {
         // Short enough that the bound on vertices decides.
         max_edge: 1e-4,

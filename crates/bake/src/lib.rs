@@ -2,6 +2,7 @@
 
 pub mod compress;
 pub mod environment;
+pub mod files;
 pub mod import;
 pub mod measured;
 pub mod mesh;

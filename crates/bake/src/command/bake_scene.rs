@@ -9,24 +9,34 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 use anyhow::{Context as _, bail};
+use relight_bake::files::{self, Files};
 use relight_bake::monitor::Monitor;
+use relight_bake::scene::description::Refinement;
 use relight_bake::scene::fingerprint::Fingerprint;
 use relight_bake::scene::parts::{self, Identity, Parts};
 use relight_bake::scene::{self, load, seam};
 use relight_format as format;
 use serde_json::json;
 
-use crate::command::{
-    SceneArguments, Shard, Summary, check_output, is_interruption, scene_options,
-};
+use crate::command::arguments::{SceneArguments, Shard};
+use crate::command::lossy;
+use crate::command::show::{self, Summary, is_interruption};
 
 /// Bakes a scene, or a shard of it.
 pub fn bake(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Summary> {
-    let options = scene_options(arguments);
-    check_output(&arguments.output)?;
+    let options = arguments.options()?;
+    let mut path = arguments.output.clone().into_os_string();
+    path.push(".parts");
+    let path = PathBuf::from(path);
+    files::check_output(&arguments.output)?;
+    files::check_output(&path)?;
     let start = Instant::now();
     monitor.step("read", 0.0)?;
-    let input = load::load(&arguments.input)?;
+    let files = Files::new(&arguments.input, &arguments.access())?;
+    let input = load::load_from(&files, &arguments.input)?;
+    files::check_output_beside(&arguments.output, &files)?;
+    files::check_output_beside(&path, &files)?;
+    warn_of_overruled(arguments, input.refinement.as_ref());
     let read = start.elapsed();
     let input_name = || arguments.input.display().to_string();
     let mut bake = scene::Bake::new(input, &options, monitor).with_context(input_name)?;
@@ -43,20 +53,18 @@ pub fn bake(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Summ
         shards: shard.count,
         chunks: bake.chunk_count() as u32,
     };
-    let mut path = arguments.output.clone().into_os_string();
-    path.push(".parts");
-    let path = PathBuf::from(path);
+    let described = bake.description();
     let parts = if arguments.resume {
-        Parts::resume(&path, identity)?
+        Parts::resume(&path, identity, described)?
     } else {
-        if path.exists() {
-            eprintln!(
-                "warning: {} of an interrupted bake is replaced; --resume would continue it",
-                path.display()
-            );
-        }
-        Parts::create(&path, identity)?
+        Parts::create(&path, identity, described)?
     };
+    if parts.replaced() {
+        show::warn(format!(
+            "{} of an interrupted bake is replaced; --resume would have continued it",
+            path.display()
+        ));
+    }
     let resumed = parts.finished();
     let missing = parts.missing();
     let parts = Mutex::new(parts);
@@ -72,13 +80,14 @@ pub fn bake(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Summ
     let (head, mut statistics) = bake.finish();
     statistics.stages.insert(0, ("read", read));
     for warning in &head.report.warnings {
-        eprintln!("warning: {warning}");
+        show::warn(warning.as_str());
     }
     let chunks = parts.finished();
     let clock = Instant::now();
     monitor.step("write", 0.0)?;
     let mut summary = if arguments.shard.is_some() {
         parts.finish(&head)?;
+        files::check_output_beside(&arguments.output, &files)?;
         std::fs::rename(&path, &arguments.output)
             .with_context(|| arguments.output.display().to_string())?;
         Summary {
@@ -89,19 +98,23 @@ pub fn bake(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Summ
                 shard.count,
                 identity.chunks,
             ),
-            json: json!({ "output": arguments.output, "shard": shard.number, "shards": shard.count }),
+            json: json!({ "output": lossy(&arguments.output), "shard": shard.number, "shards": shard.count }),
         }
     } else {
         let assembled = (0..chunks).map(|chunk| Ok(parts.chunk(chunk)?));
         let scene = scene::assemble::<anyhow::Error>(head, assembled)?;
+        files::check_output_beside(&arguments.output, &files)?;
         let summary = write(&arguments.output, scene)?;
         if let (Some(most), Some(bytes)) = (options.max_bytes, summary.json["bytes"].as_u64())
             && bytes > most
         {
-            eprintln!("warning: {bytes} bytes, more than the {most} that --max-bytes allows");
+            show::warn(format!(
+                "{bytes} bytes, more than the {most} that --max-bytes allows"
+            ));
         }
-        drop(parts);
+        // While it is locked: another bake of this output may be waiting for it.
         std::fs::remove_file(&path).with_context(|| path.display().to_string())?;
+        drop(parts);
         summary
     };
     statistics.stages.push(("write", clock.elapsed()));
@@ -137,6 +150,30 @@ pub fn bake(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Summ
     Ok(summary)
 }
 
+/// Bounds of the scene file win over those of the command line, which should not go unnoticed.
+fn warn_of_overruled(arguments: &SceneArguments, file: Option<&Refinement>) {
+    let Some(file) = file else { return };
+    let both = [
+        (
+            "--max-edge",
+            arguments.max_edge.is_some() && file.max_edge.is_some(),
+        ),
+        (
+            "--refine-error",
+            arguments.refine_error.is_some() && file.error.is_some(),
+        ),
+        (
+            "--max-vertices",
+            arguments.max_vertices.is_some() && file.max_vertices.is_some(),
+        ),
+    ];
+    for (option, _) in both.into_iter().filter(|(_, both)| *both) {
+        show::warn(format!(
+            "{option} has no effect: the scene file has its own bound"
+        ));
+    }
+}
+
 /// What can be continued is kept, anything else removed.
 fn keep_or_remove(parts: &Parts, error: anyhow::Error) -> anyhow::Error {
     let stopped = error
@@ -157,7 +194,7 @@ fn keep_or_remove(parts: &Parts, error: anyhow::Error) -> anyhow::Error {
 
 /// Joins shards.
 pub fn merge(paths: &[PathBuf], output: &Path, monitor: Monitor) -> anyhow::Result<Summary> {
-    check_output(output)?;
+    files::check_output_among(output, paths)?;
     monitor.step("read", 0.0)?;
     let mut shards = parts::open_all(paths)?;
     let [first, ..] = &mut shards[..] else {
@@ -171,6 +208,7 @@ pub fn merge(paths: &[PathBuf], output: &Path, monitor: Monitor) -> anyhow::Resu
     });
     let scene = scene::assemble::<anyhow::Error>(head, assembled)?;
     monitor.step("write", 0.0)?;
+    files::check_output_among(output, paths)?;
     let mut summary = write(output, scene)?;
     summary.text.push('\n');
     summary.json["peak_resident_bytes"] = json!(peak_resident_bytes());
@@ -198,7 +236,7 @@ fn write(path: &Path, scene: format::Scene) -> anyhow::Result<Summary> {
             seams.rms,
         ),
         json: json!({
-            "output": path,
+            "output": lossy(path),
             "bytes": bytes.len(),
             "vertices": scene.vertices.len(),
             "triangles": scene.triangles.len(),

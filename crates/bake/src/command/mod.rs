@@ -1,10 +1,9 @@
 //! The command line: arguments in, assets and messages out.
 
+mod arguments;
 mod bake_scene;
+mod show;
 
-use std::error::Error;
-use std::fmt::Write;
-use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Mutex;
@@ -12,432 +11,240 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail};
-use clap::{Args, Parser, Subcommand, ValueEnum};
-use indicatif::{HumanDuration, ProgressBar, ProgressState, ProgressStyle};
+use clap::Parser as _;
 use relight_bake::environment::{self, hdr};
+use relight_bake::files::{self, Access, Files, OutputError};
 use relight_bake::import;
 use relight_bake::measured::fit;
-use relight_bake::monitor::{Interrupted, Monitor, Progress};
-use relight_bake::scene::{self, load};
+use relight_bake::monitor::{Interrupted, Monitor};
+use relight_bake::scene::load;
 use relight_format as format;
 use serde_json::{Value, json};
 
-const EXIT_CODES: &str = "\
-Exit codes:
-  0    done
-  1    the input is not what it should be; the message says where and why
-  2    the command line is wrong
-  3    a file could not be read or written
-  130  interrupted; no output is half-written, and --resume continues a scene bake";
+use arguments::{Cli, Command, EnvironmentArguments, MaterialArguments};
+use show::{Output, Show, Summary};
 
 /// Largest niceness that Unix knows.
 #[cfg(unix)]
 const LOWEST_PRIORITY: i32 = 19;
+/// Most threads, unless there are more cores: more would only take memory.
+const MOST_THREADS: usize = 64;
+/// How often brighter the lower half of an image may be before that is mentioned.
+const UPSIDE_DOWN: f64 = 4.0;
+/// Files of an environment's report.
+const REPORT: [&str; 5] = [
+    "original.png",
+    "fit.png",
+    "difference.png",
+    "curve.csv",
+    "curve.svg",
+];
 
-/// Bakes meshes and HDR environments into .relight assets.
-#[derive(Parser)]
-#[command(name = "bake", version, after_help = EXIT_CODES)]
-struct Cli {
-    #[command(subcommand)]
-    command: Command,
-    /// Print one JSON object to standard output instead of text.
-    #[arg(long, global = true)]
-    json: bool,
-    /// Worker threads; 0 means one per core.
-    #[arg(long, global = true, default_value_t = 0, value_name = "N")]
-    threads: usize,
-    /// Yield to everything else on the machine.
-    #[cfg(unix)]
-    #[arg(long, global = true)]
-    low_priority: bool,
+/// How long a command may take to stop by itself when it is asked to.
+fn patience(command: &Command) -> Duration {
+    match command {
+        // It finishes the chunks at hand, and says what can be continued.
+        Command::Scene(_) | Command::Merge { .. } => Duration::from_secs(30),
+        _ => Duration::from_secs(1),
+    }
 }
 
-#[derive(Subcommand)]
-enum Command {
-    /// Bake a scene file (.toml) or a mesh (.gltf, .glb, .obj).
-    Scene(SceneArguments),
-    /// Join the shards of a scene into the asset that one bake gives.
-    Merge {
-        /// What `bake scene --shard` wrote, every shard once.
-        #[arg(required = true)]
-        shards: Vec<PathBuf>,
-        /// Asset to write.
-        #[arg(short, long, value_name = "OUT.relight")]
-        output: PathBuf,
-    },
-    /// Fit spherical Gaussians to a lat-long HDR image (.hdr, .exr).
-    Environment(EnvironmentArguments),
-    /// Fit lobes to a measured BRDF (RGL .bsdf, MERL .binary), or pack a material written as
-    /// in a scene file (.toml) with its textures.
-    Material(MaterialArguments),
-    /// Show what an asset holds.
-    Inspect {
-        /// The asset.
-        file: PathBuf,
-    },
-    /// Check every byte of an asset.
-    Validate {
-        /// The asset.
-        file: PathBuf,
-    },
-}
+/// Set when somebody asks to stop.
+static STOP: AtomicBool = AtomicBool::new(false);
+/// Held while an output is written: it takes moments, and an end then would leave debris.
+static WRITING: Mutex<()> = Mutex::new(());
 
-#[derive(Clone, Copy, ValueEnum)]
-enum Preset {
-    Draft,
-    Standard,
-    High,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum RepresentationArgument {
-    /// Principal components per cluster of vertices.
-    Clustered,
-    /// Principal components of the whole scene, as in the paper.
-    Global,
-}
-
-#[derive(Args)]
-pub(crate) struct SceneArguments {
-    /// Scene file or mesh.
-    pub(crate) input: PathBuf,
-    /// Asset to write, or with --shard the part.
-    #[arg(short, long, value_name = "OUT.relight")]
-    pub(crate) output: PathBuf,
-    /// Continue from OUT.relight.parts, which an interrupted or killed bake leaves; start
-    /// from the beginning if there is none.
-    #[arg(long)]
-    pub(crate) resume: bool,
-    /// Bake the I-th of N parts, I from 1; `bake merge` joins them.
-    #[arg(long, value_name = "I/N", value_parser = shard)]
-    pub(crate) shard: Option<Shard>,
-    /// Also cast one ray per texel at every vertex; any difference is an error.
-    #[arg(long)]
-    pub(crate) verify_visibility: bool,
-    /// Starting point for the options below.
-    #[arg(long, value_enum, default_value_t = Preset::Standard)]
-    preset: Preset,
-    /// How visibility is represented [default: clustered].
-    #[arg(long, value_enum)]
-    representation: Option<RepresentationArgument>,
-    /// Global representation: components besides the mean [default: 24].
-    #[arg(long, value_name = "K")]
-    rank: Option<u32>,
-    /// Clustered representation: how far visibility boundaries on the surface shall be off,
-    /// the angle by which a wall's edge would be, root mean square, of compression and of
-    /// interpolation between vertices together. What interpolation alone costs, --max-edge and
-    /// --refine-error lower [default: as the preset's rate of bytes for accuracy has it].
-    #[arg(long, value_name = "RADIANS")]
-    max_error: Option<f32>,
-    /// Clustered representation: size of the asset, textures included; the least error that
-    /// fits is found.
-    #[arg(long, value_name = "BYTES", conflicts_with_all = ["max_error", "shard"])]
-    max_bytes: Option<u64>,
-    /// Clustered representation: tiles of four basis images per cluster, at most.
-    #[arg(long, value_name = "N")]
-    max_tiles: Option<u32>,
-    /// Longest edge after refinement, as a fraction of the diagonal of the scene without
-    /// its ground; a scene file's own bound wins.
-    #[arg(long, value_name = "FRACTION")]
-    max_edge: Option<f32>,
-    /// Also cut edges where interpolated visibility is off by more than this: the angle by
-    /// which a wall's edge would have to be. It holds for edges of 0.02 of the diagonal of the
-    /// scene without its ground; one of half that length may be twice as wrong. A scene file's
-    /// own bound wins.
-    #[arg(long, value_name = "RADIANS")]
-    refine_error: Option<f32>,
-    /// Refinement stops at this many vertices.
-    #[arg(long, value_name = "N")]
-    max_vertices: Option<usize>,
-    /// Texels per side of the visibility samples.
-    #[arg(long, value_name = "N")]
-    sample_resolution: Option<u32>,
-    /// Texels per side of the basis images.
-    #[arg(long, value_name = "N")]
-    basis_resolution: Option<u32>,
-}
-
-/// One of several parts of a scene.
-#[derive(Clone, Copy)]
-pub(crate) struct Shard {
-    /// From 1.
-    pub(crate) number: u32,
-    pub(crate) count: u32,
-}
-
-fn shard(text: &str) -> Result<Shard, String> {
-    text.split_once('/')
-        .and_then(|(number, count)| {
-            let (number, count) = (number.parse().ok()?, count.parse().ok()?);
-            (1..=count)
-                .contains(&number)
-                .then_some(Shard { number, count })
-        })
-        .ok_or_else(|| "expected I/N with I from 1 to N".to_owned())
-}
-
-#[derive(Args)]
-struct EnvironmentArguments {
-    /// Lat-long image.
-    input: PathBuf,
-    /// Asset to write.
-    #[arg(short, long, value_name = "OUT.relight")]
-    output: PathBuf,
-    /// Spherical Gaussians to fit; with --max-error, at most. Default 32, with --max-error 256.
-    #[arg(long, value_name = "N")]
-    lobes: Option<usize>,
-    /// Add lobes until the relative L2 error is at most this; fail where that takes too many.
-    #[arg(long, value_name = "E")]
-    max_error: Option<f32>,
-    /// Also write the original, the fit and their difference (PNG) and the error over the number
-    /// of lobes (CSV, SVG) into this folder.
-    #[arg(long, value_name = "DIR")]
-    report: Option<PathBuf>,
-}
-
-#[derive(Args)]
-struct MaterialArguments {
-    /// Table or material file.
-    input: PathBuf,
-    /// Asset to write.
-    #[arg(short, long, value_name = "OUT.relight")]
-    output: PathBuf,
-    /// Lobes to fit, 1 to 7 [default: until one takes less than a twentieth off the error].
-    #[arg(long, value_name = "N", conflicts_with = "max_error",
-          value_parser = clap::value_parser!(u8).range(1..=format::MAX_FITTED_LOBES as i64))]
-    lobes: Option<u8>,
-    /// Add lobes until the relative L2 error is at most this, 7 lobes at most.
-    #[arg(long, value_name = "ERROR")]
-    max_error: Option<f64>,
-    /// Also write sphere.png into this folder: a lit sphere of the table, of the lobes, and
-    /// their difference, doubled.
-    #[arg(long, value_name = "DIR")]
-    report: Option<PathBuf>,
+/// Ends the process some time after it was asked to stop, at once if it is asked twice. Most
+/// stages stop by themselves, but not all: reading a mesh, fitting a table.
+fn handle_interrupts(show: &'static Show, patience: Duration) {
+    let end = || {
+        let _writing = WRITING
+            .lock()
+            .unwrap_or_else(std::sync::PoisonError::into_inner);
+        let code = show.finish(&Err(Interrupted.into()));
+        std::process::exit(code.into());
+    };
+    // Without a handler Ctrl-C ends the process at once, which leaves nothing behind
+    // either: outputs are renamed into place.
+    let _ = ctrlc::set_handler(move || {
+        if STOP.swap(true, Ordering::Relaxed) {
+            end();
+        }
+        std::thread::spawn(move || {
+            std::thread::sleep(patience);
+            end();
+        });
+    });
 }
 
 /// Parses the command line, does the work and reports.
 pub fn run() -> ExitCode {
-    static STOP: AtomicBool = AtomicBool::new(false);
-    let cli = Cli::parse();
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => return not_a_command(&error),
+    };
     #[cfg(unix)]
     if cli.low_priority {
         // Before any other thread starts: they inherit it. A refusal costs speed alone.
         let _ = rustix::process::setpriority_process(None, LOWEST_PRIORITY);
     }
-    // Without a handler Ctrl-C ends the process at once, which leaves nothing behind
-    // either: outputs are renamed into place.
-    let _ = ctrlc::set_handler(|| STOP.store(true, Ordering::Relaxed));
-    if cli.threads > 0 {
-        let pool = rayon::ThreadPoolBuilder::new()
-            .num_threads(cli.threads)
-            .build_global();
-        if let Err(error) = pool {
-            eprintln!("error: cannot start {} threads: {error}", cli.threads);
-            return ExitCode::from(3);
-        }
-    }
-    let show = Show::new(cli.json);
+    let output = match (cli.json_progress, cli.json) {
+        (true, _) => Output::JsonLines,
+        (false, true) => Output::Json,
+        (false, false) => Output::Text,
+    };
+    // Lives as long as the process, which the handler of interrupts may outlive `main` in.
+    let show: &'static Show = Box::leak(Box::new(Show::new(output, cli.command.name())));
+    handle_interrupts(show, patience(&cli.command));
     let report = |progress| show.progress(progress);
     let monitor = Monitor {
         report: &report,
         stop: &STOP,
     };
-    let result = match &cli.command {
+    let result = start_threads(cli.threads).and_then(|()| match &cli.command {
         Command::Scene(arguments) => bake_scene::bake(arguments, monitor),
         Command::Merge { shards, output } => bake_scene::merge(shards, output, monitor),
         Command::Environment(arguments) => bake_environment(arguments, monitor),
-        Command::Material(arguments) => bake_material(arguments),
+        Command::Material(arguments) => bake_material(arguments, monitor),
         Command::Inspect { file } => inspect(file),
         Command::Validate { file } => validate(file),
-    };
-    show.finish();
-    match result {
-        Ok(summary) if cli.json => println!("{}", summary.json),
-        Ok(summary) => print!("{}", summary.text),
-        Err(error) => {
-            eprintln!("error: {error:#}");
-            return ExitCode::from(exit_code(&error));
-        }
-    }
-    ExitCode::SUCCESS
-}
-
-fn exit_code(error: &anyhow::Error) -> u8 {
-    for cause in error.chain() {
-        if is_interruption(cause) {
-            return 130;
-        }
-        if cause.is::<std::io::Error>() {
-            return 3;
-        }
-    }
-    1
-}
-
-/// Whether somebody asked to stop. The scene's own error hides what it passes on.
-pub(crate) fn is_interruption(cause: &(dyn Error + 'static)) -> bool {
-    cause.is::<Interrupted>() || matches!(cause.downcast_ref(), Some(scene::Error::Interrupted(_)))
-}
-
-/// What a command says at its end.
-pub(crate) struct Summary {
-    pub(crate) text: String,
-    pub(crate) json: Value,
-}
-
-/// A bar on a terminal, a line every few seconds elsewhere, nothing with `--json`.
-struct Show {
-    bar: Option<ProgressBar>,
-    plain: Option<Mutex<Plain>>,
-}
-
-struct Plain {
-    stage: &'static str,
-    start: Instant,
-    last: Instant,
-}
-
-/// Stages report what is proportional to the work, so the rest takes as long per part as
-/// what is done.
-fn time_left(elapsed: Duration, fraction: f32) -> Option<Duration> {
-    let seconds = elapsed.as_secs_f64() * (1.0 / f64::from(fraction) - 1.0);
-    Duration::try_from_secs_f64(seconds.round()).ok()
-}
-
-impl Show {
-    const PLAIN_INTERVAL: Duration = Duration::from_secs(5);
-
-    fn new(json: bool) -> Self {
-        let terminal = std::io::stderr().is_terminal();
-        let style = ProgressStyle::with_template(
-            "{msg:<28} {bar:40} {percent:>3} %  elapsed {elapsed}  left {left}",
-        )
-        .unwrap_or_else(|_| ProgressStyle::default_bar())
-        .with_key("left", |state: &ProgressState, out: &mut dyn Write| {
-            if let Some(left) = time_left(state.elapsed(), state.fraction()) {
-                let _ = write!(out, "{}", HumanDuration(left));
-            }
-        });
-        let now = Instant::now();
-        let plain = Plain {
-            stage: "",
-            start: now,
-            last: now,
-        };
-        Self {
-            bar: (terminal && !json).then(|| ProgressBar::new(1000).with_style(style)),
-            plain: (!terminal && !json).then(|| Mutex::new(plain)),
-        }
-    }
-
-    fn progress(&self, progress: Progress) {
-        let Progress { stage, fraction } = progress;
-        if let Some(bar) = &self.bar {
-            if bar.message() != stage {
-                bar.set_message(stage);
-                bar.reset_elapsed();
-            }
-            bar.set_position((fraction * 1000.0) as u64);
-        }
-        if let Some(plain) = &self.plain {
-            let mut plain = plain
-                .lock()
-                .unwrap_or_else(std::sync::PoisonError::into_inner);
-            if plain.stage != stage {
-                (plain.stage, plain.start) = (stage, Instant::now());
-            }
-            if plain.last.elapsed() >= Self::PLAIN_INTERVAL {
-                plain.last = Instant::now();
-                let left = time_left(plain.start.elapsed(), fraction)
-                    .map(|left| format!(", {} left", HumanDuration(left)));
-                eprintln!(
-                    "{stage}: {:.0} %{}",
-                    fraction * 100.0,
-                    left.unwrap_or_default()
-                );
-            }
-        }
-    }
-
-    fn finish(&self) {
-        if let Some(bar) = &self.bar {
-            bar.finish_and_clear();
-        }
-    }
-}
-
-/// Puts what was given in place of a default.
-fn replace<T: Copy>(option: &mut T, given: Option<T>) {
-    *option = given.unwrap_or(*option);
-}
-
-pub(crate) fn scene_options(arguments: &SceneArguments) -> scene::Options {
-    let mut options = match arguments.preset {
-        Preset::Draft => scene::Options::draft(),
-        Preset::Standard => scene::Options::standard(),
-        Preset::High => scene::Options::high(),
-    };
-    let representation = arguments.representation.map(|value| match value {
-        RepresentationArgument::Clustered => format::Representation::ClusteredPca,
-        RepresentationArgument::Global => format::Representation::GlobalPca,
     });
-    replace(&mut options.representation, representation);
-    replace(&mut options.global_rank, arguments.rank);
-    options.max_error = arguments.max_error;
-    options.max_bytes = arguments.max_bytes;
-    replace(&mut options.max_tiles, arguments.max_tiles);
-    replace(&mut options.max_edge, arguments.max_edge);
-    replace(&mut options.refine_error, arguments.refine_error);
-    replace(&mut options.max_vertices, arguments.max_vertices);
-    replace(&mut options.sample_resolution, arguments.sample_resolution);
-    replace(&mut options.basis_resolution, arguments.basis_resolution);
-    options
+    ExitCode::from(show.finish(&result))
+}
+
+/// Help, the version, or a command line that does not parse.
+fn not_a_command(error: &clap::Error) -> ExitCode {
+    let json = std::env::args_os().any(|word| word == "--json" || word == "--json-progress");
+    if error.use_stderr() {
+        let _ = error.print();
+        if json {
+            // The exit code says it as well.
+            let _ = show::print(&show::usage_object(&error.to_string()));
+        }
+        return ExitCode::from(2);
+    }
+    match show::print(&error.to_string()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            show::say(&format!("error: standard output: {error}"));
+            ExitCode::from(3)
+        }
+    }
+}
+
+/// Starts the workers, no more than help.
+fn start_threads(asked: usize) -> anyhow::Result<()> {
+    let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    let most = cores.max(MOST_THREADS);
+    if asked > most {
+        show::warn(format!(
+            "--threads {asked}: {most} are started, more would not help"
+        ));
+    }
+    // 0 stands for one per core, or what RAYON_NUM_THREADS says.
+    let threads = if asked > 0 {
+        asked.min(most)
+    } else {
+        rayon_threads().min(most)
+    };
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build_global()
+        .map_err(std::io::Error::other)
+        .with_context(|| format!("cannot start {threads} threads"))
+}
+
+/// What `RAYON_NUM_THREADS` asks for; 0 if nothing.
+fn rayon_threads() -> usize {
+    let text = std::env::var("RAYON_NUM_THREADS").unwrap_or_default();
+    text.parse().unwrap_or(0)
+}
+
+/// A path as it is told; JSON knows no other text than Unicode.
+fn lossy(path: &Path) -> String {
+    path.display().to_string()
+}
+
+/// The files that a command writes besides those that it reads.
+struct Outputs(Vec<PathBuf>);
+
+impl Outputs {
+    /// The asset, and what the report's folder will hold, which is made. All are checked.
+    fn new(
+        asset: &Path,
+        report: Option<&Path>,
+        names: &[&str],
+        inputs: &Files,
+    ) -> anyhow::Result<Self> {
+        let mut paths = vec![asset.to_owned()];
+        if let Some(folder) = report {
+            std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+            paths.extend(names.iter().map(|name| folder.join(name)));
+        }
+        let outputs = Self(paths);
+        outputs.check(inputs)?;
+        Ok(outputs)
+    }
+
+    /// Again, before they are written: hours may have passed.
+    fn check(&self, inputs: &Files) -> Result<(), OutputError> {
+        (self.0.iter()).try_for_each(|path| files::check_output_beside(path, inputs))
+    }
 }
 
 fn bake_environment(arguments: &EnvironmentArguments, monitor: Monitor) -> anyhow::Result<Summary> {
-    check_output(&arguments.output)?;
+    files::check_output(&arguments.output)?;
     let start = Instant::now();
-    let options = environment::FitOptions {
-        lobes: arguments.lobes.unwrap_or(match arguments.max_error {
-            Some(_) => 256,
-            None => environment::FitOptions::default().lobes,
-        }),
-        max_error: arguments.max_error,
-    };
+    monitor.step("reading the image", 0.0)?;
+    let files = Files::new(&arguments.input, &arguments.access())?;
+    let image = hdr::load_from(&files, &arguments.input, &arguments.reading())?;
+    let outputs = Outputs::new(
+        &arguments.output,
+        arguments.report.as_deref(),
+        &REPORT,
+        &files,
+    )?;
+    let (upper, lower) = image.mean_luminance();
+    if lower > UPSIDE_DOWN * upper {
+        show::warn(format!(
+            "{}: the lower half is {:.0} times as bright as the upper one; if the image is upside \
+             down, --flip turns it",
+            arguments.input.display(),
+            lower / upper.max(f64::MIN_POSITIVE),
+        ));
+    }
+    let options = arguments.options();
     let environment::Fitted { environment, curve } =
-        environment::bake(&arguments.input, &options, monitor).map_err(|error| match error {
-            // It names the file itself.
-            environment::Error::Image(_) => error.into(),
-            error => anyhow::Error::new(error).context(arguments.input.display().to_string()),
-        })?;
+        environment::bake(&arguments.input, &image, &options, monitor)
+            .with_context(|| arguments.input.display().to_string())?;
     let irradiance_error = curve.last().map_or(0.0, |last| last.irradiance_error);
     let bytes = format::write_environment(&environment)?;
+    outputs.check(&files)?;
     write_checked(&arguments.output, &bytes, |bytes| {
         let read = format::read_environment(bytes, &format::Limits::default());
         read.map(|read| read == environment)
     })?;
     if let Some(folder) = &arguments.report {
-        let image = hdr::load(&arguments.input)?;
         let pictures = environment::report::pictures(&image, &environment.lobes)?;
-        std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
-        let files = [
-            ("original.png", pictures.original),
-            ("fit.png", pictures.fit),
-            ("difference.png", pictures.difference),
-            ("curve.csv", environment::report::curve_csv(&curve).into()),
+        let contents = [
+            Some(pictures.original),
+            Some(pictures.fit),
+            Some(pictures.difference),
+            Some(environment::report::curve_csv(&curve).into()),
+            environment::report::curve_svg(&curve).map(String::into_bytes),
         ];
-        let plot = environment::report::curve_svg(&curve);
-        let plot = plot.map(|svg| ("curve.svg", svg.into_bytes()));
-        for (name, bytes) in files.into_iter().chain(plot) {
-            format::write_file(&folder.join(name), &bytes)?;
+        for (name, bytes) in REPORT.into_iter().zip(contents) {
+            if let Some(bytes) = bytes {
+                format::write_file(&folder.join(name), &bytes)?;
+            }
         }
     }
     let report = &environment.report;
     if report.repaired_pixels > 0 {
-        eprintln!(
-            "warning: {} NaN, infinite or negative pixels repaired",
+        show::warn(format!(
+            "{} NaN, infinite or negative pixels repaired",
             report.repaired_pixels
-        );
+        ));
     }
     let seconds = start.elapsed().as_secs_f64();
     Ok(Summary {
@@ -452,7 +259,7 @@ fn bake_environment(arguments: &EnvironmentArguments, monitor: Monitor) -> anyho
             report.energy_error,
         ),
         json: json!({
-            "output": arguments.output,
+            "output": lossy(&arguments.output),
             "bytes": bytes.len(),
             "lobes": environment.lobes.len(),
             "relative_l2": report.relative_l2,
@@ -464,9 +271,12 @@ fn bake_environment(arguments: &EnvironmentArguments, monitor: Monitor) -> anyho
     })
 }
 
-fn bake_material(arguments: &MaterialArguments) -> anyhow::Result<Summary> {
-    check_output(&arguments.output)?;
+fn bake_material(arguments: &MaterialArguments, monitor: Monitor) -> anyhow::Result<Summary> {
+    let access = arguments.access()?;
+    files::check_output(&arguments.output)?;
     let start = Instant::now();
+    monitor.step("fitting lobes", 0.0)?;
+    let files = Files::new(&arguments.input, &access)?;
     let name =
         |part: Option<&std::ffi::OsStr>| part.unwrap_or_default().to_string_lossy().into_owned();
     let source = name(arguments.input.file_name());
@@ -474,14 +284,26 @@ fn bake_material(arguments: &MaterialArguments) -> anyhow::Result<Summary> {
         source: source.clone(),
         ..format::MaterialReport::default()
     };
-    let packed = arguments.input.extension().is_some_and(|e| e == "toml");
+    let packed = arguments.packed();
+    let outputs = |files: &Files| {
+        Outputs::new(
+            &arguments.output,
+            arguments.report.as_deref(),
+            &["sphere.png"],
+            files,
+        )
+    };
     let (mut material, textures) = if packed {
-        load::load_material(&arguments.input)?
+        let read = load::load_material(&files, &arguments.input)?;
+        outputs(&files)?;
+        read
     } else {
-        let table = load::load_table(&arguments.input)?;
+        let bytes = files.read_named(&arguments.input)?;
+        outputs(&files)?;
+        let table = load::parse_table(&arguments.input, &bytes)?;
         let stop = match (arguments.lobes, arguments.max_error) {
             (Some(lobes), _) => fit::Stop::Lobes(lobes.into()),
-            (None, Some(error)) => fit::Stop::Error(error),
+            (None, Some(error)) => fit::Stop::Error(error.into()),
             (None, None) => fit::Stop::default(),
         };
         let fit = fit::fit(&table, stop);
@@ -489,7 +311,6 @@ fn bake_material(arguments: &MaterialArguments) -> anyhow::Result<Summary> {
         report.shaded_relative_l2 = fit.shaded_relative_l2 as f32;
         report.albedo_error = fit.albedo_error as f32;
         if let Some(folder) = &arguments.report {
-            std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
             let picture = relight_bake::measured::report::sphere(&table, &fit)?;
             format::write_file(&folder.join("sphere.png"), &picture)?;
         }
@@ -502,6 +323,8 @@ fn bake_material(arguments: &MaterialArguments) -> anyhow::Result<Summary> {
         textures,
     };
     let bytes = format::write_material(&asset)?;
+    outputs(&files)?.check(&files)?;
+    monitor.step("write", 0.0)?;
     write_checked(&arguments.output, &bytes, |bytes| {
         let read = format::read_material(bytes, &format::Limits::default());
         read.map(|read| read == asset)
@@ -515,7 +338,7 @@ fn bake_material(arguments: &MaterialArguments) -> anyhow::Result<Summary> {
         bytes.len(),
     );
     let mut object = json!({
-        "output": arguments.output,
+        "output": lossy(&arguments.output),
         "bytes": bytes.len(),
         "material": asset.material,
         "textures": asset.textures.len(),
@@ -542,28 +365,16 @@ fn bake_material(arguments: &MaterialArguments) -> anyhow::Result<Summary> {
     Ok(Summary { text, json: object })
 }
 
-/// Fails early, before hours of work, if the output's folder does not exist.
-pub(crate) fn check_output(output: &Path) -> anyhow::Result<()> {
-    let folder = output
-        .parent()
-        .filter(|folder| !folder.as_os_str().is_empty());
-    let folder = folder.unwrap_or(Path::new("."));
-    let metadata = std::fs::metadata(folder)
-        .with_context(|| format!("{}: cannot write there", folder.display()))?;
-    if metadata.is_dir() {
-        Ok(())
-    } else {
-        Err(std::io::Error::from(std::io::ErrorKind::NotADirectory))
-            .with_context(|| format!("{}: cannot write there", folder.display()))
-    }
-}
-
 /// Writes an asset, reads it back and compares it with what was meant.
 pub(crate) fn write_checked(
     path: &Path,
     bytes: &[u8],
     same: impl FnOnce(&[u8]) -> Result<bool, format::Error>,
 ) -> anyhow::Result<()> {
+    let _writing = WRITING
+        .lock()
+        .unwrap_or_else(std::sync::PoisonError::into_inner);
+    files::check_output(path)?;
     format::write_file(path, bytes)?;
     let read = read(path)?;
     if read != bytes || !same(&read).with_context(|| path.display().to_string())? {
@@ -575,8 +386,13 @@ pub(crate) fn write_checked(
     Ok(())
 }
 
+/// An asset's bytes.
 fn read(path: &Path) -> anyhow::Result<Vec<u8>> {
-    std::fs::read(path).with_context(|| path.display().to_string())
+    let access = Access {
+        max_bytes: format::Limits::default().max_bytes,
+        ..Access::default()
+    };
+    Ok(Files::new(path, &access)?.read_named(path)?)
 }
 
 enum Asset {
@@ -608,7 +424,7 @@ fn validate(path: &Path) -> anyhow::Result<Summary> {
     decode(path)?;
     Ok(Summary {
         text: format!("{}: valid\n", path.display()),
-        json: json!({ "file": path, "valid": true }),
+        json: json!({ "file": lossy(path), "valid": true }),
     })
 }
 
@@ -702,7 +518,7 @@ fn inspect(path: &Path) -> anyhow::Result<Summary> {
             "raw_length": section.raw_length,
         }));
     }
-    object["file"] = json!(path);
+    object["file"] = json!(lossy(path));
     object["version"] = json!(format::VERSION);
     object["sections"] = json!(rows);
     Ok(Summary { text, json: object })

@@ -10,6 +10,7 @@ mod level;
 mod lobe;
 mod measure;
 mod prefilter;
+mod primaries;
 pub mod report;
 mod seed;
 mod solve;
@@ -98,10 +99,14 @@ pub struct Fitted {
     pub curve: Vec<Rung>,
 }
 
-/// Loads and fits an image.
-pub fn bake(input: &Path, options: &FitOptions, monitor: Monitor) -> Result<Fitted, Error> {
-    let image = hdr::load(input)?;
-    let mut fitted = fit(&image, options, monitor)?;
+/// Fits an image that was loaded from `input`, whose name the report has.
+pub fn bake(
+    input: &Path,
+    image: &LatLong,
+    options: &FitOptions,
+    monitor: Monitor,
+) -> Result<Fitted, Error> {
+    let mut fitted = fit(image, options, monitor)?;
     fitted.environment.report.source = input
         .file_name()
         .unwrap_or_default()

@@ -5,7 +5,7 @@ use std::path::Path;
 use glam::{DVec3, Vec2, Vec3};
 use relight_format::{Material, Texture};
 
-use super::{Error, MAX_VERTICES};
+use super::Error;
 use crate::mesh::{self, MAX_COORDINATE, Mesh, Triangle, Vertex, tangent};
 
 /// Triangles of one material, in world space.
@@ -45,6 +45,7 @@ pub(super) enum Tangents {
 /// Collects parts. The counters become warnings.
 pub(super) struct Builder<'a> {
     file: &'a Path,
+    max_vertices: usize,
     vertices: Vec<Vertex>,
     triangles: Vec<([u32; 3], usize)>,
     warnings: Vec<String>,
@@ -55,9 +56,10 @@ pub(super) struct Builder<'a> {
 }
 
 impl<'a> Builder<'a> {
-    pub fn new(file: &'a Path) -> Self {
+    pub fn new(file: &'a Path, max_vertices: usize) -> Self {
         Self {
             file,
+            max_vertices,
             vertices: Vec::new(),
             triangles: Vec::new(),
             warnings: Vec::new(),
@@ -158,11 +160,12 @@ impl<'a> Builder<'a> {
         let base = self.vertices.len();
         let vertices = base + new_vertices.len();
         let triangles = self.triangles.len() + new_triangles.len();
-        if vertices.max(triangles) > MAX_VERTICES {
+        let most = self.max_vertices;
+        if vertices.max(triangles) > most {
             return Err(Error::invalid(
                 self.file,
                 "mesh",
-                format_args!("at most {MAX_VERTICES} vertices and triangles"),
+                format_args!("at most {most} vertices and triangles (--limit-vertices)"),
                 format_args!("{vertices} vertices and {triangles} triangles or more"),
             ));
         }

@@ -18,7 +18,8 @@ use relight_format::{Material, Surface, Texture, TextureEncoding, TextureSlot};
 use serde::Deserialize;
 
 use super::build::{Builder, GivenVertex, Part, Tangents, face_normal};
-use super::{Error, MAX_VERTICES, image, plain_material};
+use super::{Error, image, plain_material};
+use crate::files::Files;
 use crate::mesh::Mesh;
 
 /// Extensions that change nothing, or only what this product does not show: lights,
@@ -42,16 +43,32 @@ const READ: [&str; 3] = [
 const MAX_NODES: usize = 1 << 20;
 
 /// Imports the bytes of a glTF file and what it refers to.
-pub(super) fn import(file: &Path, bytes: &[u8]) -> Result<Mesh, Error> {
+pub(super) fn import(files: &Files, file: &Path, bytes: &[u8]) -> Result<Mesh, Error> {
     let (json, blob) = split_glb(file, bytes)?;
     let syntax = |error: serde_json::Error| Error::Syntax {
         file: file.into(),
         message: error.to_string(),
     };
     let header: Header = serde_json::from_slice(json).map_err(syntax)?;
-    if !header.asset.version.starts_with("2.") {
-        let found = format!("{:?}", header.asset.version);
+    let AssetHeader {
+        version,
+        min_version,
+    } = &header.asset;
+    if !version.starts_with("2.") {
+        let found = format!("{version:?}");
         return Err(Error::invalid(file, "asset.version", "\"2.0\"", found));
+    }
+    // A reader of an older version must not load the file (glTF 2.0, 3.2).
+    if let Some(least) = min_version
+        && least != "2.0"
+    {
+        let found = format!("{least:?}");
+        return Err(Error::invalid(
+            file,
+            "asset.minVersion",
+            "\"2.0\" or none",
+            found,
+        ));
     }
     let known = |name: &str| HARMLESS.contains(&name) || READ.contains(&name);
     if let Some(extension) = header
@@ -65,13 +82,14 @@ pub(super) fn import(file: &Path, bytes: &[u8]) -> Result<Mesh, Error> {
         });
     }
     let root: Root = serde_json::from_slice(json).map_err(syntax)?;
-    let buffers = load_buffers(file, &root, blob)?;
+    let buffers = load_buffers(files, file, &root, blob)?;
     let document = Document {
+        files,
         file,
         root: &root,
         buffers,
     };
-    let mut builder = Builder::new(file);
+    let mut builder = Builder::new(file, files.max_vertices());
     for extension in root.extensions_used.iter().filter(|name| !known(name)) {
         builder.warn(format!(
             "the glTF extension {extension} is not supported and left out"
@@ -106,8 +124,10 @@ struct Header {
 }
 
 #[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
 struct AssetHeader {
     version: String,
+    min_version: Option<String>,
 }
 
 /// The JSON chunk and the binary chunk of a `.glb`; a `.gltf` is all JSON.
@@ -153,6 +173,7 @@ fn split_glb<'a>(file: &Path, bytes: &'a [u8]) -> Result<(&'a [u8], Option<&'a [
 }
 
 fn load_buffers<'a>(
+    files: &Files,
     file: &Path,
     root: &Root,
     blob: Option<&'a [u8]>,
@@ -163,7 +184,7 @@ fn load_buffers<'a>(
         .map(|(index, buffer)| {
             let place = format!("buffers[{index}]");
             let bytes = match (&buffer.uri, blob) {
-                (Some(uri), _) => Cow::Owned(resolve(file, &place, uri)?),
+                (Some(uri), _) => Cow::Owned(resolve(files, file, &place, uri)?),
                 (None, Some(blob)) if index == 0 => Cow::Borrowed(blob),
                 (None, _) => {
                     return Err(Error::invalid(
@@ -188,7 +209,7 @@ fn load_buffers<'a>(
 }
 
 /// The bytes that a URI stands for: a base64 `data:` URI or a path relative to the file.
-fn resolve(file: &Path, place: &str, uri: &str) -> Result<Vec<u8>, Error> {
+fn resolve(files: &Files, file: &Path, place: &str, uri: &str) -> Result<Vec<u8>, Error> {
     let wrong = |found: &str| Error::invalid(file, place, "a relative or base64 data URI", found);
     if let Some(data) = uri.strip_prefix("data:") {
         let (kind, text) = data
@@ -203,7 +224,7 @@ fn resolve(file: &Path, place: &str, uri: &str) -> Result<Vec<u8>, Error> {
     let decoded = decode_percent(uri).filter(|path| !path.contains(':') && !path.is_empty());
     let path = decoded.ok_or_else(|| wrong(&format!("{uri:?}")))?;
     let path = file.parent().unwrap_or(Path::new("")).join(path);
-    std::fs::read(&path).map_err(|source| Error::read(&path, source))
+    files.read(&path)
 }
 
 fn decode_base64(text: &str) -> Option<Vec<u8>> {
@@ -247,6 +268,7 @@ fn decode_percent(uri: &str) -> Option<String> {
 
 /// The parsed file and its buffers.
 struct Document<'a> {
+    files: &'a Files,
     file: &'a Path,
     root: &'a Root,
     buffers: Vec<Cow<'a, [u8]>>,
@@ -436,7 +458,7 @@ impl Document<'_> {
         let direction = |matrix: DMat3, vector: [f32; 3]| {
             (matrix * Vec3::from(vector).as_dvec3())
                 .try_normalize()
-                .map(|direction| direction.as_vec3())
+                .map(DVec3::as_vec3)
         };
         let mut vertices = Vec::with_capacity(count);
         for (index, position) in positions.into_iter().enumerate() {
@@ -581,8 +603,9 @@ impl Document<'_> {
         let size = component.size() * kind.multiplicity();
         let count = usize::try_from(accessor.count.0).unwrap_or(usize::MAX);
         // Three corners of each of the most triangles.
-        if !(1..=MAX_VERTICES * 3).contains(&count) {
-            let expected = format!("1 to {} elements", MAX_VERTICES * 3);
+        let most = self.files.max_vertices() * 3;
+        if !(1..=most).contains(&count) {
+            let expected = format!("1 to {most} elements (--limit-vertices)");
             return Err(self.invalid(&place, expected, count));
         }
         let decode_all = |bytes: &[u8], stride: usize, count: usize| -> Result<Vec<T>, Error> {
@@ -766,7 +789,7 @@ fn flat_shaded(
         let corners = triangle.map(|index| vertices[index as usize]);
         let normal = face_normal(corners.map(|corner| corner.position));
         flat.extend(corners.map(|corner| GivenVertex {
-            normal: normal.map(|normal| normal.as_vec3()),
+            normal: normal.map(DVec3::as_vec3),
             ..corner
         }));
     }
@@ -1054,7 +1077,7 @@ impl Materials<'_> {
         let source = document.get(texture.source, place)?;
         let place = format!("images[{}]", texture.source);
         let bytes = match (&source.uri, source.buffer_view) {
-            (Some(uri), _) => Cow::Owned(resolve(document.file, &place, uri)?),
+            (Some(uri), _) => Cow::Owned(resolve(document.files, document.file, &place, uri)?),
             (None, Some(view)) => Cow::Borrowed(document.view(view, &place)?),
             (None, None) => {
                 return Err(document.invalid(place, "a uri or a bufferView", "neither"));
@@ -1067,6 +1090,7 @@ impl Materials<'_> {
             &bytes,
             encoding,
             &mut self.texels,
+            document.files.access().max_texels,
         )?);
         let texture = self.textures.len() as u32 - 1;
         self.images.insert(key, texture);

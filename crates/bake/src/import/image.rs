@@ -8,16 +8,15 @@ use relight_format::{Texture, TextureEncoding};
 
 use super::{Error, MAX_IMAGE_SIZE};
 
-/// Most texels that the textures of one mesh may have together: 1 GiB.
-const MAX_TEXELS: u64 = 1 << 28;
-
-/// Decodes an image. `texels` counts those decoded so far for the same mesh.
+/// Decodes an image. `texels` counts those decoded so far for the same mesh, of which there
+/// may be `most`.
 pub(super) fn decode(
     file: &Path,
     place: &str,
     bytes: &[u8],
     encoding: TextureEncoding,
     texels: &mut u64,
+    most: u64,
 ) -> Result<Texture, Error> {
     let malformed = |error: &dyn std::fmt::Display| {
         Error::invalid(file, place, "a readable PNG or JPEG image", error)
@@ -30,7 +29,7 @@ pub(super) fn decode(
         limits.max_image_width = Some(MAX_IMAGE_SIZE);
         limits.max_image_height = Some(MAX_IMAGE_SIZE);
         // 16-bit RGBA of the largest image.
-        limits.max_alloc = Some(MAX_TEXELS * 8);
+        limits.max_alloc = Some(most.saturating_mul(8));
         reader.limits(limits);
         let known = matches!(reader.format(), Some(ImageFormat::Png | ImageFormat::Jpeg));
         known.then_some(reader)
@@ -41,12 +40,12 @@ pub(super) fn decode(
         .into_dimensions()
         .map_err(|error| malformed(&error))?;
     *texels += u64::from(width) * u64::from(height);
-    if width.max(height) > MAX_IMAGE_SIZE || *texels > MAX_TEXELS {
+    if width.max(height) > MAX_IMAGE_SIZE || *texels > most {
         return Err(Error::invalid(
             file,
             place,
             format_args!(
-                "at most {MAX_IMAGE_SIZE} texels per side and {MAX_TEXELS} in all textures"
+                "at most {MAX_IMAGE_SIZE} texels per side and {most} in all textures (--limit-texels)"
             ),
             format_args!("{width}x{height}, {texels} in all so far"),
         ));

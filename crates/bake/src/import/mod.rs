@@ -1,8 +1,8 @@
 //! glTF and OBJ files to one mesh in world space, with materials and textures.
 //!
 //! Input is untrusted: every index and length is checked before it is used, allocations
-//! are bounded by the file's own size or by [`MAX_VERTICES`] and [`MAX_IMAGE_SIZE`], and
-//! whatever is wrong ends in one [`Error`] that names the file and the place. What can be
+//! are bounded by the file's own size or by [`Access`] and [`MAX_IMAGE_SIZE`], other files are
+//! read only where [`Files`] allows it, and whatever is wrong ends in one [`Error`] that names the file and the place. What can be
 //! read but not represented is imported without it and listed in [`Mesh::warnings`].
 
 mod build;
@@ -17,9 +17,11 @@ use std::path::{Path, PathBuf};
 
 use relight_format as format;
 
+use crate::files::{Access, Files};
 use crate::mesh::Mesh;
 
-/// Most vertices, and most triangles, that an imported mesh may have.
+/// Most vertices, and most triangles, that an imported mesh may have; [`Access::max_vertices`]
+/// is less unless it is raised.
 pub const MAX_VERTICES: usize = 1 << 25;
 /// Most texels per side of a texture.
 pub const MAX_IMAGE_SIZE: u32 = 16384;
@@ -39,16 +41,18 @@ pub fn plain_material(name: &str, surface: format::Surface) -> format::Material 
 
 /// Reads a texture, to be added to `others`.
 pub(crate) fn texture(
+    files: &Files,
     path: &Path,
     encoding: format::TextureEncoding,
     others: &[format::Texture],
 ) -> Result<format::Texture, Error> {
-    let bytes = std::fs::read(path).map_err(|source| Error::read(path, source))?;
+    let bytes = files.read(path)?;
     let mut texels = others
         .iter()
         .map(|other| u64::from(other.width) * u64::from(other.height))
         .sum();
-    image::decode(path, "file", &bytes, encoding, &mut texels)
+    let most = files.access().max_texels;
+    image::decode(path, "file", &bytes, encoding, &mut texels, most)
 }
 
 /// Why a scene file, mesh, material library or texture could not be read.
@@ -115,13 +119,23 @@ impl Error {
     }
 }
 
-/// Imports a `.gltf`, `.glb` or `.obj` file.
+/// Imports a `.gltf`, `.glb` or `.obj` file that the command line names, and what it refers to
+/// in its own folder.
 pub fn mesh(path: &Path) -> Result<Mesh, Error> {
+    let files = Files::new(path, &Access::default())?;
+    mesh_of(&files, path, || files.read_named(path))
+}
+
+/// Imports the file at `path`, whose bytes `read` gives, and what it refers to, from `files`.
+pub fn mesh_of(
+    files: &Files,
+    path: &Path,
+    read: impl FnOnce() -> Result<Vec<u8>, Error>,
+) -> Result<Mesh, Error> {
     let extension = path.extension().and_then(|extension| extension.to_str());
-    let read = || std::fs::read(path).map_err(|source| Error::read(path, source));
     match extension.map(str::to_ascii_lowercase).as_deref() {
-        Some("gltf" | "glb") => gltf::import(path, &read()?),
-        Some("obj") => obj::import(path, &read()?),
+        Some("gltf" | "glb") => gltf::import(files, path, &read()?),
+        Some("obj") => obj::import(files, path, &read()?),
         other => Err(Error::invalid(
             path,
             "file name",

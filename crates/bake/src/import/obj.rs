@@ -11,6 +11,8 @@ use glam::{DVec2, DVec3, Vec2, Vec3};
 use relight_format::{Material, Specular, Surface, Texture, TextureEncoding, TextureSlot};
 
 use super::build::{Builder, GivenVertex, Part, Tangents, angle_weighted_normals};
+use crate::files::Files;
+
 use super::mtl::{self, Map, MtlMaterial};
 use super::{Error, image, plain_material};
 use crate::mesh::Mesh;
@@ -22,9 +24,9 @@ const MAX_CONCAVE_CORNERS: usize = 1024;
 const DEFAULT_MATERIAL: &str = "default";
 
 /// Imports the bytes of an OBJ file and what it refers to.
-pub(super) fn import(file: &Path, bytes: &[u8]) -> Result<Mesh, Error> {
+pub(super) fn import(files: &Files, file: &Path, bytes: &[u8]) -> Result<Mesh, Error> {
     let text = String::from_utf8_lossy(bytes);
-    let mut builder = Builder::new(file);
+    let mut builder = Builder::new(file, files.max_vertices());
     let obj = parse(file, &text)?;
     let (triangles, skipped) = obj.triangulate(file, &mut builder)?;
     let counted = [
@@ -36,7 +38,7 @@ pub(super) fn import(file: &Path, bytes: &[u8]) -> Result<Mesh, Error> {
             builder.warn(format!("{count} {what}"));
         }
     }
-    let (materials, textures) = load_materials(file, &obj, &mut builder)?;
+    let (materials, textures) = load_materials(files, file, &obj, &mut builder)?;
     let normals = corner_normals(&obj, &triangles);
     for (index, material) in materials.iter().enumerate() {
         push_part(&mut builder, &obj, &triangles, &normals, index, material)?;
@@ -464,6 +466,7 @@ fn push_part(
 
 /// Reads the material libraries and the textures of the materials in use.
 fn load_materials(
+    files: &Files,
     file: &Path,
     obj: &Obj,
     builder: &mut Builder,
@@ -473,7 +476,7 @@ fn load_materials(
     for names in &obj.libraries {
         // One name with spaces, or several names.
         let whole = folder.join(names.replace('\\', "/"));
-        let paths = if whole.is_file() {
+        let paths = if files.exists(&whole) {
             vec![whole]
         } else {
             names
@@ -483,11 +486,11 @@ fn load_materials(
         };
         let mut missing = Vec::new();
         for path in paths {
-            match std::fs::read(&path) {
+            match files.read(&path) {
                 Ok(bytes) => {
                     library.extend(mtl::parse(&path, &String::from_utf8_lossy(&bytes))?);
                 }
-                Err(error) => missing.push(format!("{}: {error}", path.display())),
+                Err(error) => missing.push(error.to_string()),
             }
         }
         if !missing.is_empty() {
@@ -506,6 +509,7 @@ fn load_materials(
         ));
     }
     let mut textures = Textures {
+        files,
         folder,
         images: BTreeMap::new(),
         list: Vec::new(),
@@ -597,6 +601,7 @@ fn looks_like_normals(texture: &Texture) -> bool {
 
 /// Textures read so far.
 struct Textures<'a> {
+    files: &'a Files,
     folder: &'a Path,
     /// Index into `list`, or none if unreadable, by file and encoding.
     images: BTreeMap<(String, bool), Option<u32>>,
@@ -618,15 +623,21 @@ impl Textures<'_> {
             *index
         } else {
             let path = self.folder.join(&map.file);
-            let index = match std::fs::read(&path) {
+            let index = match self.files.read(&path) {
                 Ok(bytes) => {
-                    let image = image::decode(&path, "image", &bytes, encoding, &mut self.texels)?;
+                    let image = image::decode(
+                        &path,
+                        "image",
+                        &bytes,
+                        encoding,
+                        &mut self.texels,
+                        self.files.access().max_texels,
+                    )?;
                     self.list.push(image);
                     Some(self.list.len() as u32 - 1)
                 }
                 Err(error) => {
-                    let path = path.display();
-                    builder.warn(format!("texture {path} cannot be read: {error}"));
+                    builder.warn(format!("a texture is left out: {error}"));
                     None
                 }
             };

@@ -1,5 +1,6 @@
 //! Small files made in memory. Real ones are read by the workspace's test suite.
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -9,6 +10,7 @@ use serde_json::{Value, json};
 
 use super::build::face_normal;
 use super::{Error, gltf, obj};
+use crate::files::{Access, Files};
 use crate::mesh::{Mesh, Vertex};
 
 /// Vectors that should be equal or orthogonal are computed along different paths in f32.
@@ -74,8 +76,13 @@ fn square() -> (Value, Vec<u8>) {
     (json, blob)
 }
 
+/// Nothing to refer to.
+fn no_files() -> Files {
+    Files::in_memory(BTreeMap::new(), &Access::default())
+}
+
 fn import(json: &Value, blob: &[u8]) -> Result<Mesh, Error> {
-    gltf::import(Path::new("test.glb"), &glb(json, blob))
+    gltf::import(&no_files(), Path::new("test.glb"), &glb(json, blob))
 }
 
 fn import_good(json: &Value, blob: &[u8]) -> Mesh {
@@ -83,7 +90,7 @@ fn import_good(json: &Value, blob: &[u8]) -> Mesh {
 }
 
 fn import_obj(text: &str) -> Result<Mesh, Error> {
-    obj::import(Path::new("test.obj"), text.as_bytes())
+    obj::import(&no_files(), Path::new("test.obj"), text.as_bytes())
 }
 
 fn area_normals(mesh: &Mesh) -> Vec<Vec3> {
@@ -508,7 +515,7 @@ fn no_mutation_of_a_glb_panics() {
     json["materials"][0]["doubleSided"] = json!(true);
     json["nodes"][0]["rotation"] = json!([0, 0.6, 0, 0.8]);
     fuzz(&glb(&json, &blob), 5000, |bytes| {
-        gltf::import(Path::new("test.glb"), bytes)
+        gltf::import(&no_files(), Path::new("test.glb"), bytes)
     });
 }
 
@@ -535,7 +542,7 @@ fn no_mutation_of_a_textured_glb_panics() {
         .remove("TANGENT");
     let bytes = glb(&json, &blob);
     fuzz(&bytes, 5000, |bytes| {
-        gltf::import(Path::new("test.glb"), bytes)
+        gltf::import(&no_files(), Path::new("test.glb"), bytes)
     });
     // Extremes of everything that MikkTSpace reads.
     let extremes = [
@@ -574,7 +581,7 @@ fn no_mutation_of_an_obj_panics() {
     let text = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0.2 0.1 0\nv 0 1 0\nvt 0 0\nvt 1 1\nvn 0 0 1\n\
                 s 1\nf 1/1/1 2/2/1 3/1/1 4/2/1 5/1/1\ns off\nf -1 -2 -3\ns 2\nf 1/1 2/2 \\\n3/1\n";
     fuzz(text.as_bytes(), 20_000, |bytes| {
-        obj::import(Path::new("test.obj"), bytes)
+        obj::import(&no_files(), Path::new("test.obj"), bytes)
     });
 }
 

@@ -64,6 +64,11 @@ impl Merl {
         Ok(Self { values: table })
     }
 
+    /// Whether nothing is reflected.
+    pub(super) fn is_black(&self) -> bool {
+        self.values.iter().flatten().all(|value| *value <= 0.0)
+    }
+
     /// BRDF in 1/sr (linear Rec.709, cosine not included) for unit vectors towards the
     /// light and the eye; zero where either is below the surface. The nearest entry, as in
     /// the database's own code.

@@ -9,6 +9,9 @@ use std::path::Path;
 
 use glam::{Vec2, Vec3};
 
+use crate::files::{Access, Files};
+use crate::import;
+
 pub use merl::Merl;
 pub use rgl::Rgl;
 
@@ -55,20 +58,33 @@ pub enum Table {
 impl Table {
     /// Loads a file of either kind; its first bytes tell which.
     pub fn load(path: &Path) -> Result<Self, Error> {
-        let bytes = std::fs::read(path).map_err(|source| Error::Io {
-            path: path.display().to_string(),
-            source,
+        let bytes = Files::new(path, &Access::default()).and_then(|files| files.read_named(path));
+        let bytes = bytes.map_err(|error| match error {
+            import::Error::Read { source, .. } => Error::Io {
+                path: path.display().to_string(),
+                source,
+            },
+            error => invalid("file", "one that may be read", error),
         })?;
         Self::parse(&bytes)
     }
 
     /// Decodes the bytes of a file, which are not trusted.
     pub fn parse(bytes: &[u8]) -> Result<Self, Error> {
-        if bytes.starts_with(rgl::MAGIC) {
-            Rgl::parse(bytes).map(|table| Self::Rgl(Box::new(table)))
+        let table = if bytes.starts_with(rgl::MAGIC) {
+            Self::Rgl(Box::new(Rgl::parse(bytes)?))
         } else {
-            Merl::parse(bytes).map(|table| Self::Merl(Box::new(table)))
+            Self::Merl(Box::new(Merl::parse(bytes)?))
+        };
+        let black = match &table {
+            Self::Rgl(table) => table.is_black(),
+            Self::Merl(table) => table.is_black(),
+        };
+        if black {
+            let found = "none: the table is black, or holds no valid measurement";
+            return Err(invalid("values", "some that are above 0", found));
         }
+        Ok(table)
     }
 
     /// BRDF in 1/sr (linear Rec.709, cosine not included) for unit vectors towards the

@@ -56,6 +56,12 @@ struct Lookup {
 }
 
 impl Rgl {
+    /// Whether nothing is reflected.
+    pub(super) fn is_black(&self) -> bool {
+        let mut values = self.reflectance.iter().flat_map(|slices| &slices.values);
+        values.all(|value| *value <= 0.0)
+    }
+
     /// Decodes the bytes of a `.bsdf` file, which are not trusted.
     pub fn parse(bytes: &[u8]) -> Result<Self, Error> {
         let fields = fields(bytes)?;

@@ -9,10 +9,13 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use relight_format as format;
+use relight_shading::gpu::MAX_LOCAL_LIGHTS;
 use relight_shading::local_light::{LocalLight, Spot};
 use serde::{Deserialize, Serialize};
 
 pub use crate::import::Error;
+
+use crate::files::{Access, Files};
 
 /// A whole scene file. Paths are relative to the folder that holds it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -358,11 +361,13 @@ pub struct Refinement {
 
 /// Reads and checks a scene file.
 pub fn load(path: &Path) -> Result<SceneFile, Error> {
-    let text = std::fs::read_to_string(path).map_err(|source| Error::read(path, source))?;
-    let scene: SceneFile = toml::from_str(&text).map_err(|error| Error::Syntax {
-        file: path.into(),
-        message: error.to_string(),
-    })?;
+    let files = Files::new(path, &Access::default())?;
+    parse(path, &files.read_named(path)?)
+}
+
+/// Parses and checks the bytes of a scene file; `path` is for messages.
+pub fn parse(path: &Path, bytes: &[u8]) -> Result<SceneFile, Error> {
+    let scene: SceneFile = parse_toml(path, bytes)?;
     let checked = Checker { path };
     checked.transform(&scene.transform)?;
     for (name, material) in &scene.materials {
@@ -374,6 +379,12 @@ pub fn load(path: &Path) -> Result<SceneFile, Error> {
     if let Some(camera) = &scene.camera {
         checked.camera(camera)?;
     }
+    checked.require(
+        scene.lights.len() <= MAX_LOCAL_LIGHTS as usize,
+        "lights",
+        &format!("at most {MAX_LOCAL_LIGHTS} lights"),
+        scene.lights.len(),
+    )?;
     for (index, light) in scene.lights.iter().enumerate() {
         checked.light(&format!("lights[{index}]"), light)?;
     }
@@ -388,13 +399,18 @@ pub fn load(path: &Path) -> Result<SceneFile, Error> {
     Ok(scene)
 }
 
-/// Reads and checks a file of one material, written as under `[materials]`.
-pub fn load_material(path: &Path) -> Result<MaterialOverride, Error> {
-    let text = std::fs::read_to_string(path).map_err(|source| Error::read(path, source))?;
-    let material = toml::from_str(&text).map_err(|error| Error::Syntax {
+fn parse_toml<T: serde::de::DeserializeOwned>(path: &Path, bytes: &[u8]) -> Result<T, Error> {
+    let syntax = |message: String| Error::Syntax {
         file: path.into(),
-        message: error.to_string(),
-    })?;
+        message,
+    };
+    let text = std::str::from_utf8(bytes).map_err(|error| syntax(error.to_string()))?;
+    toml::from_str(text).map_err(|error| syntax(error.to_string()))
+}
+
+/// Parses and checks the bytes of a file of one material, written as under `[materials]`.
+pub fn parse_material(path: &Path, bytes: &[u8]) -> Result<MaterialOverride, Error> {
+    let material = parse_toml(path, bytes)?;
     Checker { path }.material("material", &material)?;
     Ok(material)
 }
@@ -553,6 +569,12 @@ impl Checker<'_> {
             "one of them",
         )?;
         self.material(&format!("{place}.material"), &layer.material)?;
+        self.require(
+            layer.blend != BlendName::Coat || !matches!(*layer.material, M::Diffuse { .. }),
+            &format!("{place}.blend"),
+            "over, or a coat of a material that reflects",
+            "a coat of a diffuse material",
+        )?;
         self.require(
             (0.0..=1.0).contains(&layer.weight),
             &format!("{place}.weight"),

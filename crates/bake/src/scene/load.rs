@@ -8,6 +8,8 @@ use glam::{Quat, Vec3};
 use relight_format as format;
 use relight_shading::local_light::LocalLight;
 
+use crate::environment::hdr;
+use crate::files::{Access, Files};
 use crate::import::{self, Error};
 use crate::measured::{self, Table, fit};
 use crate::mesh::{self, MAX_COORDINATE, Mesh, ground};
@@ -39,8 +41,13 @@ pub struct SceneInput {
     pub warnings: Vec<String>,
 }
 
-/// Loads a `.toml` scene file, or a mesh without one.
+/// Loads a `.toml` scene file, or a mesh without one, and what it refers to in its own folder.
 pub fn load(path: &Path) -> Result<SceneInput, Error> {
+    load_from(&Files::new(path, &Access::default())?, path)
+}
+
+/// Loads as [`load`] does, from `files`, which must be of the same path.
+pub fn load_from(files: &Files, path: &Path) -> Result<SceneInput, Error> {
     let is_scene = path
         .extension()
         .is_some_and(|e| e.eq_ignore_ascii_case("toml"));
@@ -50,7 +57,7 @@ pub fn load(path: &Path) -> Result<SceneInput, Error> {
         .to_string_lossy()
         .into_owned();
     if !is_scene {
-        let mesh = import::mesh(path)?;
+        let mesh = import::mesh_of(files, path, || files.read_named(path))?;
         return Ok(SceneInput {
             name,
             warnings: mesh.warnings.clone(),
@@ -63,9 +70,10 @@ pub fn load(path: &Path) -> Result<SceneInput, Error> {
             measured: Vec::new(),
         });
     }
-    let file = description::load(path)?;
+    let file = description::parse(path, &files.read_named(path)?)?;
     let folder = path.parent().unwrap_or(Path::new(""));
-    let mut mesh = import::mesh(&folder.join(&file.mesh))?;
+    let mesh_path = folder.join(&file.mesh);
+    let mut mesh = import::mesh_of(files, &mesh_path, || files.read(&mesh_path))?;
     place(&mut mesh, &file.transform);
     let mut positions = mesh.vertices.iter().map(|vertex| vertex.position);
     if let Some(position) = mesh::distant_position(&mut positions) {
@@ -77,17 +85,28 @@ pub fn load(path: &Path) -> Result<SceneInput, Error> {
         ));
     }
     let mut measured = Vec::new();
-    override_materials(path, &file, &mut mesh, &mut measured)?;
+    override_materials(files, path, &file, &mut mesh, &mut measured)?;
     let object_diagonal = mesh.diagonal();
     if let Some(options) = &file.ground {
         let material = options.material.as_ref();
         let default = MaterialOverride::Diffuse {
             diffuse: description::Color::Grey(0.5),
         };
-        let made = make(material.unwrap_or(&default), folder, &mut mesh.textures)?;
+        let made = make(
+            files,
+            material.unwrap_or(&default),
+            folder,
+            &mut mesh.textures,
+        )?;
         measured.extend(made.table.map(|table| (mesh.materials.len(), table)));
         ground::append(&mut mesh, options, made.material)
             .map_err(|(place, expected, found)| Error::invalid(path, place, expected, found))?;
+    }
+    // The bake does not need it, but what it is shown under should not turn out to be missing
+    // when hours have passed.
+    let environment = file.environment.map(|environment| folder.join(environment));
+    if let Some(environment) = &environment {
+        check_environment(files, environment)?;
     }
     Ok(SceneInput {
         name,
@@ -98,7 +117,7 @@ pub fn load(path: &Path) -> Result<SceneInput, Error> {
             .camera
             .as_ref()
             .and_then(description::Camera::to_format),
-        environment: file.environment.map(|environment| folder.join(environment)),
+        environment,
         lights: file
             .lights
             .iter()
@@ -106,6 +125,23 @@ pub fn load(path: &Path) -> Result<SceneInput, Error> {
             .collect(),
         refinement: file.refinement,
         measured,
+    })
+}
+
+/// Checks the beginning of a scene's lat-long image.
+fn check_environment(files: &Files, path: &Path) -> Result<(), Error> {
+    let reading = hdr::Reading {
+        max_pixels: hdr::MAX_PIXELS,
+        ..hdr::Reading::default()
+    };
+    hdr::check(path, files.open(path)?, &reading).map_err(|error| match error {
+        hdr::Error::Io { source, .. } => Error::read(path, source),
+        hdr::Error::Invalid {
+            place,
+            expected,
+            found,
+            ..
+        } => Error::invalid(path, place, expected, found),
     })
 }
 
@@ -121,6 +157,7 @@ fn place(mesh: &mut Mesh, transform: &description::Transform) {
 }
 
 fn override_materials(
+    files: &Files,
     path: &Path,
     file: &SceneFile,
     mesh: &mut Mesh,
@@ -154,7 +191,9 @@ fn override_materials(
         };
         let made = match made.entry(key) {
             Entry::Occupied(entry) => entry.into_mut(),
-            Entry::Vacant(entry) => entry.insert(make(replacement, folder, &mut mesh.textures)?),
+            Entry::Vacant(entry) => {
+                entry.insert(make(files, replacement, folder, &mut mesh.textures)?)
+            }
         };
         measured.extend(made.table.clone().map(|table| (index, table)));
         let name = std::mem::take(&mut material.name);
@@ -176,6 +215,7 @@ struct Made {
 
 /// Makes the material that a replacement describes; its textures are appended.
 fn make(
+    files: &Files,
     replacement: &MaterialOverride,
     folder: &Path,
     textures: &mut Vec<format::Texture>,
@@ -184,13 +224,16 @@ fn make(
         MaterialOverride::Measured { file, original } => {
             let path = folder.join(file);
             let original = original.as_ref().map(|original| folder.join(original));
+            if let Some(original) = &original {
+                files.open(original)?;
+            }
             if path.extension().is_none_or(|e| e != "relight") {
                 return Ok(Made {
-                    material: import::plain_material("", surface(replacement, folder)?),
+                    material: import::plain_material("", surface(files, replacement, folder)?),
                     table: Some(path),
                 });
             }
-            let bytes = std::fs::read(&path).map_err(|source| Error::read(&path, source))?;
+            let bytes = files.read(&path)?;
             let asset = format::read_material(&bytes, &format::Limits::default())
                 .map_err(|error| Error::invalid(&path, "file", "a baked material", error))?;
             let mut material = asset.material;
@@ -213,24 +256,28 @@ fn make(
                 layers,
                 [normal_texture, anisotropy_texture],
                 *normal_scale,
+                files,
                 folder,
                 textures,
             )?,
             table: None,
         }),
         _ => Ok(Made {
-            material: import::plain_material("", surface(replacement, folder)?),
+            material: import::plain_material("", surface(files, replacement, folder)?),
             table: None,
         }),
     }
 }
 
 /// Reads a file of one material, written as in a scene file, with its textures.
-pub fn load_material(path: &Path) -> Result<(format::Material, Vec<format::Texture>), Error> {
-    let replacement = description::load_material(path)?;
+pub fn load_material(
+    files: &Files,
+    path: &Path,
+) -> Result<(format::Material, Vec<format::Texture>), Error> {
+    let replacement = description::parse_material(path, &files.read_named(path)?)?;
     let folder = path.parent().unwrap_or(Path::new(""));
     let mut textures = Vec::new();
-    let made = make(&replacement, folder, &mut textures)?;
+    let made = make(files, &replacement, folder, &mut textures)?;
     Ok((made.material, textures))
 }
 
@@ -238,13 +285,14 @@ fn layered_material(
     layers: &[LayerFile],
     [normal_texture, anisotropy_texture]: [&Option<PathBuf>; 2],
     normal_scale: f32,
+    files: &Files,
     folder: &Path,
     textures: &mut Vec<format::Texture>,
 ) -> Result<format::Material, Error> {
     use format::TextureEncoding::{Linear, Srgb};
     let mut slot = |file: &Option<PathBuf>, encoding, invert: bool| {
         let Some(file) = file else { return Ok(None) };
-        let mut texture = import::texture(&folder.join(file), encoding, textures)?;
+        let mut texture = import::texture(files, &folder.join(file), encoding, textures)?;
         if invert {
             for texel in texture.texels.as_chunks_mut::<4>().0 {
                 for channel in &mut texel[..3] {
@@ -261,7 +309,8 @@ fn layered_material(
     let layers = layers
         .iter()
         .map(|layer| -> Result<format::Layer, Error> {
-            let format::Surface::Layered { diffuse, specular } = surface(&layer.material, folder)?
+            let format::Surface::Layered { diffuse, specular } =
+                surface(files, &layer.material, folder)?
             else {
                 unreachable!("checked when the file was read")
             };
@@ -314,7 +363,11 @@ fn layered_material(
 
 /// The surface that a replacement without textures describes. Its values were checked when
 /// it was read.
-fn surface(material: &MaterialOverride, folder: &Path) -> Result<format::Surface, Error> {
+fn surface(
+    files: &Files,
+    material: &MaterialOverride,
+    folder: &Path,
+) -> Result<format::Surface, Error> {
     use MaterialOverride as M;
     let layered = |diffuse: description::Color, specular| format::Surface::Layered {
         diffuse: diffuse.rgb(),
@@ -406,16 +459,16 @@ fn surface(material: &MaterialOverride, folder: &Path) -> Result<format::Surface
             anisotropy_strength,
             anisotropy_rotation: anisotropy_rotation_degrees.to_radians(),
         },
-        M::Measured { ref file, .. } => measured_surface(file, folder)?,
+        M::Measured { ref file, .. } => measured_surface(files, file, folder)?,
         M::Layers { .. } => unreachable!("layers do not nest"),
     })
 }
 
 /// The lobes of a baked material, or those that are fitted to a table.
-fn measured_surface(file: &Path, folder: &Path) -> Result<format::Surface, Error> {
+fn measured_surface(files: &Files, file: &Path, folder: &Path) -> Result<format::Surface, Error> {
     let path = folder.join(file);
     if path.extension().is_some_and(|e| e == "relight") {
-        let bytes = std::fs::read(&path).map_err(|source| Error::read(&path, source))?;
+        let bytes = files.read(&path)?;
         let surface = format::read_material(&bytes, &format::Limits::default())
             .map(|asset| asset.material.surface);
         return match surface {
@@ -429,13 +482,13 @@ fn measured_surface(file: &Path, folder: &Path) -> Result<format::Surface, Error
             Err(error) => Err(Error::invalid(&path, "file", "a baked material", error)),
         };
     }
-    let table = load_table(&path)?;
+    let table = parse_table(&path, &files.read(&path)?)?;
     Ok(fit::fit(&table, fit::Stop::default()).surface(file.to_string_lossy().into_owned()))
 }
 
-/// Loads a table; errors name the file.
-pub fn load_table(path: &Path) -> Result<Table, Error> {
-    Table::load(path).map_err(|error| match error {
+/// Decodes a table; errors name the file.
+pub fn parse_table(path: &Path, bytes: &[u8]) -> Result<Table, Error> {
+    Table::parse(bytes).map_err(|error| match error {
         measured::Error::Io { source, .. } => Error::read(path, source),
         measured::Error::Invalid {
             place,
@@ -456,10 +509,14 @@ mod tests {
                        usemtl lid\nf 5 8 7 6\nusemtl wall\nf 1 5 6 2\nf 2 6 7 3\nf 3 7 8 4\n\
                        f 4 8 5 1\n";
 
+    /// The header of an image of 2 by 1 pixels.
+    const SKY: &str = "#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 1 +X 2\n";
+
     fn load_text(scene: &str) -> Result<SceneInput, Error> {
         let folder = tempfile::tempdir().expect("a temporary folder");
         std::fs::write(folder.path().join("box.obj"), BOX).expect("a writable folder");
         std::fs::write(folder.path().join("box scene.toml"), scene).expect("a writable folder");
+        std::fs::write(folder.path().join("sky.hdr"), SKY).expect("a writable folder");
         load(&folder.path().join("box scene.toml"))
     }
 

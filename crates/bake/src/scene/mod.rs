@@ -224,6 +224,7 @@ pub struct Bake<'a> {
     options: Options,
     monitor: Monitor<'a>,
     fingerprint: u128,
+    description: String,
     mesh: Mesh,
     /// What is known of the asset before sampling.
     head: format::Scene,
@@ -301,6 +302,7 @@ impl<'a> Bake<'a> {
         clock = Instant::now();
         monitor.step("refine", 0.0)?;
         let fingerprint = fingerprint(&input, options);
+        let description = describe(&input, options);
         let diagonal = input.mesh.diagonal();
         let (max_edge, bound) = refinement(&input, options, RELATIVE_RAY_OFFSET * diagonal);
         let mut report = format::BakeReport {
@@ -362,6 +364,7 @@ impl<'a> Bake<'a> {
             options: options.clone(),
             monitor,
             fingerprint,
+            description,
             head,
             origins: visibility::origins(&positions, &triangles, ray_offset),
             mesh,
@@ -402,6 +405,12 @@ impl<'a> Bake<'a> {
     /// Of the input, the options and the version: chunks of equal fingerprints are the same.
     pub fn fingerprint(&self) -> u128 {
         self.fingerprint
+    }
+
+    /// What the fingerprint is of, for messages: a line of name and value for every option and
+    /// part of the input.
+    pub fn description(&self) -> &str {
+        &self.description
     }
 
     /// Bakes chunks and hands each over as it finishes, from many threads and in no
@@ -577,6 +586,48 @@ fn fingerprint(input: &SceneInput, options: &Options) -> u128 {
         fingerprint.add_texture(texture);
     }
     fingerprint.value()
+}
+
+/// Lines of [`Bake::description`]: options as they are, parts of the input by their fingerprints.
+fn describe(input: &SceneInput, options: &Options) -> String {
+    let mut lines = format!("version: {}\n", env!("CARGO_PKG_VERSION"));
+    for line in format!("{options:#?}")
+        .replace("(\n        ", "(")
+        .replace(",\n    )", ")")
+        .lines()
+    {
+        if let Some((name, value)) = line.trim().trim_end_matches(',').split_once(": ") {
+            lines += &format!("{name}: {value}\n");
+        }
+    }
+    let mesh = &input.mesh;
+    let mut add = |name: &str, fill: &dyn Fn(&mut Fingerprint)| {
+        let mut fingerprint = Fingerprint::default();
+        fill(&mut fingerprint);
+        lines += &format!("{name}: {:08x}\n", fingerprint.value() as u32);
+    };
+    let text = |fingerprint: &mut Fingerprint, value: &dyn std::fmt::Debug| {
+        fingerprint.add(format!("{value:?}").as_bytes());
+    };
+    add("name of the scene", &|f| text(f, &input.name));
+    add("camera", &|f| text(f, &input.camera));
+    add("refinement of the scene file", &|f| {
+        text(f, &input.refinement);
+    });
+    add("materials", &|f| text(f, &mesh.materials));
+    add("textures", &|f| {
+        for texture in &mesh.textures {
+            f.add_texture(texture);
+        }
+    });
+    add("mesh", &|f| {
+        f.add(bytemuck::cast_slice(&mesh.vertices));
+        for triangle in &mesh.triangles {
+            f.add(bytemuck::cast_slice(&triangle.vertices));
+            f.add(&triangle.material.to_le_bytes());
+        }
+    });
+    lines
 }
 
 fn check(options: &Options) -> Result<(), Error> {

@@ -6,12 +6,13 @@
 //! | bytes | header |
 //! |---|---|
 //! | 8 | magic, `RLPARTS\n` |
-//! | 4, 4 | u32: version 3, 0 |
+//! | 4, 4 | u32: version 4, 0 |
 //! | 16 | u128: [fingerprint](crate::scene::Bake::fingerprint) |
 //! | 4, 4, 4 | u32: shard (from 1), shards, chunks of the whole scene |
 //! | 4 | CRC-32 of the header so far |
 //!
-//! Records follow, in the order in which they were finished: u32 chunk, u32 CRC-32 of
+//! Records follow, first one that tells what the fingerprint is of ([`DESCRIPTION`], text),
+//! then chunks in the order in which they were finished: u32 chunk, u32 CRC-32 of
 //! chunk, length and payload, u64 length of the payload, the payload. A chunk's payload is its clusters
 //! (`encode`). The last record of a finished shard has the chunk number `u32::MAX`; its
 //! payload is a `.relight` scene without clusters: names, materials, textures.
@@ -29,14 +30,20 @@ use bytemuck::{AnyBitPattern, NoUninit};
 use relight_format::{self as format, CHANNELS_PER_TILE, MAX_TILES_PER_CLUSTER};
 
 use crate::compress::Compressed;
+use crate::files;
+use crate::import;
 use crate::scene::Cluster;
 
 const MAGIC: [u8; 8] = *b"RLPARTS\n";
-const VERSION: u32 = 3;
+const VERSION: u32 = 4;
 const HEADER_BYTES: usize = 48;
 const RECORD_BYTES: usize = 16;
 /// Chunk number of the record that ends a finished shard.
 const HEAD: u32 = u32::MAX;
+/// Chunk number of the record that tells what the fingerprint is of.
+const DESCRIPTION: u32 = u32::MAX - 1;
+/// Most bytes of it that are read.
+const MAX_DESCRIPTION: u64 = 1 << 16;
 
 /// What a parts file is a part of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -92,14 +99,43 @@ pub struct Parts {
     /// Offset and length of the payload of every finished chunk.
     records: HashMap<usize, (u64, u64)>,
     head: Option<(u64, u64)>,
+    /// Lines of names and values; empty if none is whole.
+    description: String,
+    /// Whether another bake's chunks were there.
+    replaced: bool,
     /// Where the next record goes.
     end: u64,
 }
 
 impl Parts {
-    /// Starts an empty file in place of whatever was there.
-    pub fn create(path: &Path, identity: Identity) -> Result<Self, Error> {
-        let file = lock(path)?;
+    /// Starts an empty file in place of what another bake left.
+    ///
+    /// # Errors
+    ///
+    /// What is there is no parts file, or in use.
+    pub fn create(path: &Path, identity: Identity, description: &str) -> Result<Self, Error> {
+        Self::start(lock(path)?, path, identity, description)
+    }
+
+    fn start(
+        mut file: File,
+        path: &Path,
+        identity: Identity,
+        description: &str,
+    ) -> Result<Self, Error> {
+        let mut start = Vec::new();
+        (&mut file)
+            .take(MAGIC.len() as u64)
+            .read_to_end(&mut start)
+            .map_err(io(path))?;
+        if !MAGIC.starts_with(&start) {
+            return Err(Error::Invalid {
+                file: path.to_owned(),
+                place: "file".into(),
+                expected: "a parts file or nothing".into(),
+                found: "another file, which is not replaced".into(),
+            });
+        }
         let mut header = Vec::with_capacity(HEADER_BYTES);
         header.extend(MAGIC);
         header.extend(VERSION.to_le_bytes());
@@ -110,16 +146,24 @@ impl Parts {
         header.extend(identity.chunks.to_le_bytes());
         header.extend(crc32fast::hash(&header).to_le_bytes());
         (file.set_len(0))
-            .and_then(|()| (&file).write_all(&header))
+            .and_then(|()| file.seek(SeekFrom::Start(0)))
+            .and_then(|_| file.write_all(&header))
+            .inspect_err(|_| drop(std::fs::remove_file(path)))
             .map_err(io(path))?;
-        Ok(Self {
+        let mut parts = Self {
             path: path.to_owned(),
             file,
             identity,
             records: HashMap::new(),
             head: None,
+            description: description.to_owned(),
+            replaced: start == MAGIC,
             end: HEADER_BYTES as u64,
-        })
+        };
+        let described = parts.append_record(DESCRIPTION, description.as_bytes());
+        // Nothing to continue from is not left behind.
+        described.inspect_err(|_| drop(std::fs::remove_file(path)))?;
+        Ok(parts)
     }
 
     /// Opens the file for more records, or starts it if there is none or one that was cut
@@ -127,16 +171,28 @@ impl Parts {
     ///
     /// # Errors
     ///
-    /// The file belongs to another scene, other options or another shard.
-    pub fn resume(path: &Path, identity: Identity) -> Result<Self, Error> {
-        let length = std::fs::metadata(path).map_or(0, |metadata| metadata.len());
-        if length < HEADER_BYTES as u64 {
-            return Self::create(path, identity);
-        }
+    /// The file belongs to another scene, other options or another shard, or is in use.
+    pub fn resume(path: &Path, identity: Identity, description: &str) -> Result<Self, Error> {
         let file = lock(path)?;
+        let length = file.metadata().map_err(io(path))?.len();
+        if length < HEADER_BYTES as u64 {
+            return Self::start(file, path, identity, description).map(|parts| Self {
+                replaced: false,
+                ..parts
+            });
+        }
         let mut parts = Self::scan(path, file)?;
         if parts.identity != identity {
-            return Err(parts.invalid("header", describe(&identity), describe(&parts.identity)));
+            let (expected, found) = parts.differences(&identity, description);
+            return Err(parts.invalid("--resume", expected, found));
+        }
+        if parts.description.is_empty() {
+            // The record that comes first is not whole: nothing after it is either.
+            (parts.file.seek(SeekFrom::Start(0))).map_err(io(path))?;
+            return Self::start(parts.file, path, identity, description).map(|parts| Self {
+                replaced: false,
+                ..parts
+            });
         }
         // A head that is there was followed by the end of a bake whose rename failed.
         if let Some((start, _)) = parts.head.take() {
@@ -146,13 +202,65 @@ impl Parts {
         Ok(parts)
     }
 
+    /// What is asked for and what is there, as far as they differ.
+    fn differences(&self, identity: &Identity, description: &str) -> (String, String) {
+        let Identity {
+            fingerprint: _,
+            shard,
+            shards,
+            chunks,
+        } = identity;
+        let there = &self.identity;
+        if (there.shard, there.shards) != (*shard, *shards) {
+            return (
+                format!("shard {shard} of {shards}"),
+                format!("shard {} of {}", there.shard, there.shards),
+            );
+        }
+        let value = |text: &str, name: &str| {
+            let mut lines = text.lines().filter_map(|line| line.split_once(": "));
+            lines
+                .find(|(known, _)| *known == name)
+                .map(|(_, value)| value.to_owned())
+        };
+        let mut expected = Vec::new();
+        let mut found = Vec::new();
+        for (name, now) in description.lines().filter_map(|line| line.split_once(": ")) {
+            let before = value(&self.description, name);
+            if before.as_deref() != Some(now) {
+                let before = before.unwrap_or_else(|| "nothing".into());
+                expected.push(format!("{name} {now}"));
+                found.push(format!("{name} {before}"));
+            }
+        }
+        if expected.is_empty() {
+            return (
+                format!("{chunks} chunks of the same scene"),
+                format!("{} chunks of another", there.chunks),
+            );
+        }
+        (
+            format!("a bake of {}", expected.join(", ")),
+            format!("one of {}", found.join(", ")),
+        )
+    }
+
     /// Opens a finished shard.
     ///
     /// # Errors
     ///
     /// A chunk or the head is missing, or damaged.
     pub fn open(path: &Path) -> Result<Self, Error> {
-        let parts = Self::scan(path, File::open(path).map_err(io(path))?)?;
+        let file = files::open_named(path).map_err(|error| match error {
+            import::Error::Read { source, .. } => io(path)(source),
+            error => Error::Invalid {
+                file: path.to_owned(),
+                place: "file".into(),
+                expected: "a regular file".into(),
+                found: error.to_string(),
+            },
+        })?;
+        let parts = Self::scan(path, file)?;
         let length = (parts.file.metadata()).map_err(io(path))?.len();
         let (whole, there) = (parts.identity.chunks().len(), parts.finished());
         if there < whole || parts.head.is_none() || length != parts.end {
@@ -210,6 +318,7 @@ impl Parts {
         };
         let mut records = HashMap::new();
         let mut head = None;
+        let mut description = String::new();
         let mut end = HEADER_BYTES as u64;
         let mut payload = Vec::new();
         while head.is_none() && length - end >= RECORD_BYTES as u64 {
@@ -224,11 +333,19 @@ impl Parts {
             }
             payload.resize(bytes as usize, 0);
             reader.read_exact(&mut payload).map_err(io(path))?;
+            let first = end == HEADER_BYTES as u64;
             let known = chunk < chunks && chunk % shards == shard - 1;
-            if checksum != record_checksum(chunk, &payload) || !(known || chunk == HEAD) {
+            let known = if first {
+                chunk == DESCRIPTION && (1..=MAX_DESCRIPTION).contains(&bytes)
+            } else {
+                known || chunk == HEAD
+            };
+            if checksum != record_checksum(chunk, &payload) || !known {
                 break;
             }
-            if chunk == HEAD {
+            if first {
+                description = String::from_utf8_lossy(&payload).into_owned();
+            } else if chunk == HEAD {
                 head = Some((start, bytes));
             } else if records.insert(chunk as usize, (start, bytes)).is_some() {
                 return Err(invalid("every chunk once", format!("chunk {chunk} twice")));
@@ -241,8 +358,15 @@ impl Parts {
             identity,
             records,
             head,
+            description,
+            replaced: false,
             end,
         })
+    }
+
+    /// Whether [`Parts::create`] replaced what another bake left.
+    pub fn replaced(&self) -> bool {
+        self.replaced
     }
 
     /// What this is a part of.
@@ -408,25 +532,46 @@ fn describe(identity: &Identity) -> String {
     format!("shard {shard} of {shards}, {chunks} chunks of scene and options {fingerprint:032x}")
 }
 
-/// Opens or makes a file that no other process works on.
+/// Opens or makes a file that no other process works on. Neither links nor anything but
+/// regular files will do.
 fn lock(path: &Path) -> Result<File, Error> {
-    let file = OpenOptions::new()
-        .read(true)
-        .write(true)
-        .create(true)
-        .truncate(false)
-        .open(path)
-        .map_err(io(path))?;
-    match file.try_lock() {
-        Err(TryLockError::WouldBlock) => Err(Error::Invalid {
-            file: path.to_owned(),
-            place: "lock".into(),
-            expected: "no other bake of the same output".into(),
-            found: "one that is running".into(),
-        }),
-        // Some network file systems have no locks; nothing but this check depends on them.
-        Ok(()) | Err(TryLockError::Error(_)) => Ok(file),
+    /// Another bake may remove the file between opening and locking.
+    const TRIES: usize = 8;
+    let refused = |expected: &str, found: &str| Error::Invalid {
+        file: path.to_owned(),
+        place: "lock".into(),
+        expected: expected.into(),
+        found: found.into(),
+    };
+    let running = || {
+        refused(
+            "no other bake of the same output",
+            "one that is running; wait for it, or give another output",
+        )
+    };
+    for _ in 0..TRIES {
+        let mut options = OpenOptions::new();
+        options.read(true).write(true).create(true).truncate(false);
+        #[cfg(unix)]
+        {
+            use rustix::fs::OFlags;
+            use std::os::unix::fs::OpenOptionsExt as _;
+            options.custom_flags((OFlags::NOFOLLOW | OFlags::NONBLOCK).bits() as i32);
+        }
+        let file = options.open(path).map_err(io(path))?;
+        if !file.metadata().map_err(io(path))?.is_file() {
+            return Err(refused("a regular file or nothing", "something else"));
+        }
+        match file.try_lock() {
+            Err(TryLockError::WouldBlock) => return Err(running()),
+            // Some network file systems have no locks; nothing but this check depends on them.
+            Ok(()) | Err(TryLockError::Error(_)) => {}
+        }
+        if files::is_at(&file, path) {
+            return Ok(file);
+        }
     }
+    Err(running())
 }
 
 fn io(path: &Path) -> impl FnOnce(std::io::Error) -> Error {

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::Context as _;
+use relight_bake::files::{Access, Files};
 use relight_bake::import::plain_material;
 use relight_bake::monitor::Monitor;
 use relight_bake::report::plot::{self, Curve};
@@ -173,7 +174,7 @@ fn measure(
     let mut truths = Vec::new();
     for (curve, setting, mut options) in curves(&settings.bake) {
         let start = Instant::now();
-        let mut input = load::load(path)?;
+        let mut input = load::load_from(&Files::new(path, &Access::anywhere())?, path)?;
         // A bound below what the mesh has would leave nothing for shadows.
         let imported = input.mesh.vertices.len();
         if imported > options.max_vertices {

@@ -2,6 +2,7 @@
 //! about it.
 
 use glam::Vec3;
+use relight_bake::files::{Access, Files};
 use relight_bake::import::plain_material;
 use relight_bake::mesh::Mesh;
 use relight_bake::scene;
@@ -66,7 +67,12 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
     };
     let data = &laboratory.settings.data;
     let path = super::scene_file("walk_1", &laboratory.settings.folder, data)?;
-    let make = || Ok(scene::load::load(&path)?);
+    let make = || {
+        Ok(scene::load::load_from(
+            &Files::new(&path, &Access::anywhere())?,
+            &path,
+        )?)
+    };
     compare_bakes(laboratory, section, "legs", &make, Some(legs), &light.lobes)
 }
 

@@ -22,6 +22,7 @@ use std::rc::Rc;
 use anyhow::Context as _;
 use relight_bake::environment::hdr::{self, LatLong};
 use relight_bake::environment::{self, FitOptions};
+use relight_bake::files::{Access, Files};
 use relight_bake::monitor::Monitor;
 use relight_bake::scene::load::SceneInput;
 use relight_bake::scene::{self, load};
@@ -388,7 +389,9 @@ impl<'a> Laboratory<'a> {
     /// One of [`SCENES`] as an input.
     fn input(&self, name: &str) -> anyhow::Result<SceneInput> {
         let path = scene_file(name, &self.settings.folder, &self.settings.data)?;
-        Ok(load::load(&path)?)
+        // It names the folder of data.
+        let files = Files::new(&path, &Access::anywhere())?;
+        Ok(load::load_from(&files, &path)?)
     }
 
     /// One of [`SCENES`], baked.

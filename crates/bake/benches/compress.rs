@@ -6,9 +6,9 @@ mod common;
 
 use nalgebra::DMatrix;
 use relight_bake::compress::{self, Samples, Weighting};
-use relight_bake::ssdf::{Crossings, Transform};
+use relight_bake::ssdf::Transform;
 use relight_bake::visibility::ray::RayCaster;
-use relight_bake::visibility::{self, Directions};
+use relight_bake::visibility::{self, Crossings, Directions};
 
 const RESOLUTION: u32 = 64;
 /// Images of the largest default cluster.

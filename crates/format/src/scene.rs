@@ -92,7 +92,7 @@ pub struct VisibilityParameters {
 /// What the bake measured about itself.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct BakeReport {
-    /// Vertices and triangles read from the mesh.
+    /// Vertices read from the mesh.
     pub source_vertices: u64,
     /// Triangles read from the mesh.
     pub source_triangles: u64,

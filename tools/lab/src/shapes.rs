@@ -18,8 +18,12 @@ pub fn over_ground(
     camera: Camera,
 ) -> anyhow::Result<SceneInput> {
     let diagonal = mesh.diagonal();
-    ground::append(&mut mesh, ground, plain_material("ground", surface))
-        .map_err(|(place, expected, found)| anyhow::anyhow!("{place}: {expected}, {found}"))?;
+    ground::append(
+        &mut mesh,
+        &ground.extent(),
+        plain_material("ground", surface),
+    )
+    .map_err(|(place, expected, found)| anyhow::anyhow!("{place}: {expected}, {found}"))?;
     Ok(SceneInput {
         name: name.to_owned(),
         object_diagonal: diagonal,

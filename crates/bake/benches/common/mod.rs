@@ -7,7 +7,6 @@ use std::time::Instant;
 
 use glam::Vec3;
 use relight_bake::compress::Normal;
-use relight_bake::mesh::cluster;
 use relight_bake::visibility::contour::GROUP;
 use relight_bake::{import, visibility};
 
@@ -98,7 +97,7 @@ pub fn subject(path: &Path, count: usize) -> Subject {
         1e-4 * low.distance(high),
     );
     let mut order: Vec<u32> = (0..origins.len() as u32).collect();
-    cluster::arrange(&mut order, GROUP, &|&vertex| {
+    visibility::arrange(&mut order, GROUP, &|&vertex| {
         (origins[vertex as usize].to_array(), vertex)
     });
     let step = (origins.len() / count).max(1);

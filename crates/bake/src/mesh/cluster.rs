@@ -54,7 +54,7 @@ fn features(positions: &[Vec3], triangles: &[[u32; 3]], normal_weight: f32) -> V
 }
 
 /// Of a triangle's corners.
-pub(crate) fn centre([a, b, c]: [Vec3; 3]) -> Vec3 {
+fn centre([a, b, c]: [Vec3; 3]) -> Vec3 {
     (a + b + c) / 3.0
 }
 
@@ -95,38 +95,6 @@ fn widest_axis(group: &[u32], features: &[Feature]) -> usize {
     (0..6)
         .max_by(|&a, &b| spread[a].total_cmp(&spread[b]))
         .unwrap_or(0)
-}
-
-/// Brings items into an order in which runs of `run` are close together: recursive cuts, at
-/// multiples of it, along the feature of largest extent. `key` gives an item's features and
-/// a number of its own, by which items of a run are ordered.
-pub fn arrange<T: Send, const N: usize>(
-    items: &mut [T],
-    run: usize,
-    key: &(impl Fn(&T) -> ([f32; N], u32) + Sync),
-) {
-    if items.len() <= run {
-        items.sort_unstable_by_key(|item| key(item).1);
-        return;
-    }
-    let mut range = [(f32::INFINITY, f32::NEG_INFINITY); N];
-    for item in items.iter() {
-        for ((low, high), value) in range.iter_mut().zip(key(item).0) {
-            (*low, *high) = (low.min(value), high.max(value));
-        }
-    }
-    let extent = |axis: usize| range[axis].1 - range[axis].0;
-    let axis = (0..N)
-        .max_by(|&a, &b| extent(a).total_cmp(&extent(b)))
-        .unwrap_or(0);
-    let middle = (items.len() / 2).next_multiple_of(run);
-    // Ties are broken by number: the cut does not depend on the selection's implementation.
-    items.select_nth_unstable_by(middle, |a, b| {
-        let ((a, first), (b, second)) = (key(a), key(b));
-        a[axis].total_cmp(&b[axis]).then(first.cmp(&second))
-    });
-    let (lower, upper) = items.split_at_mut(middle);
-    rayon::join(|| arrange(lower, run, key), || arrange(upper, run, key));
 }
 
 /// The vertices that the triangles use, ascending.

@@ -4,7 +4,6 @@ use glam::{Vec2, Vec3};
 use relight_format::Material;
 
 use super::{Mesh, Triangle, Vertex};
-use crate::scene::description::Ground;
 
 /// Default side length, in longest extents of the mesh.
 const DEFAULT_EXTENTS: f32 = 3.0;
@@ -12,6 +11,19 @@ const DEFAULT_EXTENTS: f32 = 3.0;
 const DEFAULT_CELLS: f32 = 80.0;
 /// Most cells per side: four million vertices.
 const MAX_CELLS: f32 = 2048.0;
+
+/// Where a ground lies; what is left out follows from the mesh.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Extent {
+    /// Length of its sides, metres. Default: three times the mesh's longest extent.
+    pub size: Option<f32>,
+    /// Its y coordinate, metres. Default: the mesh's lowest point.
+    pub height: Option<f32>,
+    /// x and z of its centre, metres. Default: under the centre of the mesh's bounding box.
+    pub center: Option<[f32; 2]>,
+    /// Largest distance of neighbouring vertices, metres. Default: 1/80 of `size`.
+    pub spacing: Option<f32>,
+}
 
 /// Appends a square grid facing +Y and its material, named `ground`.
 ///
@@ -21,18 +33,18 @@ const MAX_CELLS: f32 = 2048.0;
 /// too many materials.
 pub fn append(
     mesh: &mut Mesh,
-    options: &Ground,
+    extent: &Extent,
     material: Material,
 ) -> Result<(), (&'static str, String, String)> {
     let (low, high) = mesh.bounds().unwrap_or((Vec3::ZERO, Vec3::ZERO));
-    let size = options
+    let size = extent
         .size
         .unwrap_or((high - low).max_element() * DEFAULT_EXTENTS);
-    let height = options.height.unwrap_or(low.y);
-    let [x, z] = options
+    let height = extent.height.unwrap_or(low.y);
+    let [x, z] = extent
         .center
         .unwrap_or([(low.x + high.x) * 0.5, (low.z + high.z) * 0.5]);
-    let cells = options
+    let cells = extent
         .spacing
         .map_or(DEFAULT_CELLS, |spacing| (size / spacing).ceil().max(1.0));
     // Written so that a size or spacing that overflows to infinity or NaN fails too.

@@ -5,9 +5,10 @@ use nalgebra::DMatrix;
 use rayon::prelude::*;
 use relight_format::{self as format, VisibilityErrors};
 
-use super::surface::Probe;
-use super::{Bake, Cluster, Counters, Error, ErrorSums, assemble};
-use crate::mesh::cluster;
+use super::assemble::{Cluster, assemble};
+use super::error::Error;
+use super::sample::Prepared;
+use super::surface::{ErrorSums, Probe};
 
 /// Chunks that are tried for a size, and for an error at most.
 const SIZE_CHUNKS: usize = 32;
@@ -42,108 +43,115 @@ struct Trial {
     probes: Vec<Probe>,
 }
 
-impl Bake<'_> {
-    /// The aim that gives what [`super::Options`] ask for.
-    pub(super) fn choose_aim(&mut self) -> Result<f32, Error> {
-        let size = self.options.max_bytes.map(|bytes| bytes as f32);
-        let error = self.options.max_error.unwrap_or(FIRST_ERROR);
-        let mut target = size.map_or(error, |bytes| bytes / CLOSE);
-        // A size is a promise; an error may be missed by a little in small scenes, which
-        // trials would cost more than the bake.
-        let most = match size {
-            Some(_) => SIZE_CHUNKS,
-            None => (self.chunks.len() / 4).clamp(ERROR_CHUNKS / 2, ERROR_CHUNKS),
-        };
-        let count = self.chunks.len().min(most);
-        let chosen = (0..count).map(|i| (2 * i + 1) * self.chunks.len() / (2 * count));
-        let mut trials = Vec::new();
-        for chunk in chosen {
-            let vertices = cluster::vertices_of(&self.chunks[chunk], &self.triangles);
-            trials.push(Trial {
-                triangles: self.chunks[chunk].clone(),
-                ssdfs: self.ssdfs(&vertices)?,
-                // Only an error that is asked for has to be measured.
-                probes: match size {
-                    Some(_) => Vec::new(),
-                    None => self.probes(&self.chunks[chunk], PROBE_STEP)?,
-                },
-                vertices,
-            });
-        }
-        let tried: Vec<usize> = trials.iter().map(|trial| trial.vertices.len()).collect();
-        let chunks: Vec<usize> = (0..self.chunks.len()).collect();
-        let sizes = size
-            .map(|_| Sizes::new(&self.head, self.vertices_of_chunks(&chunks) as usize))
-            .transpose()?;
-        let expected = size.map_or(ERROR_EXPONENT, |_| SIZE_EXPONENT);
-        // Logarithms of aims and of how far what they gave is from the target.
-        let mut aim = error.clamp(LEAST_AIM, LARGEST_AIM).ln();
-        let mut found: Vec<[f32; 2]> = Vec::new();
-        for _ in 0..TRIALS {
-            let compressed = self.try_aim(&trials, aim.exp())?;
-            let reached = if let Some(sizes) = &sizes {
-                let bytes: Result<Vec<f32>, Error> = compressed
-                    .iter()
-                    .map(|chunk| sizes.of([chunk.clone()]))
-                    .collect();
-                sizes.fixed + at_most(sizes.of(compressed)?, &bytes?, &tried, sizes.vertices)
-            } else {
-                let errors = errors_of(&compressed);
-                let least = LEAST_OVER_INTERPOLATION * errors.interpolation;
-                if found.is_empty() && target < least {
-                    self.head.report.warnings.push(format!(
-                        "an error of {error} rad asks for vertices closer together: {} come from \
-                         interpolation between them alone; {least} are allowed",
-                        errors.interpolation
-                    ));
-                    target = least;
-                }
-                errors.surface
-            };
-            let miss = (reached / target).ln();
-            if !miss.is_finite() {
-                break;
-            }
-            found.push([aim, miss]);
-            if miss.abs() < CLOSE.ln() {
-                break;
-            }
-            let next = next_aim(&found, expected).clamp(LEAST_AIM.ln(), LARGEST_AIM.ln());
-            if next == aim {
-                break;
-            }
-            aim = next;
-        }
-        // The one that comes closest from below, else the one that misses least.
-        let within = |miss: f32| miss < CLOSE.ln();
-        found.sort_unstable_by(|[_, a], [_, b]| {
-            (within(*b).cmp(&within(*a))).then(a.abs().total_cmp(&b.abs()))
-        });
-        let aim = found.first().map_or(self.options.aim, |[aim, _]| aim.exp());
-        self.counters = Counters::default();
-        Ok(aim)
-    }
+/// An aim, and what to say of it.
+pub(super) struct Chosen {
+    /// Radians.
+    pub(super) aim: f32,
+    pub(super) warning: Option<String>,
+}
 
-    /// The clusters that the trial chunks become.
-    fn try_aim(&self, trials: &[Trial], aim: f32) -> Result<Vec<Vec<Cluster>>, Error> {
-        let compress = |trial: &Trial| {
-            let Trial {
-                triangles,
-                vertices,
-                ssdfs,
-                probes,
-            } = trial;
-            let samples = self.weighed(triangles, vertices, ssdfs.clone());
-            Ok(self.compress_clusters(triangles, vertices, &samples, probes, aim)?)
-        };
-        let mut compressed: Vec<Vec<Cluster>> = Vec::new();
-        // As many at a time as the bake itself has at hand.
-        for batch in trials.chunks(self.chunks_at_hand()) {
-            let clusters = batch.par_iter().map(compress);
-            compressed.extend(clusters.collect::<Result<Vec<_>, Error>>()?);
-        }
-        Ok(compressed)
+/// The aim that gives what [`super::Options`] ask for. `head` is the asset without clusters.
+pub(super) fn choose_aim(prepared: &Prepared, head: &format::Scene) -> Result<Chosen, Error> {
+    let mut warning = None;
+    let size = prepared.options.max_bytes.map(|bytes| bytes as f32);
+    let error = prepared.options.max_error.unwrap_or(FIRST_ERROR);
+    let mut target = size.map_or(error, |bytes| bytes / CLOSE);
+    // A size is a promise; an error may be missed by a little in small scenes, which
+    // trials would cost more than the bake.
+    let most = match size {
+        Some(_) => SIZE_CHUNKS,
+        None => (prepared.chunks.len() / 4).clamp(ERROR_CHUNKS / 2, ERROR_CHUNKS),
+    };
+    let count = prepared.chunks.len().min(most);
+    let chosen = (0..count).map(|i| (2 * i + 1) * prepared.chunks.len() / (2 * count));
+    let mut trials = Vec::new();
+    for chunk in chosen {
+        let vertices = prepared.vertices_of(&prepared.chunks[chunk]);
+        trials.push(Trial {
+            triangles: prepared.chunks[chunk].clone(),
+            ssdfs: prepared.ssdfs(&vertices)?,
+            // Only an error that is asked for has to be measured.
+            probes: match size {
+                Some(_) => Vec::new(),
+                None => prepared.probes(&prepared.chunks[chunk], PROBE_STEP)?,
+            },
+            vertices,
+        });
     }
+    let tried: Vec<usize> = trials.iter().map(|trial| trial.vertices.len()).collect();
+    let chunks: Vec<usize> = (0..prepared.chunks.len()).collect();
+    let sizes = size
+        .map(|_| Sizes::new(head, prepared.vertices_of_chunks(&chunks) as usize))
+        .transpose()?;
+    let expected = size.map_or(ERROR_EXPONENT, |_| SIZE_EXPONENT);
+    // Logarithms of aims and of how far what they gave is from the target.
+    let mut aim = error.clamp(LEAST_AIM, LARGEST_AIM).ln();
+    let mut found: Vec<[f32; 2]> = Vec::new();
+    for _ in 0..TRIALS {
+        let compressed = try_aim(prepared, &trials, aim.exp())?;
+        let reached = if let Some(sizes) = &sizes {
+            let bytes: Result<Vec<f32>, Error> = compressed
+                .iter()
+                .map(|chunk| sizes.of([chunk.clone()]))
+                .collect();
+            sizes.fixed + at_most(sizes.of(compressed)?, &bytes?, &tried, sizes.vertices)
+        } else {
+            let errors = errors_of(&compressed);
+            let least = LEAST_OVER_INTERPOLATION * errors.interpolation;
+            if found.is_empty() && target < least {
+                warning = Some(format!(
+                    "an error of {error} rad asks for vertices closer together: {} come from \
+                         interpolation between them alone; {least} are allowed",
+                    errors.interpolation
+                ));
+                target = least;
+            }
+            errors.surface
+        };
+        let miss = (reached / target).ln();
+        if !miss.is_finite() {
+            break;
+        }
+        found.push([aim, miss]);
+        if miss.abs() < CLOSE.ln() {
+            break;
+        }
+        let next = next_aim(&found, expected).clamp(LEAST_AIM.ln(), LARGEST_AIM.ln());
+        if next == aim {
+            break;
+        }
+        aim = next;
+    }
+    // The one that comes closest from below, else the one that misses least.
+    let within = |miss: f32| miss < CLOSE.ln();
+    found.sort_unstable_by(|[_, a], [_, b]| {
+        (within(*b).cmp(&within(*a))).then(a.abs().total_cmp(&b.abs()))
+    });
+    let aim = found
+        .first()
+        .map_or(prepared.options.aim, |[aim, _]| aim.exp());
+    Ok(Chosen { aim, warning })
+}
+
+/// The clusters that the trial chunks become.
+fn try_aim(prepared: &Prepared, trials: &[Trial], aim: f32) -> Result<Vec<Vec<Cluster>>, Error> {
+    let compress = |trial: &Trial| {
+        let Trial {
+            triangles,
+            vertices,
+            ssdfs,
+            probes,
+        } = trial;
+        let samples = prepared.weighed(triangles, vertices, ssdfs.clone());
+        Ok(prepared.compress(triangles, vertices, &samples, probes, aim)?)
+    };
+    let mut compressed: Vec<Vec<Cluster>> = Vec::new();
+    // As many at a time as the bake itself has at hand.
+    for batch in trials.chunks(prepared.chunks_at_hand()) {
+        let clusters = batch.par_iter().map(compress);
+        compressed.extend(clusters.collect::<Result<Vec<_>, Error>>()?);
+    }
+    Ok(compressed)
 }
 
 /// How far some chunks are off.

@@ -14,6 +14,7 @@ use relight_shading::local_light::{LocalLight, Spot};
 use serde::{Deserialize, Serialize};
 
 pub use crate::import::Error;
+use crate::mesh::ground;
 
 use crate::files::{Access, Files};
 
@@ -278,6 +279,18 @@ pub struct Ground {
     pub material: Option<MaterialOverride>,
 }
 
+impl Ground {
+    /// Where it lies.
+    pub fn extent(&self) -> ground::Extent {
+        ground::Extent {
+            size: self.size,
+            height: self.height,
+            center: self.center,
+            spacing: self.spacing,
+        }
+    }
+}
+
 /// A pinhole camera. Give exactly one field of view.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -354,7 +367,8 @@ pub struct Refinement {
     /// radians. Default: the option's.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub error: Option<f32>,
-    /// Division stops before the mesh has more vertices than this. Default: no bound.
+    /// Division stops before the mesh has more vertices than this. Default: the option's,
+    /// 1,000,000.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_vertices: Option<usize>,
 }

@@ -4,6 +4,10 @@
 //! need. It guards against mistakes, not against forgery.
 
 use relight_format as format;
+use serde::Serialize;
+
+use super::load::SceneInput;
+use super::options::Options;
 
 /// A fingerprint in the making.
 #[derive(Clone, Copy, Debug)]
@@ -31,7 +35,9 @@ impl Fingerprint {
     /// Adds a texture's layout and texels.
     pub fn add_texture(&mut self, texture: &format::Texture) {
         let (width, height, encoding) = (texture.width, texture.height, texture.encoding);
-        self.add(format!("{width} {height} {encoding:?}").as_bytes());
+        self.add(&width.to_le_bytes());
+        self.add(&height.to_le_bytes());
+        self.add(&[encoding as u8]);
         self.add(&texture.texels);
     }
 
@@ -43,6 +49,93 @@ impl Fingerprint {
     pub fn value(self) -> u128 {
         self.0
     }
+}
+
+/// Everything that an asset depends on, each with a name: the version, the options, parts of the
+/// input.
+pub(super) struct Dependencies {
+    options: Vec<(String, String)>,
+    parts: Vec<(&'static str, Fingerprint)>,
+}
+
+impl Dependencies {
+    pub(super) fn new(input: &SceneInput, options: &Options) -> Self {
+        let SceneInput {
+            name,
+            mesh,
+            object_diagonal,
+            camera,
+            environment: _,
+            lights: _,
+            refinement,
+            measured: _,
+            warnings,
+        } = input;
+        let mut texts = vec![("version".to_owned(), env!("CARGO_PKG_VERSION").to_owned())];
+        // Options are plain data: they always become an object. Text of a number tells all its
+        // bits.
+        if let Ok(serde_json::Value::Object(options)) = serde_json::to_value(options) {
+            texts.extend(
+                options
+                    .into_iter()
+                    .map(|(key, value)| (key, value.to_string())),
+            );
+        }
+        let mut textures = Fingerprint::default();
+        for texture in &mesh.textures {
+            textures.add_texture(texture);
+        }
+        let mut geometry = Fingerprint::default();
+        geometry.add(bytemuck::cast_slice(&mesh.vertices));
+        for triangle in &mesh.triangles {
+            geometry.add(bytemuck::cast_slice(&triangle.vertices));
+            geometry.add(&triangle.material.to_le_bytes());
+        }
+        Self {
+            options: texts,
+            parts: vec![
+                ("name of the scene", of(name)),
+                ("camera", of(camera)),
+                ("refinement of the scene file", of(refinement)),
+                ("materials", of(&mesh.materials)),
+                ("textures", textures),
+                ("mesh", geometry),
+                ("size without the ground", of(object_diagonal)),
+                ("warnings", of(warnings)),
+            ],
+        }
+    }
+
+    /// A number that tells them apart.
+    pub(super) fn fingerprint(&self) -> u128 {
+        let mut all = Fingerprint::default();
+        for (name, value) in &self.options {
+            all.add(name.as_bytes());
+            all.add(value.as_bytes());
+        }
+        for (name, part) in &self.parts {
+            all.add(name.as_bytes());
+            all.add(&part.value().to_le_bytes());
+        }
+        all.value()
+    }
+
+    /// For messages, a line of name and value of each: options as they are, parts of the input by
+    /// eight digits of their fingerprints.
+    pub(super) fn description(&self) -> String {
+        let options = self.options.iter();
+        let options = options.map(|(name, value)| format!("{name}: {value}\n"));
+        let parts = self.parts.iter();
+        let parts = parts.map(|(name, part)| format!("{name}: {:08x}\n", part.value() as u32));
+        options.chain(parts).collect()
+    }
+}
+
+/// Of plain data, as JSON.
+fn of(value: &impl Serialize) -> Fingerprint {
+    let mut fingerprint = Fingerprint::default();
+    fingerprint.add(&serde_json::to_vec(value).unwrap_or_default());
+    fingerprint
 }
 
 #[cfg(test)]

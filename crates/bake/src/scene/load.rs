@@ -99,7 +99,7 @@ pub fn load_from(files: &Files, path: &Path) -> Result<SceneInput, Error> {
             &mut mesh.textures,
         )?;
         measured.extend(made.table.map(|table| (mesh.materials.len(), table)));
-        ground::append(&mut mesh, options, made.material)
+        ground::append(&mut mesh, &options.extent(), made.material)
             .map_err(|(place, expected, found)| Error::invalid(path, place, expected, found))?;
     }
     // The bake does not need it, but what it is shown under should not turn out to be missing

@@ -8,7 +8,7 @@ use std::sync::atomic::Ordering;
 use glam::Vec3;
 use relight_format::VisibilityErrors;
 
-use super::Bake;
+use super::sample::Prepared;
 use crate::compress::{Compressed, Normal, Weighting};
 use crate::monitor::Interrupted;
 
@@ -98,7 +98,7 @@ impl ErrorSums {
     }
 }
 
-impl Bake<'_> {
+impl Prepared<'_> {
     /// One probe in every `step`th of some triangles.
     pub(super) fn probes(&self, triangles: &[u32], step: u32) -> Result<Vec<Probe>, Interrupted> {
         let mut probes: Vec<Probe> = (triangles.iter())
@@ -112,7 +112,7 @@ impl Bake<'_> {
             let direction = probe
                 .mean(|vertex| (self.mesh.vertices[vertex as usize].normal).normalize_or_zero());
             probe.normal.direction = direction.normalize_or_zero();
-            probe.resolution = self.transform.squared_error(
+            probe.resolution = self.sampler.transform().squared_error(
                 sampled.visible,
                 sampled.crossings,
                 &sampled.distances,

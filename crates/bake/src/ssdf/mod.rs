@@ -20,7 +20,11 @@ use glam::{Mat4, Vec2, Vec2Swizzles as _, Vec3, Vec4};
 use pulp::{Arch, Simd, WithSimd};
 use relight_shading::octahedral::{self, Footprint};
 
-use crate::visibility::{Bitmap, Directions};
+use crate::visibility::{Bitmap, Crossings, Directions};
+
+mod sampler;
+
+pub(crate) use sampler::{Sampled, Sampler};
 
 /// Directions whose distances are computed side by side: those of 4 × 4 texels or samples.
 const LANES: usize = SIDE * SIDE;
@@ -93,24 +97,6 @@ struct Group {
     /// Largest chord between a direction and the centre.
     radius: f32,
     directions: [[f32; LANES]; 3],
-}
-
-/// Where contours cross the links between neighbouring sample texels of different class.
-#[derive(Debug, Default)]
-pub struct Crossings {
-    /// Per link between texels of different class, from its first texel to the other, 0 to 1;
-    /// NaN where no contour was found. The links to the right of every texel are followed by
-    /// those to the texel below. Empty if nothing is known.
-    pub(crate) positions: Vec<f32>,
-}
-
-impl Crossings {
-    fn position(&self, link: usize) -> f32 {
-        match self.positions.get(link) {
-            Some(position) if !position.is_nan() => *position,
-            _ => 0.5,
-        }
-    }
 }
 
 /// Where the boundary crosses a link, in sample texels: texel (x, y) has its centre at (x, y).

@@ -1,5 +1,6 @@
 //! Visibility of the sphere of directions from a point: one bit per octahedral texel.
 
+mod arrange;
 pub mod contour;
 pub mod ray;
 
@@ -7,6 +8,7 @@ use glam::Vec3;
 use relight_shading::octahedral;
 
 use crate::visibility::ray::RayCaster;
+pub use arrange::arrange;
 
 /// The directions of an octahedral map's texel centres, row after row.
 #[derive(Debug)]
@@ -134,6 +136,25 @@ impl Bitmap {
     /// Whether the direction of texel `index` is visible.
     pub fn get(&self, index: usize) -> bool {
         self.words[index / 64] >> (index % 64) & 1 == 1
+    }
+}
+
+/// Where contours cross the links between neighbouring sample texels of different class.
+#[derive(Debug, Default)]
+pub struct Crossings {
+    /// Per link between texels of different class, from its first texel to the other, 0 to 1;
+    /// NaN where no contour was found. The links to the right of every texel are followed by
+    /// those to the texel below. Empty if nothing is known.
+    pub(crate) positions: Vec<f32>,
+}
+
+impl Crossings {
+    /// On a link, 0 to 1: midway where no contour was found.
+    pub(crate) fn position(&self, link: usize) -> f32 {
+        match self.positions.get(link) {
+            Some(position) if !position.is_nan() => *position,
+            _ => 0.5,
+        }
     }
 }
 

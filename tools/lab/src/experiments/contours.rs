@@ -4,9 +4,9 @@
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use relight_bake::import;
-use relight_bake::ssdf::{Crossings, Transform};
+use relight_bake::ssdf::Transform;
 use relight_bake::visibility::contour::ContourMesh;
-use relight_bake::visibility::{Bitmap, Directions};
+use relight_bake::visibility::{Bitmap, Crossings, Directions};
 use relight_shading::octahedral::Footprint;
 
 use super::Laboratory;

@@ -5,17 +5,17 @@
 
 use std::cmp::Reverse;
 use std::collections::{HashMap, HashSet};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use glam::Vec3;
 use rayon::prelude::*;
 
 use super::{Key, cut, divide, key, sides};
 use crate::compress::{Normal, Weighting};
-use crate::mesh::{Mesh, cluster};
+use crate::mesh::Mesh;
 use crate::monitor::{Interrupted, Monitor};
-use crate::ssdf::Transform;
-use crate::visibility::contour::{ContourMesh, GROUP, Scratch};
-use crate::visibility::{self, Directions};
+use crate::visibility::contour::ContourMesh;
+use crate::{ssdf, visibility};
 
 /// Texels per side of the visibility that is compared: half of a bake's.
 const SAMPLE_RESOLUTION: u32 = 64;
@@ -69,10 +69,9 @@ struct Point {
     normal: Vec3,
 }
 
-struct Sampler<'a> {
+struct Comparison<'a> {
     contours: &'a ContourMesh,
-    directions: Directions,
-    transform: Transform,
+    sampler: ssdf::Sampler,
     weighting: Weighting,
 }
 
@@ -85,7 +84,7 @@ pub fn refine(
     bound: Bound,
     monitor: Monitor,
 ) -> Result<Mesh, Interrupted> {
-    let sampler = Sampler::new(contours);
+    let comparison = Comparison::new(contours);
     let mut ssdfs: HashMap<u32, Coarse> = HashMap::new();
     let mut known: HashSet<[u32; 2]> = HashSet::new();
     let mut wrong: Vec<Wrong> = Vec::new();
@@ -96,7 +95,7 @@ pub fn refine(
                 cut(a, b, bound.min_edge).is_some() && known.insert(edge.vertices)
             })
             .collect();
-        sample_ends(&mesh, &edges, &mut ssdfs, &sampler, bound, monitor)?;
+        sample_ends(&mesh, &edges, &mut ssdfs, &comparison, bound, monitor)?;
         let points: Vec<Point> = edges
             .iter()
             .map(|edge| middle(&mesh, edge, bound))
@@ -105,10 +104,10 @@ pub fn refine(
             let [a, b] = ends(&mesh, edge);
             a.distance(b)
         };
-        let found = sampler.sample(&points, monitor, |index, middle, normal| {
+        let found = comparison.sample(&points, monitor, |index, middle, normal| {
             let edge = &edges[index];
             let ends = edge.vertices.map(|vertex| &ssdfs[&vertex]);
-            let error = sampler.error(&middle, ends, normal) * (length(edge) / bound.edge);
+            let error = comparison.error(&middle, ends, normal) * (length(edge) / bound.edge);
             (error > bound.error).then(|| Wrong {
                 error,
                 vertices: edge.vertices,
@@ -201,7 +200,7 @@ fn sample_ends(
     mesh: &Mesh,
     edges: &[Edge],
     ssdfs: &mut HashMap<u32, Coarse>,
-    sampler: &Sampler,
+    comparison: &Comparison,
     bound: Bound,
     monitor: Monitor,
 ) -> Result<(), Interrupted> {
@@ -220,7 +219,7 @@ fn sample_ends(
             normal: Vec3::ZERO,
         })
         .collect();
-    let found = sampler.sample(&points, monitor, |_, ssdf, _| coarse(&ssdf))?;
+    let found = comparison.sample(&points, monitor, |_, ssdf, _| coarse(&ssdf))?;
     ssdfs.extend(missing.into_iter().zip(found));
     Ok(())
 }
@@ -231,14 +230,12 @@ fn coarse(ssdf: &[f32]) -> Coarse {
         .collect()
 }
 
-impl<'a> Sampler<'a> {
+impl<'a> Comparison<'a> {
     fn new(contours: &'a ContourMesh) -> Self {
-        let directions = Directions::new(SAMPLE_RESOLUTION);
         Self {
             contours,
-            transform: Transform::new(&directions, RESOLUTION),
+            sampler: ssdf::Sampler::new(SAMPLE_RESOLUTION, RESOLUTION, CLAMP),
             weighting: Weighting::new(RESOLUTION),
-            directions,
         }
     }
 
@@ -250,40 +247,19 @@ impl<'a> Sampler<'a> {
         monitor: Monitor,
         use_ssdf: impl Fn(usize, Vec<f32>, Vec3) -> T + Sync,
     ) -> Result<Vec<T>, Interrupted> {
-        let mut order: Vec<u32> = (0..points.len() as u32).collect();
-        cluster::arrange(&mut order, GROUP, &|&index| {
-            (points[index as usize].origin.to_array(), index)
-        });
-        let done = std::sync::atomic::AtomicUsize::new(0);
-        let groups: Vec<Vec<(u32, T)>> = (order.par_chunks(GROUP))
-            .map_init(
-                || self.contours.scratch(&self.directions),
-                |scratch, group| {
-                    let before = done.fetch_add(group.len(), std::sync::atomic::Ordering::Relaxed);
-                    monitor.step("refine", before as f32 / points.len() as f32)?;
-                    let origins: Vec<Vec3> = (group.iter())
-                        .map(|&index| points[index as usize].origin)
-                        .collect();
-                    self.contours.prepare(&origins, scratch);
-                    Ok((group.iter())
-                        .map(|&index| {
-                            let point = points[index as usize];
-                            let ssdf = self.ssdf(point.origin, scratch);
-                            (index, use_ssdf(index as usize, ssdf, point.normal))
-                        })
-                        .collect())
-                },
-            )
-            .collect::<Result<_, Interrupted>>()?;
-        let mut found: Vec<(u32, T)> = groups.into_iter().flatten().collect();
-        found.par_sort_unstable_by_key(|(index, _)| *index);
-        Ok(found.into_iter().map(|(_, found)| found).collect())
-    }
-
-    fn ssdf(&self, origin: Vec3, scratch: &mut Scratch) -> Vec<f32> {
-        let (visible, _) = self.contours.sample(origin, &self.directions, scratch);
-        let crossings = self.contours.crossings(&visible, scratch);
-        self.transform.apply(&visible, crossings, CLAMP)
+        let mut found: Vec<Option<T>> = points.iter().map(|_| None).collect();
+        let sampled = (points.iter().enumerate().zip(&mut found))
+            .map(|((index, point), found)| (point.origin, (index, found)))
+            .collect();
+        let done = AtomicUsize::new(0);
+        self.sampler
+            .sample(self.contours, sampled, |(index, found), sampled| {
+                let normal = points[*index].normal;
+                **found = Some(use_ssdf(*index, sampled.distances, normal));
+                let before = done.fetch_add(1, Ordering::Relaxed);
+                monitor.step("refine", before as f32 / points.len() as f32)
+            })?;
+        Ok(found.into_iter().flatten().collect())
     }
 
     /// How wrong the mean of the ends is in the middle.

@@ -4,8 +4,7 @@
 use pulp::{Arch, Simd, WithSimd};
 
 use super::batch::{Batch, CLEARANCE, LANES, Lines, whole};
-use crate::ssdf::Crossings;
-use crate::visibility::{Bitmap, ones, pack_bits};
+use crate::visibility::{Bitmap, Crossings, ones, pack_bits};
 
 /// How many texels a short segment reaches from its middle to the first texel of a link that
 /// it crosses, at most: one to either side, and a link begins before it.

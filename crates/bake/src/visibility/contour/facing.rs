@@ -12,7 +12,7 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::Contour;
 use super::candidates::Candidates;
-use crate::mesh::cluster;
+use crate::visibility;
 
 /// Triangles that are tested together; their edges are grouped by it.
 pub(super) const BLOCK: usize = 64;
@@ -495,13 +495,13 @@ fn group(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<u32> {
     let features: Vec<[f32; 6]> = (triangles.iter())
         .map(|triangle| {
             let [a, b, c] = triangle.map(|vertex| positions[vertex as usize]);
-            let place = cluster::centre([a, b, c]) * scale;
+            let place = (a + b + c) / 3.0 * scale;
             let normal = (b - a).cross(c - a).normalize_or_zero() * NORMAL_WEIGHT;
             [place.x, place.y, place.z, normal.x, normal.y, normal.z]
         })
         .collect();
     let mut order: Vec<u32> = (0..triangles.len() as u32).collect();
-    cluster::arrange(&mut order, BLOCK, &|&triangle| {
+    visibility::arrange(&mut order, BLOCK, &|&triangle| {
         (features[triangle as usize], triangle)
     });
     order

@@ -22,9 +22,8 @@ mod layers;
 
 use glam::Vec3;
 
-use crate::ssdf::Crossings;
 use crate::visibility::ray::RayCaster;
-use crate::visibility::{self, Bitmap, Directions};
+use crate::visibility::{self, Bitmap, Crossings, Directions};
 use candidates::Candidates;
 use facing::Facing;
 use layers::Layers;
@@ -150,6 +149,26 @@ mod tests {
 
     use super::*;
     use crate::ssdf;
+
+    #[test]
+    fn the_example_of_the_readme() {
+        let at = |[x, y]: [f32; 2]| {
+            let [u, v] = [x, y].map(|texel| (texel - 7.5) / 8.0);
+            Vec3::new(u, 1.0 - u - v, v)
+        };
+        let triangle = [[8.25, 8.25], [13.25, 8.25], [8.25, 13.25]].map(at);
+        assert_eq!(triangle[0], Vec3::new(0.09375, 0.8125, 0.09375));
+        let contours = ContourMesh::new(&[triangle]);
+        let directions = Directions::new(16);
+        let mut scratch = contours.scratch(&directions);
+        let (bitmap, rays) = contours.sample(Vec3::ZERO, &directions, &mut scratch);
+        assert_eq!(rays, 1);
+        for (x, y) in (0..16).flat_map(|x| (0..16).map(move |y| (x, y))) {
+            let blocked = x >= 9 && y >= 9 && x + y <= 21;
+            assert_eq!(bitmap.get(y * 16 + x), !blocked, "{x}, {y}");
+        }
+        assert_eq!((0..256).filter(|&texel| !bitmap.get(texel)).count(), 10);
+    }
 
     /// Deterministic numbers in [0, 1).
     fn random(state: &mut u64) -> f32 {

@@ -1,0 +1,156 @@
+//! What an error of an SSDF costs in a picture.
+//!
+//! An SSDF shades by the place of its boundary alone, and light from there by the cosine to the
+//! surface's normal; what lies below the horizon is never looked at. Squares of errors are
+//! weighted by the cosine, between its square, as is right for light from everywhere, and none,
+//! as is right for a low sun and nothing else. Compression, refinement, probes and seams all
+//! count in this measure.
+
+use glam::Vec3;
+
+use crate::visibility::Directions;
+
+/// Half-width of the weight about the visibility boundary, radians: two texels of a basis
+/// image of usual size.
+const BOUNDARY_WIDTH: f32 = 0.05;
+/// Half of the angular width of lights that errors are told for.
+const LIGHT_WIDTH: f32 = 0.05;
+/// A small angle.
+const LITTLE: f32 = 1e-3;
+/// Weight of texels far from the boundary, which only guide the steps of sphere tracing.
+const FAR_WEIGHT: f32 = 0.003;
+/// Weight of texels below the horizon, for normals that interpolation turns.
+const HIDDEN_WEIGHT: f32 = 0.02;
+
+/// A vertex's shading normal as the weights see it.
+#[derive(Clone, Copy, Debug)]
+pub struct Normal {
+    /// Unit length.
+    pub direction: Vec3,
+    /// Sine of the angle by which a normal map may turn it.
+    pub tilt: f32,
+}
+
+impl Normal {
+    /// Cosine to a direction, of the nearest normal.
+    fn seen(&self, direction: Vec3) -> f32 {
+        let cosine = self.direction.dot(direction);
+        ((cosine + self.tilt) / (1.0 + self.tilt)).max(0.0)
+    }
+}
+
+/// What an error of an SSDF costs, by direction.
+pub struct Weighting {
+    directions: Directions,
+    /// Solid angle of every texel, in units of the weights that a wall has: of a vertical
+    /// wall that hides half of the sky, at a vertex whose normal points up.
+    solid_angles: Vec<f32>,
+    /// Of such a wall's edge that is off by one, squared, in [`Self::squared_displacement`],
+    /// while it is off by little.
+    wall: f32,
+}
+
+impl Weighting {
+    /// For basis images of this many texels per side.
+    pub fn new(basis_resolution: u32) -> Self {
+        let directions = Directions::new(basis_resolution);
+        // The octahedral map shrinks by the third power of the distance to the octahedron's
+        // face (Engelhardt & Dachsbacher 2008).
+        let solid_angles = (directions.as_slice().iter())
+            .map(|direction| direction.abs().element_sum().powi(3))
+            .collect();
+        let mut weighting = Self {
+            directions,
+            solid_angles,
+            wall: 1.0,
+        };
+        let wall: Vec<f32> = (weighting.directions.as_slice().iter())
+            .map(|direction| direction.x.asin())
+            .collect();
+        let up = Normal {
+            direction: Vec3::Y,
+            tilt: 0.0,
+        };
+        let mut weights = vec![0.0; wall.len()];
+        weighting.weigh(&wall, up, &mut weights);
+        let sum: f32 = weights.iter().sum();
+        (weighting.solid_angles.iter_mut()).for_each(|solid_angle| *solid_angle /= sum);
+        let off: Vec<f32> = wall.iter().map(|distance| distance + LITTLE).collect();
+        weighting.wall = weighting.squared_displacement(&off, &wall, up) / (LITTLE * LITTLE);
+        weighting
+    }
+
+    /// How far the boundary of `found` is off, squared: as an error of light shows, which
+    /// grows with the displacement until the boundary has passed all of a light.
+    pub(crate) fn squared_displacement(&self, found: &[f32], exact: &[f32], normal: Normal) -> f32 {
+        let squash = |distance: f32| distance / (1.0 + (distance / LIGHT_WIDTH).powi(2)).sqrt();
+        let texels = self.directions.as_slice().iter().zip(&self.solid_angles);
+        let sum: f32 = (found.iter().zip(exact).zip(texels))
+            .map(|((found, exact), (direction, solid_angle))| {
+                let difference = squash(*found) - squash(*exact);
+                solid_angle * normal.seen(*direction) * difference.powi(2)
+            })
+            .sum();
+        sum / self.wall
+    }
+
+    /// Weight of a squared error at every texel of an SSDF.
+    pub(crate) fn weigh(&self, ssdf: &[f32], normal: Normal, weights: &mut [f32]) {
+        let texels = self.directions.as_slice().iter().zip(&self.solid_angles);
+        for ((weight, distance), (direction, solid_angle)) in
+            weights.iter_mut().zip(ssdf).zip(texels)
+        {
+            let seen = normal.seen(*direction);
+            let near = 1.0 / (1.0 + (distance / BOUNDARY_WIDTH).powi(4));
+            *weight = solid_angle * (FAR_WEIGHT + near) * (HIDDEN_WEIGHT + seen);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn displacements_count_until_a_light_is_passed() {
+        let weighting = Weighting::new(64);
+        let wall = |off: f32| -> Vec<f32> {
+            let directions = weighting.directions.as_slice().iter();
+            directions
+                .map(|d| (d.x.asin() + off).clamp(-0.5, 0.5))
+                .collect()
+        };
+        let up = Normal {
+            direction: Vec3::Y,
+            tilt: 0.0,
+        };
+        let displacement = |off: f32| {
+            weighting
+                .squared_displacement(&wall(off), &wall(0.0), up)
+                .sqrt()
+        };
+        for off in [-0.01f32, 0.003, 0.01] {
+            assert!((displacement(off) / off.abs() - 1.0).abs() < 0.02, "{off}");
+        }
+        // An area, which is what is left of a displacement of several lights' widths, grows
+        // with its square root.
+        let growth = displacement(0.4) / displacement(0.2);
+        assert!((1.3..1.7).contains(&growth), "{growth}");
+    }
+
+    #[test]
+    fn boundaries_below_the_horizon_cost_next_to_nothing() {
+        let weighting = Weighting::new(64);
+        let floor: Vec<f32> = (weighting.directions.as_slice().iter())
+            .map(|direction| direction.y.asin() + 0.1)
+            .collect();
+        let cost = |direction: Vec3, tilt: f32| {
+            let mut weights = vec![0.0; floor.len()];
+            weighting.weigh(&floor, Normal { direction, tilt }, &mut weights);
+            weights.iter().sum::<f32>()
+        };
+        let (up, down) = (cost(Vec3::Y, 0.0), cost(Vec3::NEG_Y, 0.0));
+        assert!(up < 0.2 && up < cost(Vec3::Y, 0.3), "{up}");
+        assert!(cost(Vec3::X, 0.0) > 0.8, "{down}");
+    }
+}

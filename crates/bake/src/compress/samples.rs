@@ -1,0 +1,109 @@
+//! SSDFs of a cluster with what an error at each texel costs, and the texels that a fit looks at.
+
+use nalgebra::DMatrix;
+
+use super::error::{Normal, Weighting};
+
+/// Texels whose weight at every vertex is below this part of the largest are told by the
+/// [`SKIPPED`]th of them.
+const IDLE: f32 = 0.02;
+const SKIPPED: usize = 8;
+/// Texels and rows that [`Samples::thinned`] steps by.
+const THINNED: usize = 2;
+
+/// SSDFs of a cluster and what their errors cost: one row per texel, one column per vertex.
+pub struct Samples {
+    pub(super) ssdfs: DMatrix<f32>,
+    pub(super) weights: DMatrix<f32>,
+}
+
+/// Those texels of samples that bases and coefficients are fitted to.
+pub struct Fitted<'a> {
+    pub(super) samples: &'a Samples,
+    pub(super) texels: Vec<usize>,
+    /// Products of weights and SSDFs.
+    pub(super) weighted: DMatrix<f32>,
+    pub(super) weights: DMatrix<f32>,
+}
+
+impl Samples {
+    /// One normal per column of `ssdfs`.
+    pub fn new(ssdfs: DMatrix<f32>, normals: &[Normal], weighting: &Weighting) -> Self {
+        let mut weights = DMatrix::zeros(ssdfs.nrows(), ssdfs.ncols());
+        let texels = ssdfs.nrows();
+        let columns = ssdfs.as_slice().chunks_exact(texels);
+        let weighted = weights.as_mut_slice().chunks_exact_mut(texels);
+        for ((weights, ssdf), normal) in weighted.zip(columns).zip(normals) {
+            weighting.weigh(ssdf, *normal, weights);
+        }
+        Self { ssdfs, weights }
+    }
+
+    /// The SSDF of a vertex, radians.
+    pub(crate) fn ssdf(&self, column: usize) -> &[f32] {
+        let texels = self.ssdfs.nrows();
+        &self.ssdfs.as_slice()[column * texels..][..texels]
+    }
+
+    /// Those of some vertices.
+    #[must_use]
+    pub fn select(&self, columns: &[usize]) -> Self {
+        Self {
+            ssdfs: self.ssdfs.select_columns(columns),
+            weights: self.weights.select_columns(columns),
+        }
+    }
+
+    /// One texel of four, which stands for them all: enough to tell what compression would
+    /// give.
+    #[must_use]
+    pub fn thinned(&self) -> Self {
+        let side = self.ssdfs.nrows().isqrt();
+        let step = THINNED.min(side);
+        let texels: Vec<usize> = (0..side * side)
+            .filter(|texel| {
+                [texel / side, texel % side]
+                    .iter()
+                    .all(|i| i.is_multiple_of(step))
+            })
+            .collect();
+        let scale = (side * side) as f32 / texels.len() as f32;
+        Self {
+            ssdfs: self.ssdfs.select_rows(&texels),
+            weights: self.weights.select_rows(&texels) * scale,
+        }
+    }
+
+    /// The texels that count: all near a boundary above some vertex's horizon, few others.
+    pub fn fitted(&self) -> Fitted<'_> {
+        let mut largest = vec![0.0f32; self.weights.nrows()];
+        for column in self.weights.column_iter() {
+            for (largest, weight) in largest.iter_mut().zip(&column) {
+                *largest = largest.max(*weight);
+            }
+        }
+        let bound = IDLE * largest.iter().copied().fold(0.0, f32::max);
+        let mut idle = 0;
+        let (mut texels, mut factors) = (Vec::new(), Vec::new());
+        for (texel, largest) in largest.into_iter().enumerate() {
+            let busy = largest > bound;
+            if busy || idle % SKIPPED == 0 {
+                texels.push(texel);
+                factors.push(if busy { 1.0 } else { SKIPPED as f32 });
+            }
+            idle += usize::from(!busy);
+        }
+        let mut weights = self.weights.select_rows(&texels);
+        for mut column in weights.column_iter_mut() {
+            for (weight, factor) in column.iter_mut().zip(&factors) {
+                *weight *= factor;
+            }
+        }
+        Fitted {
+            samples: self,
+            weighted: self.ssdfs.select_rows(&texels).component_mul(&weights),
+            texels,
+            weights,
+        }
+    }
+}

@@ -1,0 +1,84 @@
+//! Finished clusters -> the asset.
+
+use relight_format as format;
+
+use super::error::Error;
+use super::surface::ErrorSums;
+use crate::compress::Compressed;
+
+/// A finished cluster; needs nothing else of the scene.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Cluster {
+    /// As stored.
+    pub vertices: Vec<format::Vertex>,
+    /// Indices into `vertices`; `cluster` is 0.
+    pub triangles: Vec<format::Triangle>,
+    /// Visibility of the vertices.
+    pub compressed: Compressed,
+    /// How far it is off.
+    pub errors: ErrorSums,
+}
+
+/// Lays out the clusters of all chunks, in the chunks' order, behind what
+/// [`Bake::finish`] gave.
+///
+/// # Errors
+///
+/// The first that `chunks` yields, or more clusters than the format can number.
+pub fn assemble<E: From<Error>>(
+    head: format::Scene,
+    chunks: impl IntoIterator<Item = Result<Vec<Cluster>, E>>,
+) -> Result<format::Scene, E> {
+    let mut scene = head;
+    let mut errors = ErrorSums::default();
+    for chunk in chunks {
+        for cluster in chunk? {
+            errors.add(&cluster.errors);
+            append(&mut scene, cluster)?;
+        }
+    }
+    scene.report.errors = errors.errors();
+    Ok(scene)
+}
+
+/// Lays out a cluster behind the others.
+fn append(scene: &mut format::Scene, cluster: Cluster) -> Result<(), Error> {
+    let number = u16::try_from(scene.clusters.len())
+        .ok()
+        .filter(|number| *number < u16::MAX)
+        .ok_or_else(|| Error::Options {
+            place: "max_error",
+            expected: format!("at most {} clusters", u16::MAX),
+            found: "more; allow a larger error or fewer vertices".into(),
+        })?;
+    let index = |count: usize| {
+        u32::try_from(count).map_err(|_| Error::Options {
+            place: "max_vertices",
+            expected: format!("at most {} vertices and coefficients", u32::MAX),
+            found: "more; allow a larger error or fewer vertices".into(),
+        })
+    };
+    let first_vertex = index(scene.vertices.len())?;
+    // That indices within the cluster do not overflow either.
+    index(scene.vertices.len() + cluster.vertices.len())?;
+    let compressed = cluster.compressed;
+    let last = scene.clusters.last();
+    scene.clusters.push(format::Cluster {
+        first_vertex,
+        vertex_count: cluster.vertices.len() as u32,
+        first_coefficient: index(scene.coefficients.len())?,
+        first_tile: last.map_or(0, |last| last.first_tile + last.tiles),
+        tiles: compressed.tiles,
+        coefficient_scale: compressed.coefficient_scale,
+    });
+    scene.coefficients.extend(compressed.coefficients);
+    scene.basis.extend(compressed.basis);
+    scene.vertices.extend(cluster.vertices);
+    let triangles = cluster.triangles.iter().map(|triangle| format::Triangle {
+        vertices: triangle.vertices.map(|vertex| first_vertex + vertex),
+        cluster: number,
+        ..*triangle
+    });
+    scene.triangles.extend(triangles);
+    Ok(())
+}

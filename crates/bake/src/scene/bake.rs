@@ -1,0 +1,293 @@
+//! The stages of a scene bake in order: refinement, chunks, sampling, compression.
+
+use std::sync::atomic::Ordering;
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use relight_format as format;
+use relight_format::Representation;
+
+use super::assemble::{Cluster, assemble};
+use super::budget;
+use super::error::Error;
+use super::fingerprint::Dependencies;
+use super::load::SceneInput;
+use super::options::Options;
+use super::queue::Queue;
+use super::sample::{CHUNK_VERTICES, Prepared};
+use super::statistics::{Statistics, add_time, load};
+use crate::mesh::{Mesh, cluster, refine};
+use crate::monitor::Monitor;
+use crate::visibility::contour::ContourMesh;
+
+/// Edges up to this part of the object's diagonal are not cut for their error: shadows of
+/// contacts have no finest scale.
+const RELATIVE_MIN_EDGE: f32 = 0.004;
+/// The part of the object's diagonal that errors of edges are told for.
+const RELATIVE_EDGE: f32 = 0.02;
+/// Distance of a visibility sample from its surface, in diagonals of the scene: far above
+/// the rounding of coordinates, far below anything that casts a visible shadow.
+const RELATIVE_RAY_OFFSET: f32 = 1e-4;
+/// Triangles in which interpolation is checked, about, but for small scenes one of so many.
+const PROBES: usize = 2048;
+const LEAST_PROBE_STEP: usize = 4;
+
+/// A scene ready to be sampled: refined, divided into chunks that can be baked in any
+/// order, apart from each other and on different machines.
+pub struct Bake<'a> {
+    prepared: Prepared<'a>,
+    /// What is known of the asset before sampling.
+    head: format::Scene,
+    /// The error that clusters aim at, radians; what it is worth in bytes is the same for
+    /// all.
+    aim: f32,
+    fingerprint: u128,
+    description: String,
+    stages: Vec<(&'static str, Duration)>,
+}
+
+/// Bakes a scene in memory. Deterministic: the same input and options give the same asset
+/// on any number of threads.
+pub fn bake(
+    input: SceneInput,
+    options: &Options,
+    monitor: Monitor,
+) -> Result<(format::Scene, Statistics), Error> {
+    let bake = Bake::new(input, options, monitor)?;
+    let all: Vec<usize> = (0..bake.chunk_count()).collect();
+    let finished: Vec<Mutex<Vec<Cluster>>> = all.iter().map(|_| Mutex::default()).collect();
+    bake.run(&all, |chunk, clusters| {
+        *finished[chunk]
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner) = clusters;
+        Ok::<_, Error>(())
+    })?;
+    let (head, statistics) = bake.finish();
+    let chunks = finished
+        .into_iter()
+        .map(|chunk| Ok(chunk.into_inner().unwrap_or_else(PoisonError::into_inner)));
+    let scene = assemble::<Error>(head, chunks)?;
+    monitor.step("bake", 1.0)?;
+    Ok((scene, statistics))
+}
+
+impl<'a> Bake<'a> {
+    /// Refines the mesh, divides it into chunks and builds what rays and contours need.
+    pub fn new(input: SceneInput, options: &Options, monitor: Monitor<'a>) -> Result<Self, Error> {
+        options.check()?;
+        let mut stages = Vec::new();
+        let clock = Instant::now();
+        monitor.step("build bvh", 0.0)?;
+        // Refinement does not move the surface: what was imported blocks the same light with
+        // the fewest edges.
+        let contours = ContourMesh::new(&input.mesh.soup());
+        stages.push(("build bvh", clock.elapsed()));
+
+        let clock = Instant::now();
+        monitor.step("refine", 0.0)?;
+        let dependencies = Dependencies::new(&input, options);
+        let ray_offset = RELATIVE_RAY_OFFSET * input.mesh.diagonal();
+        let mut report = format::BakeReport {
+            source_vertices: input.mesh.vertices.len() as u64,
+            source_triangles: input.mesh.triangles.len() as u64,
+            ..Default::default()
+        };
+        let (name, camera) = (input.name.clone(), input.camera);
+        let mut warnings = input.warnings.clone();
+        let mut mesh = refined(input, options, &contours, ray_offset, monitor)?;
+        for warning in mesh.warnings.drain(..) {
+            if !warnings.contains(&warning) {
+                warnings.push(warning);
+            }
+        }
+        report.warnings = warnings;
+        let head = format::Scene {
+            name,
+            visibility: format::VisibilityParameters {
+                representation: options.representation,
+                sample_resolution: options.sample_resolution,
+                basis_resolution: options.basis_resolution,
+                distance_clamp: options.distance_clamp,
+                ray_offset,
+            },
+            camera,
+            materials: mesh.materials.clone(),
+            textures: std::mem::take(&mut mesh.textures),
+            report,
+            vertices: Vec::new(),
+            triangles: Vec::new(),
+            clusters: Vec::new(),
+            coefficients: Vec::new(),
+            basis: Vec::new(),
+        };
+        let chunks = match options.representation {
+            Representation::ClusteredPca => {
+                cluster::partition(&mesh.positions(), &mesh.indices(), CHUNK_VERTICES)
+            }
+            Representation::GlobalPca => vec![(0..mesh.triangles.len() as u32).collect()],
+        };
+        stages.push(("refine", clock.elapsed()));
+
+        let mut bake = Self {
+            prepared: Prepared::new(mesh, chunks, contours, options, ray_offset, monitor),
+            head,
+            aim: options.aim,
+            fingerprint: dependencies.fingerprint(),
+            description: dependencies.description(),
+            stages,
+        };
+        let asked = options.max_error.is_some() || options.max_bytes.is_some();
+        if asked && options.representation == Representation::ClusteredPca {
+            let clock = Instant::now();
+            let chosen = budget::choose_aim(&bake.prepared, &bake.head)?;
+            bake.aim = chosen.aim;
+            bake.head.report.warnings.extend(chosen.warning);
+            bake.prepared.reset();
+            bake.stages.push(("budget", clock.elapsed()));
+        }
+        Ok(bake)
+    }
+
+    /// Also casts one ray per texel at every vertex; a difference fails the bake.
+    pub fn verify_visibility(&mut self) {
+        self.prepared.verify = true;
+    }
+
+    /// Chunks in all, numbered from 0.
+    pub fn chunk_count(&self) -> usize {
+        self.prepared.chunks.len()
+    }
+
+    /// Vertices of the refined mesh; chunks share some.
+    pub fn vertex_count(&self) -> usize {
+        self.prepared.mesh.vertices.len()
+    }
+
+    /// Of the input, the options and the version: chunks of equal fingerprints are the same.
+    pub fn fingerprint(&self) -> u128 {
+        self.fingerprint
+    }
+
+    /// What the fingerprint is of, for messages: a line of name and value for every option and
+    /// part of the input.
+    pub fn description(&self) -> &str {
+        &self.description
+    }
+
+    /// Bakes chunks and hands each over as it finishes, from many threads and in no
+    /// particular order. Stops at the first error.
+    ///
+    /// Chunks at hand at a time are bounded by memory as well as by threads; vertices of a
+    /// chunk are sampled in parallel.
+    pub fn run<E: From<Error> + Send>(
+        &self,
+        chunks: &[usize],
+        hand_over: impl Fn(usize, Vec<Cluster>) -> Result<(), E> + Sync,
+    ) -> Result<(), E> {
+        let prepared = &self.prepared;
+        let counters = &prepared.counters;
+        let total = prepared.vertices_of_chunks(chunks);
+        counters.total.store(total, Ordering::Relaxed);
+        Queue::new(chunks).run(prepared.chunks_at_hand(), |chunk| {
+            hand_over(chunk, self.bake_chunk(&prepared.chunks[chunk])?)
+        })?;
+        let (vertices, texels) = (load(&counters.verified), load(&counters.differing));
+        if texels > 0 {
+            return Err(Error::Visibility { vertices, texels }.into());
+        }
+        Ok(())
+    }
+
+    fn bake_chunk(&self, triangles: &[u32]) -> Result<Vec<Cluster>, Error> {
+        let prepared = &self.prepared;
+        let (vertices, samples) = prepared.samples(triangles)?;
+        let every = (prepared.triangles.len() / PROBES).max(LEAST_PROBE_STEP);
+        let probes = prepared.probes(triangles, every as u32)?;
+        let count = vertices.len() as u64;
+        let start = Instant::now();
+        let finished = if prepared.options.representation == Representation::GlobalPca {
+            vec![prepared.whole(triangles, &vertices, &samples, &probes, self.aim)]
+        } else {
+            prepared.compress(triangles, &vertices, &samples, &probes, self.aim)?
+        };
+        add_time(&prepared.counters.compress_nanoseconds, start);
+        (prepared.counters.compressed).fetch_add(count, Ordering::Relaxed);
+        prepared.report()?;
+        Ok(finished)
+    }
+
+    /// The asset without its clusters, and what was done.
+    pub fn finish(self) -> (format::Scene, Statistics) {
+        let Prepared {
+            counters,
+            sampler,
+            verify,
+            ..
+        } = &self.prepared;
+        let mut stages = self.stages;
+        let [visibility, ssdf] = sampler.times();
+        let counted = |counter| Duration::from_nanos(load(counter));
+        stages.extend([
+            ("visibility", visibility),
+            ("ssdf", ssdf),
+            ("compress", counted(&counters.compress_nanoseconds)),
+        ]);
+        if *verify {
+            stages.push(("verify", counted(&counters.verify_nanoseconds)));
+        }
+        let statistics = Statistics {
+            stages,
+            rays: sampler.rays(),
+            sampled_vertices: load(&counters.sampled),
+            probes: load(&counters.probes),
+            verified_points: load(&counters.verified),
+            differing_texels: load(&counters.differing),
+        };
+        (self.head, statistics)
+    }
+}
+
+/// The mesh, fine enough to carry shadows.
+fn refined(
+    input: SceneInput,
+    options: &Options,
+    contours: &ContourMesh,
+    ray_offset: f32,
+    monitor: Monitor,
+) -> Result<Mesh, Error> {
+    let (max_edge, bound) = refinement(&input, options, ray_offset);
+    let by_error = bound.error.is_finite();
+    // Of the vertices that may be added, half are kept for where shadows fall.
+    let even_vertices = if by_error {
+        usize::midpoint(input.mesh.vertices.len(), bound.max_vertices)
+    } else {
+        bound.max_vertices
+    };
+    let mesh = refine::refine(input.mesh, max_edge, even_vertices);
+    if by_error {
+        return Ok(refine::refine_wrong(mesh, contours, bound, monitor)?);
+    }
+    Ok(mesh)
+}
+
+/// Edge bound in metres, and the bounds on cuts by error: the scene file's, else the
+/// options'.
+fn refinement(input: &SceneInput, options: &Options, ray_offset: f32) -> (f32, refine::Bound) {
+    let file = input.refinement.as_ref();
+    let max_edge = file.and_then(|refinement| refinement.max_edge);
+    let bound = refine::Bound {
+        error: file
+            .and_then(|refinement| refinement.error)
+            .unwrap_or(options.refine_error),
+        edge: RELATIVE_EDGE * input.object_diagonal,
+        min_edge: RELATIVE_MIN_EDGE * input.object_diagonal,
+        max_vertices: file
+            .and_then(|refinement| refinement.max_vertices)
+            .unwrap_or(options.max_vertices),
+        ray_offset,
+    };
+    (
+        max_edge.unwrap_or(options.max_edge * input.object_diagonal),
+        bound,
+    )
+}

@@ -1,0 +1,146 @@
+//! What a bake trades, and whether that goes together.
+
+use relight_format::{CHANNELS_PER_TILE, MAX_TILES_PER_CLUSTER, Representation};
+use serde::Serialize;
+
+use super::error::Error;
+
+/// What to trade. Every field has its default in [`Options::standard`].
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Options {
+    /// Rays per vertex are this number squared; a multiple of `basis_resolution`.
+    pub sample_resolution: u32,
+    /// Texels per side of a stored basis image.
+    pub basis_resolution: u32,
+    /// SSDFs are clamped to ± this angle, radians.
+    pub distance_clamp: f32,
+    /// Clustered or global principal components.
+    pub representation: Representation,
+    /// Clustered: tiles of four images per cluster, at most. The GPU's cost of a sample is
+    /// proportional to the tiles.
+    pub max_tiles: u32,
+    /// Clustered: at what rate clusters buy accuracy with bytes, as the error, radians, that
+    /// one of ordinary detail ends near. Finer detail ends above it, the rest below.
+    pub aim: f32,
+    /// Clustered: in place of `aim`, the error that the scene's surface shall have, radians
+    /// ([`format::VisibilityErrors::surface`]).
+    pub max_error: Option<f32>,
+    /// Clustered: in place of `aim`, the bytes that the asset may have.
+    pub max_bytes: Option<u64>,
+    /// Global: components besides the mean.
+    pub global_rank: u32,
+    /// Longest edge after refinement, as a fraction of the diagonal of the scene without
+    /// its ground. A scene file may set its own in metres. Vertices that lie closer together
+    /// also see more alike, and share more of what is stored: half of the length costs twice
+    /// the bytes.
+    pub max_edge: f32,
+    /// Edges are cut further where interpolated visibility is off by more than this, radians
+    /// ([`refine::Bound::error`], at a length of 0.02 of the diagonal); infinite
+    /// for nowhere. A scene file may set its own.
+    pub refine_error: f32,
+    /// Refinement stops here.
+    pub max_vertices: usize,
+}
+
+impl Options {
+    /// For looking at a scene soon: a quarter of the rays and a coarse budget.
+    pub fn draft() -> Self {
+        Self {
+            sample_resolution: 64,
+            max_tiles: 2,
+            aim: 0.02,
+            max_edge: 0.08,
+            refine_error: f32::INFINITY,
+            ..Self::standard()
+        }
+    }
+
+    /// The default.
+    pub fn standard() -> Self {
+        Self {
+            sample_resolution: 128,
+            basis_resolution: 64,
+            distance_clamp: 0.5,
+            representation: Representation::ClusteredPca,
+            max_tiles: 4,
+            aim: 0.005,
+            max_error: None,
+            max_bytes: None,
+            global_rank: 24,
+            max_edge: 0.02,
+            refine_error: f32::INFINITY,
+            max_vertices: 1_000_000,
+        }
+    }
+
+    /// Small errors at several times the size, and vertices where shadows fall.
+    pub fn high() -> Self {
+        Self {
+            aim: 0.0025,
+            max_tiles: 6,
+            max_edge: 0.06,
+            refine_error: 0.01,
+            ..Self::standard()
+        }
+    }
+
+    /// That every option is in its range, and that none contradicts another.
+    pub(super) fn check(&self) -> Result<(), Error> {
+        let Options {
+            sample_resolution: sample,
+            basis_resolution: basis,
+            ..
+        } = *self;
+        let wrong = |place, expected: String, found: String| {
+            Err(Error::Options {
+                place,
+                expected,
+                found,
+            })
+        };
+        if !(8..=512).contains(&basis) || !(basis..=256).contains(&sample) || sample % basis != 0 {
+            return wrong(
+                "resolution",
+                "a basis resolution in 8..=512 that divides a sample resolution up to 256".into(),
+                format!("{basis} and {sample}"),
+            );
+        }
+        if !(1..=MAX_TILES_PER_CLUSTER).contains(&self.max_tiles) {
+            return wrong(
+                "max_tiles",
+                format!("1..={MAX_TILES_PER_CLUSTER}"),
+                self.max_tiles.to_string(),
+            );
+        }
+        let max_rank = MAX_TILES_PER_CLUSTER * CHANNELS_PER_TILE as u32 - 1;
+        if self.global_rank > max_rank {
+            return wrong(
+                "global_rank",
+                format!("0..={max_rank}"),
+                self.global_rank.to_string(),
+            );
+        }
+        if self.max_bytes.is_some() && self.representation == Representation::GlobalPca {
+            return wrong(
+                "max_bytes",
+                "a rank: the global representation has no other choice".into(),
+                "a number of bytes".into(),
+            );
+        }
+        let positive = [
+            self.distance_clamp,
+            self.aim,
+            self.max_error.unwrap_or(self.aim),
+            self.max_edge,
+            self.refine_error,
+        ];
+        if !positive.iter().all(|value| *value > 0.0) || self.distance_clamp > 3.0 {
+            return wrong(
+                "options",
+                "a clamp in (0, 3], an error and an edge length above 0".into(),
+                format!("{positive:?}"),
+            );
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,237 @@
+//! A chunk of triangles -> clusters, and what each is stored as: tiles and splits are tried as
+//! long as they lower the sum of bytes and of what errors are worth in bytes.
+
+use nalgebra::DMatrix;
+use relight_format as format;
+use relight_format::CHANNELS_PER_TILE;
+
+use super::assemble::Cluster;
+use super::layout;
+use super::sample::Prepared;
+use super::surface::{ErrorSums, Probe};
+use crate::compress::{self, Compressed, Samples};
+use crate::monitor::Interrupted;
+
+/// What the error aimed at, squared, is worth in bytes per vertex.
+const BYTES_PER_ERROR: f32 = 20.0;
+/// Bytes that a texel of a basis image and a coefficient take in a file, about.
+const BASIS_BYTES: f32 = 0.28;
+const COEFFICIENT_BYTES: f32 = 0.8;
+/// Part of a cluster's squared error that a split is taken to take away at most.
+const SPLIT_GAIN: f32 = 0.75;
+/// A cluster of fewer vertices is not split further: its basis would outweigh it.
+const MIN_CLUSTER_VERTICES: usize = 96;
+/// Rounds of fitting images and coefficients to each other, when clusters are planned and
+/// when they are made.
+const PLANNING_ROUNDS: usize = 1;
+const ROUNDS: usize = 3;
+
+impl Prepared<'_> {
+    /// Divides a chunk into clusters and compresses them.
+    pub(super) fn compress(
+        &self,
+        triangles: &[u32],
+        vertices: &[u32],
+        samples: &Samples,
+        probes: &[Probe],
+        aim: f32,
+    ) -> Result<Vec<Cluster>, Interrupted> {
+        let mut plan = Vec::new();
+        let tiles = self.options.max_tiles;
+        self.plan(
+            triangles,
+            vertices,
+            &samples.thinned(),
+            (aim, tiles),
+            &mut plan,
+        )?;
+        let compress = |planned| {
+            let Planned {
+                triangles,
+                coefficients,
+            } = planned;
+            self.report()?;
+            let members = self.vertices_of(&triangles);
+            let samples = samples.select(&columns(&members, vertices));
+            let fitted = samples.fitted();
+            let (images, _) = compress::alternate(&fitted, coefficients, ROUNDS);
+            let compressed = compress::encode(&fitted, &images, aim);
+            Ok(self.cluster((&triangles, &members, &samples), probes, compressed))
+        };
+        plan.into_iter().map(compress).collect()
+    }
+
+    /// Tiles, and splits along the leading principal component, where vertices that see
+    /// alike stay together, as long as they lower the sum of bytes and of what errors are
+    /// worth in bytes. Returns that sum. `tiles` is where the search begins.
+    fn plan(
+        &self,
+        triangles: &[u32],
+        vertices: &[u32],
+        samples: &Samples,
+        (aim, tiles): (f32, u32),
+        plan: &mut Vec<Planned>,
+    ) -> Result<f32, Interrupted> {
+        self.report()?;
+        let max_channels = self.options.max_tiles as usize * CHANNELS_PER_TILE;
+        let basis = compress::analyse(samples, max_channels - 1);
+        let fitted = samples.fitted();
+        let count = vertices.len() as f32;
+        let texels = self.options.basis_resolution.pow(2) as f32;
+        let tile_bytes =
+            CHANNELS_PER_TILE as f32 * (texels * BASIS_BYTES + count * COEFFICIENT_BYTES);
+        let with_tiles = |tiles: u32| {
+            let channels = tiles as usize * CHANNELS_PER_TILE;
+            let (images, coefficients) =
+                compress::reweight(&fitted, &basis, channels, PLANNING_ROUNDS);
+            let compressed = compress::encode(&fitted, &images, aim);
+            let error = compressed.error() / aim;
+            Tried {
+                tiles: compressed.tiles,
+                bytes: compressed.tiles as f32 * tile_bytes,
+                worth: count * BYTES_PER_ERROR * error * error,
+                coefficients,
+            }
+        };
+        let most = (basis.images.values.ncols().div_ceil(CHANNELS_PER_TILE) as u32).max(1);
+        let whole = cheapest(tiles.min(most), most, with_tiles);
+        let cost = whole.cost();
+        let begun = plan.len();
+        plan.push(Planned {
+            triangles: triangles.to_vec(),
+            coefficients: whole.coefficients,
+        });
+        let split_bytes = whole.tiles as f32 * texels * 4.0 * BASIS_BYTES;
+        let hopeless = SPLIT_GAIN * whole.worth < split_bytes;
+        if hopeless || vertices.len() < MIN_CLUSTER_VERTICES || triangles.len() < 2 {
+            return Ok(cost);
+        }
+        let position = |triangle: u32| -> f32 {
+            columns(&self.triangles[triangle as usize], vertices)
+                .into_iter()
+                .map(|column| basis.projections[(0, column)])
+                .sum()
+        };
+        let mut keyed: Vec<(f32, u32)> = triangles.iter().map(|&t| (position(t), t)).collect();
+        keyed.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let (low, high) = keyed.split_at(keyed.len() / 2);
+        drop((fitted, basis));
+        let mut split_cost = 0.0;
+        for half in [low, high] {
+            let mut group: Vec<u32> = half.iter().map(|&(_, triangle)| triangle).collect();
+            group.sort_unstable();
+            let members = self.vertices_of(&group);
+            let subset = samples.select(&columns(&members, vertices));
+            split_cost += self.plan(&group, &members, &subset, (aim, whole.tiles), plan)?;
+        }
+        if split_cost < cost {
+            plan.remove(begun);
+            return Ok(split_cost);
+        }
+        plan.truncate(begun + 1);
+        Ok(cost)
+    }
+
+    /// All of a scene's triangles as one cluster, by as many principal components as the
+    /// options ask for.
+    pub(super) fn whole(
+        &self,
+        triangles: &[u32],
+        vertices: &[u32],
+        samples: &Samples,
+        probes: &[Probe],
+        aim: f32,
+    ) -> Cluster {
+        let basis = compress::analyse(samples, self.options.global_rank as usize);
+        let compressed = compress::encode(&samples.fitted(), &basis.images, aim);
+        self.cluster((triangles, vertices, samples), probes, compressed)
+    }
+
+    /// Copies what a cluster needs of the mesh and measures how far it is off. Triangles and
+    /// vertices, with their samples, ascend.
+    fn cluster(
+        &self,
+        (triangles, vertices, samples): (&[u32], &[u32], &Samples),
+        probes: &[Probe],
+        compressed: Compressed,
+    ) -> Cluster {
+        let stored = |column: usize| compressed.decode(column);
+        let exact = |column: usize| samples.ssdf(column).to_vec();
+        let mut errors = ErrorSums::at_vertices(&compressed, vertices.len());
+        for probe in probes {
+            if triangles.binary_search(&probe.triangle).is_ok() {
+                let columns = columns(&probe.vertices, vertices);
+                errors.add_probe(probe, &columns, &stored, &exact, &self.weighting);
+            }
+        }
+        let local = |vertex: u32| vertices.partition_point(|&other| other < vertex) as u32;
+        let triangle = |&index: &u32| {
+            let source = &self.mesh.triangles[index as usize];
+            format::Triangle {
+                vertices: source.vertices.map(local),
+                material: source.material,
+                cluster: 0,
+            }
+        };
+        let triangles: Vec<_> = triangles.iter().map(triangle).collect();
+        let (triangles, order) = layout::walk(&triangles, vertices.len());
+        let vertex = |&column: &usize| {
+            let vertex = self.mesh.vertices[vertices[column] as usize];
+            layout::rounded(vertex.into())
+        };
+        Cluster {
+            vertices: order.iter().map(vertex).collect(),
+            triangles,
+            compressed: compressed.reordered(&order),
+            errors,
+        }
+    }
+}
+
+/// A cluster to be.
+struct Planned {
+    triangles: Vec<u32>,
+    /// As they were fitted to thinned samples.
+    coefficients: DMatrix<f32>,
+}
+
+/// What a number of tiles would cost.
+struct Tried {
+    tiles: u32,
+    bytes: f32,
+    /// Of the error that is left, in bytes.
+    worth: f32,
+    coefficients: DMatrix<f32>,
+}
+
+impl Tried {
+    fn cost(&self) -> f32 {
+        self.bytes + self.worth
+    }
+}
+
+/// The number of tiles in `1..=most` at which costs stop falling, on the way from `start`;
+/// each costs a fit. Costs rise on both sides of the least, but for noise.
+fn cheapest(start: u32, most: u32, with_tiles: impl Fn(u32) -> Tried) -> Tried {
+    let first = with_tiles(start);
+    let walk = |tiles: &mut dyn Iterator<Item = u32>| {
+        let mut best: Option<Tried> = None;
+        for tiles in tiles {
+            let next = with_tiles(tiles);
+            if next.cost() >= best.as_ref().unwrap_or(&first).cost() {
+                break;
+            }
+            best = Some(next);
+        }
+        best
+    };
+    let fewer = walk(&mut (1..start).rev());
+    let best = fewer.or_else(|| walk(&mut (start + 1..=most)));
+    best.unwrap_or(first)
+}
+
+/// Where `members` are among the ascending `vertices`.
+fn columns(members: &[u32], vertices: &[u32]) -> Vec<usize> {
+    let place = |vertex| vertices.binary_search(vertex).ok();
+    members.iter().filter_map(place).collect()
+}

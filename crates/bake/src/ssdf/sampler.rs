@@ -1,0 +1,134 @@
+//! Points -> what is seen from them, and its SSDF: the loop that refinement and the bake
+//! share.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::Transform;
+use crate::visibility::contour::{ContourMesh, GROUP, Scratch};
+use crate::visibility::{Bitmap, Crossings, Directions, arrange};
+
+/// What is seen from a point.
+pub(crate) struct Sampled<'a> {
+    pub origin: Vec3,
+    pub visible: &'a Bitmap,
+    pub crossings: &'a Crossings,
+    /// The SSDF, radians.
+    pub distances: Vec<f32>,
+}
+
+/// Samples points at one pair of resolutions, and counts what that takes.
+pub(crate) struct Sampler {
+    directions: Directions,
+    transform: Transform,
+    /// SSDFs are clamped to ± this angle, radians.
+    clamp: f32,
+    rays: AtomicU64,
+    visibility_nanoseconds: AtomicU64,
+    ssdf_nanoseconds: AtomicU64,
+}
+
+impl Sampler {
+    /// For visibility of `samples` and SSDFs of `resolution` texels per side.
+    pub fn new(samples: u32, resolution: u32, clamp: f32) -> Self {
+        let directions = Directions::new(samples);
+        Self {
+            transform: Transform::new(&directions, resolution),
+            directions,
+            clamp,
+            rays: AtomicU64::default(),
+            visibility_nanoseconds: AtomicU64::default(),
+            ssdf_nanoseconds: AtomicU64::default(),
+        }
+    }
+
+    /// Of the bitmaps' texels.
+    pub fn directions(&self) -> &Directions {
+        &self.directions
+    }
+
+    /// From bitmaps to SSDFs.
+    pub fn transform(&self) -> &Transform {
+        &self.transform
+    }
+
+    /// Rays cast.
+    pub fn rays(&self) -> u64 {
+        self.rays.load(Ordering::Relaxed)
+    }
+
+    /// Processor time of visibility and of its transform.
+    pub fn times(&self) -> [Duration; 2] {
+        [&self.visibility_nanoseconds, &self.ssdf_nanoseconds]
+            .map(|counter| Duration::from_nanos(counter.load(Ordering::Relaxed)))
+    }
+
+    /// Forgets rays and times.
+    pub fn reset(&mut self) {
+        self.rays = AtomicU64::default();
+        self.visibility_nanoseconds = AtomicU64::default();
+        self.ssdf_nanoseconds = AtomicU64::default();
+    }
+
+    /// Samples points, those close together one after the other, and hands over for each what
+    /// is seen from there, from many threads and in no particular order. Stops at the first
+    /// error.
+    pub fn sample<T: Send, E: Send>(
+        &self,
+        contours: &ContourMesh,
+        points: Vec<(Vec3, T)>,
+        hand_over: impl Fn(&mut T, Sampled) -> Result<(), E> + Sync,
+    ) -> Result<(), E> {
+        let mut points: Vec<(u32, Vec3, T)> = (0..)
+            .zip(points)
+            .map(|(number, (origin, for_whom))| (number, origin, for_whom))
+            .collect();
+        arrange(&mut points, GROUP, &|(number, origin, _)| {
+            (origin.to_array(), *number)
+        });
+        points.par_chunks_mut(GROUP).try_for_each_init(
+            || contours.scratch(&self.directions),
+            |scratch, group| {
+                let start = Instant::now();
+                let origins: Vec<Vec3> = group.iter().map(|(_, origin, _)| *origin).collect();
+                contours.prepare(&origins, scratch);
+                add_time(&self.visibility_nanoseconds, start);
+                group.iter_mut().try_for_each(|(_, origin, for_whom)| {
+                    self.sample_one(contours, *origin, scratch, |sampled| {
+                        hand_over(for_whom, sampled)
+                    })
+                })
+            },
+        )
+    }
+
+    fn sample_one<E>(
+        &self,
+        contours: &ContourMesh,
+        origin: Vec3,
+        scratch: &mut Scratch,
+        hand_over: impl FnOnce(Sampled) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let start = Instant::now();
+        let (visible, rays) = contours.sample(origin, &self.directions, scratch);
+        add_time(&self.visibility_nanoseconds, start);
+        self.rays.fetch_add(u64::from(rays), Ordering::Relaxed);
+        let start = Instant::now();
+        let crossings = contours.crossings(&visible, scratch);
+        let distances = self.transform.apply(&visible, crossings, self.clamp);
+        add_time(&self.ssdf_nanoseconds, start);
+        hand_over(Sampled {
+            origin,
+            visible: &visible,
+            crossings,
+            distances,
+        })
+    }
+}
+
+fn add_time(counter: &AtomicU64, start: Instant) {
+    counter.fetch_add(start.elapsed().as_nanos() as u64, Ordering::Relaxed);
+}

@@ -32,21 +32,26 @@
 //! A device that is lost makes calls fail with [`Error::DeviceFailed`]; a renderer and an upload
 //! on a new one go on from there. Targets may have another size in every call.
 //!
-//! Without a GPU, [`twin::render`] draws the same frame. [`offscreen`] serves tools and
-//! tests that have no device of their own.
+//! Without a GPU, `twin::render` draws the same frame (feature `twin`). `offscreen` serves tools
+//! and tests that have no device of their own (feature `offscreen`). Both features are on by
+//! default; an app needs neither.
 
 mod error;
 mod frame;
+#[cfg(any(feature = "offscreen", feature = "twin"))]
 mod image;
+#[cfg(feature = "offscreen")]
 pub mod offscreen;
 mod pass_times;
 mod renderer;
 mod transfer;
+#[cfg(feature = "twin")]
 pub mod twin;
 mod upload;
 
 pub use error::Error;
 pub use frame::Frame;
+#[cfg(any(feature = "offscreen", feature = "twin"))]
 pub use image::Image;
 pub use pass_times::PassTimes;
 pub use relight_shading::cells::CellsOptions;

@@ -28,7 +28,7 @@ pub fn trials() -> Vec<Trial> {
         Trial::test("lab::compression", compression),
         with_browser("lab::report_in_a_browser", report),
         with_data("lab::boundary", boundary),
-        Trial::test("lab::results_in_the_readme", results),
+        Trial::test("lab::results_go_between_markers", results),
     ]
 }
 
@@ -365,28 +365,44 @@ fn boundary(data: &Path) -> Outcome {
     Ok(())
 }
 
-/// The README's tables are those of the results that are kept beside the laboratory. With
-/// `RELIGHT_RESULTS` naming a folder of experiments, both are made anew from it.
+/// Tables come between the markers of a results file, whose other text stays.
 fn results() -> Outcome {
-    const MARKERS: [&str; 2] = ["<!-- experiments -->\n", "<!-- /experiments -->"];
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
-    let (kept, readme) = (root.join("tools/lab/results.json"), root.join("README.md"));
-    let text = std::fs::read_to_string(&readme)?;
-    let (before, rest) = text.split_once(MARKERS[0]).ok_or("no first marker")?;
-    let (shown, after) = rest.split_once(MARKERS[1]).ok_or("no second marker")?;
-    if let Some(folder) = std::env::var_os("RELIGHT_RESULTS") {
-        let sections = relight_lab::experiments::sections(Path::new(&folder))?;
-        let digest = relight_lab::experiments::digest(&sections);
-        std::fs::write(&kept, serde_json::to_string_pretty(&digest)? + "\n")?;
-        let made = relight_lab::experiments::readme(&digest);
-        std::fs::write(
-            &readme,
-            [before, MARKERS[0], &made, MARKERS[1], after].concat(),
-        )?;
-        return Ok(());
+    use relight_lab::experiments::{Section, write_results};
+    let section: Section = serde_json::from_value(serde_json::json!({
+        "name": "contours",
+        "title": "Contours",
+        "command": "lab experiments contours",
+        "text": ["left out"],
+        "tables": [{
+            "name": "contours",
+            "caption": "Displacements",
+            "columns": ["mesh", "displacement"],
+            "rows": [["bunny", 1.25]],
+        }],
+        "figures": [],
+        "provenance": [["commit", "0123456"], ["machine", "left out"]],
+    }))?;
+    let folder = tempfile::tempdir()?;
+    let file = folder.path().join("RESULTS.md");
+    let around = |inside: &str| {
+        format!("before\n<!-- experiments -->\n{inside}<!-- /experiments -->\nafter\n")
+    };
+    write(&file, around("of yesterday\n").as_bytes())?;
+    for _ in 0..2 {
+        write_results(&file, std::slice::from_ref(&section))?;
+        let text = std::fs::read_to_string(&file)?;
+        assert!(text.starts_with("before\n<!-- experiments -->\n"), "{text}");
+        assert!(text.ends_with("<!-- /experiments -->\nafter\n"), "{text}");
+        assert!(text.contains("| bunny | 1.25 |"), "{text}");
+        assert!(text.contains("commit 0123456"), "{text}");
+        for gone in ["of yesterday", "left out"] {
+            assert!(!text.contains(gone), "{text}");
+        }
     }
-    let digest: Vec<_> = serde_json::from_slice(&std::fs::read(&kept)?)?;
-    assert_eq!(shown, relight_lab::experiments::readme(&digest));
+    write(&file, b"no markers")?;
+    let message = write_results(&file, &[section]).expect_err("no markers");
+    assert!(format!("{message:#}").contains("<!-- experiments -->"));
+    assert_eq!(std::fs::read(&file)?, b"no markers");
     Ok(())
 }
 

@@ -101,6 +101,10 @@ struct Experiments {
     /// Where to render; `auto` takes a GPU if there is one, else the CPU.
     #[arg(long, value_enum, default_value = "auto")]
     device: DeviceName,
+    /// Markdown file whose tables between `<!-- experiments -->` and `<!-- /experiments -->` are
+    /// replaced by those of all experiments in the folder.
+    #[arg(long)]
+    results: Option<PathBuf>,
     /// `compression`: scene files with a camera, in place of five of the laboratory's.
     #[arg(long, num_args = 1..)]
     scenes: Vec<PathBuf>,
@@ -724,6 +728,9 @@ fn run_experiments(arguments: &Experiments, json: bool) -> anyhow::Result<Value>
     }
     bar.finish_and_clear();
     let page = experiments::write_report(&arguments.out)?;
+    if let Some(file) = &arguments.results {
+        experiments::write_results(file, &experiments::sections(&arguments.out)?)?;
+    }
     Ok(json!({
         "report": page,
         "sections": if json { json!(sections) } else { Value::Null },

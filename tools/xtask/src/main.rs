@@ -1,14 +1,18 @@
-//! Repository tasks. `cargo xtask test` installs what the tests need and runs them all.
+//! Repository tasks: `cargo xtask test` installs what the tests need and runs them all,
+//! `cargo xtask results` makes the tables of RESULTS.md.
 
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
 use std::time::Instant;
 
-const USAGE: &str = "usage: cargo xtask test
+const USAGE: &str = "usage: cargo xtask test | results
 
-Installs what the tests need (apt, only what is missing), then checks formatting and lints,
+test: installs what the tests need (apt, only what is missing), then checks formatting and lints,
 runs every test, and checks dependencies if cargo-deny is there.
+
+results: runs every experiment on the CPU into out/results, which takes an hour or more and
+needs the test data, and replaces the tables of RESULTS.md.
 
 environment:
   RELIGHT_DATA=FOLDER   test data; default ../shared/data beside the checkout
@@ -20,6 +24,7 @@ fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     match arguments.iter().map(String::as_str).collect::<Vec<_>>()[..] {
         ["test"] => test(),
+        ["results"] => results(),
         ["--help" | "-h" | "help"] => {
             println!("{USAGE}");
             ExitCode::SUCCESS
@@ -119,6 +124,20 @@ fn test() -> ExitCode {
         ExitCode::FAILURE
     } else {
         ExitCode::SUCCESS
+    }
+}
+
+/// All tables of RESULTS.md from one program, at one size.
+fn results() -> ExitCode {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let arguments = "run --release --package relight-lab --bin lab -- experiments all --device cpu \
+                     --size 320x240 --samples 256 --out out/results --results RESULTS.md";
+    match Outcome::of(&mut cargo(&root, arguments)) {
+        Outcome::Passed => ExitCode::SUCCESS,
+        Outcome::Failed(why) | Outcome::Skipped(why) => {
+            eprintln!("xtask: {why}");
+            ExitCode::FAILURE
+        }
     }
 }
 

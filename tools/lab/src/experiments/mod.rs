@@ -30,7 +30,8 @@ use relight_format::{self as format, Camera, Environment, Limits, Scene};
 use relight_runtime::{CellsOptions, Frame, Method, PolarOptions};
 use relight_shading::spherical_gaussian::SphericalGaussian;
 
-use self::report::{Figure, Section};
+use self::report::Figure;
+pub use self::report::Section;
 use crate::bench::{self, Timed};
 use crate::compare::compare;
 use crate::image_file::{self, Image};
@@ -146,7 +147,7 @@ pub fn write_report(folder: &Path) -> anyhow::Result<PathBuf> {
     Ok(path)
 }
 
-/// Tables that a README has room for, and the columns of them.
+/// Tables that RESULTS.md has room for, and the columns of them.
 const SHORT: [(&str, &[&str]); 9] = [
     ("boundary", &[]),
     (
@@ -180,8 +181,29 @@ const SHORT: [(&str, &[&str]); 9] = [
     ("contours", &[]),
 ];
 
-/// The tables that [`readme`] shows, without anything else.
-pub fn digest(sections: &[Section]) -> Vec<Section> {
+/// Replaces what stands between the markers of a Markdown file by the sections' tables.
+///
+/// # Errors
+///
+/// If the file cannot be read or written, or lacks a marker; it is then left as it was.
+pub fn write_results(file: &Path, sections: &[Section]) -> anyhow::Result<()> {
+    const MARKERS: [&str; 2] = ["<!-- experiments -->\n", "<!-- /experiments -->"];
+    let name = || file.display().to_string();
+    let text = std::fs::read_to_string(file).with_context(name)?;
+    let parts = (text.split_once(MARKERS[0])).and_then(|(before, rest)| {
+        let (_, after) = rest.split_once(MARKERS[1])?;
+        Some((before, after))
+    });
+    let (before, after) = parts
+        .with_context(|| format!("no {} followed by {}", MARKERS[0].trim(), MARKERS[1]))
+        .with_context(name)?;
+    let tables = markdown(&digest(sections));
+    let text = [before, MARKERS[0], &tables, "\n", MARKERS[1], after].concat();
+    Ok(format::write_file(file, text.as_bytes())?)
+}
+
+/// The tables that [`markdown`] shows, without anything else.
+fn digest(sections: &[Section]) -> Vec<Section> {
     let short = |section: &Section| {
         let tables = section.tables.iter().filter_map(|table| {
             let (_, columns) = SHORT.iter().find(|(name, _)| *name == table.name)?;
@@ -189,9 +211,11 @@ pub fn digest(sections: &[Section]) -> Vec<Section> {
         });
         Section {
             tables: tables.collect(),
-            // Sizes are in the commands, and times are ratios.
+            // Sizes are in the commands.
             provenance: (section.provenance.iter())
-                .filter(|(key, _)| ["Relight", "seed"].contains(&key.as_str()))
+                .filter(|(key, _)| {
+                    ["Relight", "commit", "processor", "seed"].contains(&key.as_str())
+                })
                 .cloned()
                 .collect(),
             text: Vec::new(),
@@ -206,7 +230,7 @@ pub fn digest(sections: &[Section]) -> Vec<Section> {
 }
 
 /// A digest as Markdown.
-pub fn readme(digest: &[Section]) -> String {
+fn markdown(digest: &[Section]) -> String {
     let mut text = String::new();
     for section in digest {
         text += &format!("\n**{}** (`{}`)\n", section.title, section.command);

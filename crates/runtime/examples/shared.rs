@@ -34,7 +34,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let environment = read_environment(&std::fs::read(environment)?, &Limits::default())?;
     let lights: Vec<_> = environment.lobes.iter().map(Into::into).collect();
     let camera = scene.camera.ok_or("the scene has no camera")?;
-    let image = Prefiltered::new(&environment.prefiltered);
+    let image = Prefiltered::new(&environment.prefiltered, &lights);
 
     let mut gpu = Gpu::new(&wgpu::Limits::default())?;
     let uploaded = gpu.upload(&scene)?;

@@ -12,7 +12,7 @@
 //! let mut renderer = Renderer::new(device, queue, Options::default())?;
 //! let uploaded = renderer.upload(scene)?;
 //! let lights: Vec<_> = environment.lobes.iter().map(Into::into).collect();
-//! let image = Prefiltered::new(&environment.prefiltered);
+//! let image = Prefiltered::new(&environment.prefiltered, &lights);
 //! let frame = Frame {
 //!     camera: scene.camera.expect("this scene brings a camera"),
 //!     lights: &lights,

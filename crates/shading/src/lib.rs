@@ -6,6 +6,7 @@ pub mod ambient;
 pub mod brdf;
 pub mod camera;
 pub mod cells;
+pub mod glossy;
 pub mod gpu;
 pub mod local_light;
 pub mod octahedral;

@@ -1,16 +1,19 @@
-//! Radiance of the environment's image through a lobe, looked up.
+//! What the environment's image shows beyond the lights that stand for it, through a lobe.
 //!
-//! A sum of a few dozen lobes is a blurry mirror. Level by level the image as seen through
-//! lobes of one sharpness is stored ([`relight_format::Prefiltered`]); a lobe between two
-//! sharpnesses mixes the two levels.
+//! A sum of a few dozen lobes is a blurry mirror. Level by level the image as seen through lobes
+//! of one sharpness is stored ([`relight_format::Prefiltered`]); what the lights show through the
+//! same lobes is taken off, and a lobe between two sharpnesses mixes the two levels of the
+//! difference. So lookups need be exact only as far as the lights are not the image: small
+//! bright lights, which the levels blur and mix worst, are in the lights.
 
 use std::sync::Arc;
 
 use glam::Vec3;
 
 use crate::octahedral;
+use crate::spherical_gaussian::{SphericalGaussian, energy};
 
-/// An environment's prefiltered image. Clones share the texels.
+/// An environment's prefiltered image less its lights. Clones share the texels.
 #[derive(Clone, Debug)]
 pub struct Prefiltered {
     levels: u32,
@@ -18,12 +21,40 @@ pub struct Prefiltered {
 }
 
 impl Prefiltered {
-    /// `None` where the environment has no image, or an invalid one.
-    pub fn new(prefiltered: &relight_format::Prefiltered) -> Option<Self> {
+    /// The image of an environment less `lights`, not turned: those of the frames that it is
+    /// for. `None` where the environment has no image, or an invalid one.
+    pub fn new(
+        prefiltered: &relight_format::Prefiltered,
+        lights: &[SphericalGaussian],
+    ) -> Option<Self> {
         let levels = prefiltered.levels().filter(|levels| *levels > 0)?;
+        let mut texels = prefiltered.texels.iter();
+        let mut rest = Vec::with_capacity(texels.len());
+        for level in 0..levels {
+            let n = 1u32 << (levels - level);
+            let variance = 1.0 / (relight_format::Prefiltered::SHARPNESS * (n * n) as f32);
+            for (y, x) in (0..n).flat_map(|y| (0..n).map(move |x| (y, x))) {
+                let axis = octahedral::texel_direction(x, y, n).normalize();
+                // Interpolation between texels blurs as well, by a sixth of a texel's area; the
+                // octahedral map shrinks by the third power of the distance to the face
+                // (Engelhardt & Dachsbacher 2008).
+                let area = 4.0 / (n * n) as f32 * axis.abs().element_sum().powi(3);
+                let lobe = SphericalGaussian {
+                    axis,
+                    sharpness: 1.0 / (variance - area / 6.0),
+                    amplitude: Vec3::ONE,
+                };
+                let lights: Vec3 = lights
+                    .iter()
+                    .map(|light| light.product(&lobe).integral())
+                    .sum();
+                let image = decode(*texels.next()?);
+                rest.push(encode_signed(image - lights / energy(lobe.sharpness)));
+            }
+        }
         Some(Self {
             levels,
-            texels: prefiltered.texels.as_slice().into(),
+            texels: rest.into(),
         })
     }
 
@@ -32,12 +63,13 @@ impl Prefiltered {
         self.levels
     }
 
-    /// The texels of all levels, as in the asset.
+    /// The texels of all levels, in the order of the asset's, each [`encode_signed`].
     pub fn texels(&self) -> &Arc<[u32]> {
         &self.texels
     }
 
-    /// Mean radiance under the lobe exp(sharpness (axis·ω − 1)). Lobes sharper or wider than
+    /// Mean radiance of the image less that of the lights under the lobe
+    /// exp(sharpness (axis·ω − 1)). Lobes sharper or wider than
     /// those stored count as the sharpest or widest stored.
     pub fn radiance(&self, axis: Vec3, sharpness: f32) -> Vec3 {
         let rows = (sharpness / relight_format::Prefiltered::SHARPNESS).max(1.0);
@@ -61,7 +93,7 @@ impl Prefiltered {
         let f = p - low;
         let texel = |dx: i32, dy: i32| {
             let (x, y) = octahedral::wrap(low.x as i32 + dx, low.y as i32 + dy, n);
-            decode(self.texels[(start + y * n + x) as usize])
+            decode_signed(self.texels[(start + y * n + x) as usize])
         };
         let top = texel(0, 0).lerp(texel(1, 0), f.x);
         let bottom = texel(0, 1).lerp(texel(1, 1), f.x);
@@ -93,6 +125,34 @@ pub fn encode(radiance: Vec3) -> u32 {
 pub fn decode(texel: u32) -> Vec3 {
     let channel = |shift: u32| (texel >> shift & 511) as f32;
     Vec3::new(channel(0), channel(9), channel(18)) * power((texel >> 27) as i32)
+}
+
+/// The texel nearest to a difference of radiances: an exponent of 5 bits above three channels of
+/// 8 bits and a sign. What is farther from zero than 130,560 becomes that.
+pub fn encode_signed(radiance: Vec3) -> u32 {
+    const MOST: f32 = 255.0 * 512.0;
+    let radiance = radiance.clamp(Vec3::splat(-MOST), Vec3::splat(MOST));
+    let brightest = radiance.abs().max_element();
+    // The exponent e with brightest < 2^(e − 14), so that 8 bits reach to it.
+    let bits = (brightest.to_bits() >> 23) as i32 - 127;
+    let mut exponent = (bits + 15).clamp(0, 31);
+    let quantise = |exponent: i32| (radiance / power(exponent + 2)).round();
+    // Rounding may reach 256.
+    if exponent < 31 && quantise(exponent).abs().max_element() > 255.0 {
+        exponent += 1;
+    }
+    let limit = Vec3::splat(255.0);
+    let [r, g, b] = quantise(exponent)
+        .clamp(-limit, limit)
+        .to_array()
+        .map(|x| x as i32 as u32 & 511);
+    r | g << 9 | b << 18 | (exponent as u32) << 27
+}
+
+/// The difference of a texel.
+pub fn decode_signed(texel: u32) -> Vec3 {
+    let channel = |shift: u32| ((texel << (23 - shift)) as i32 >> 23) as f32;
+    Vec3::new(channel(0), channel(9), channel(18)) * power((texel >> 27) as i32 + 2)
 }
 
 /// 2^(exponent − 24), exact.
@@ -139,6 +199,77 @@ mod tests {
         assert_eq!(decode(encode(Vec3::splat(511.9))), Vec3::splat(512.0));
     }
 
+    #[test]
+    fn differences_keep_eight_bits_and_their_sign() {
+        for i in 0..400 {
+            let scale = 2f32.powf(0.1 * (i - 200) as f32);
+            let radiance = Vec3::new(-1.0, 0.37, 0.002) * scale;
+            if scale > 130_000.0 {
+                continue;
+            }
+            let error = (decode_signed(encode_signed(radiance)) - radiance).abs();
+            assert!(
+                error.max_element() <= 2.0 * QUANTISATION * scale.max(1.0 / 16384.0),
+                "{radiance}: {error}"
+            );
+        }
+        assert_eq!(decode_signed(encode_signed(Vec3::ZERO)), Vec3::ZERO);
+        let least = decode_signed(encode_signed(Vec3::splat(-1e30)));
+        assert_eq!(least, Vec3::splat(-130_560.0));
+        assert_eq!(
+            decode_signed(encode_signed(Vec3::splat(-255.9))),
+            Vec3::splat(-256.0)
+        );
+    }
+
+    #[test]
+    fn lights_are_taken_off() {
+        // An image that is one light and half as much again of another.
+        let light = |axis: Vec3, sharpness| SphericalGaussian {
+            axis: axis.normalize(),
+            sharpness,
+            amplitude: Vec3::new(3.0, 2.0, 1.0),
+        };
+        let lights = [
+            light(Vec3::new(0.2, 0.5, -0.7), 40.0),
+            light(Vec3::new(-0.5, 0.1, 0.6), 9.0),
+        ];
+        let levels = 6;
+        let mut texels = vec![];
+        for level in 0..levels {
+            let n = 1u32 << (levels - level);
+            let variance = 1.0 / (relight_format::Prefiltered::SHARPNESS * (n * n) as f32);
+            for (y, x) in (0..n).flat_map(|y| (0..n).map(move |x| (y, x))) {
+                let axis = octahedral::texel_direction(x, y, n).normalize();
+                let area = 4.0 / (n * n) as f32 * axis.abs().element_sum().powi(3);
+                let lobe = SphericalGaussian {
+                    axis,
+                    sharpness: 1.0 / (variance - area / 6.0),
+                    amplitude: Vec3::ONE,
+                };
+                let seen = lights.map(|l| l.product(&lobe).integral() / lobe.integral());
+                texels.push(encode(seen[0] + 1.5 * seen[1]));
+            }
+        }
+        let image = relight_format::Prefiltered { texels };
+        let rest = Prefiltered::new(&image, &lights).expect("whole levels");
+        for sharpness in [5.0, 30.0, 150.0] {
+            for axis in [lights[0].axis, lights[1].axis, Vec3::X] {
+                let lobe = SphericalGaussian {
+                    axis,
+                    sharpness,
+                    amplitude: Vec3::ONE,
+                };
+                let expected = 0.5 * (lights[1].product(&lobe).integral() / lobe.integral());
+                let found = rest.radiance(axis, sharpness);
+                // Half of the second light, which levels mix to a few per cent, and nine bits
+                // of the first.
+                let error = (found - expected).abs().max_element();
+                assert!(error < 0.1, "{sharpness} {axis}: {found} for {expected}");
+            }
+        }
+    }
+
     /// All levels of one colour but the given one.
     fn image(levels: u32, bright: u32) -> Prefiltered {
         let texels = (0..levels).flat_map(|level| {
@@ -146,7 +277,7 @@ mod tests {
             std::iter::repeat_n(encode(Vec3::splat(value)), 1 << (2 * (levels - level)))
         });
         let texels = texels.collect();
-        Prefiltered::new(&relight_format::Prefiltered { texels }).expect("whole levels")
+        Prefiltered::new(&relight_format::Prefiltered { texels }, &[]).expect("whole levels")
     }
 
     #[test]
@@ -176,7 +307,7 @@ mod tests {
         let texels = (0..relight_format::Prefiltered::texel_count(3) as u32)
             .map(|i| encode(Vec3::splat((i.wrapping_mul(2_654_435_761) >> 24) as f32)))
             .collect();
-        let image = Prefiltered::new(&relight_format::Prefiltered { texels }).expect("levels");
+        let image = Prefiltered::new(&relight_format::Prefiltered { texels }, &[]).expect("levels");
         for i in 0..100 {
             // Either side of the quarter planes x = 0 or z = 0 below the equator.
             let angle = 0.015 * i as f32 + 0.01;

@@ -20,6 +20,9 @@ pub const MIN_ALPHA: f32 = 0.02;
 pub const MAX_EXPONENT: f32 = 2.0 / (MIN_ALPHA * MIN_ALPHA);
 /// Reflectance of a dielectric at normal incidence in glTF 2.0 (index of refraction 1.5).
 pub const DIELECTRIC_F0: f32 = 0.04;
+/// Least cosine between the shading normal and the direction to an eye that sees the front of a
+/// triangle: normals that are farther from it are bent towards it, in the plane of both.
+pub const LEAST_VIEW_COSINE: f32 = 0.05;
 /// Squared length below which a direction carries no information.
 const DEGENERATE_LENGTH_SQUARED: f32 = 1e-12;
 
@@ -362,6 +365,14 @@ pub fn surface_point(
     }
 
     let view = unit_or(eye - position, normal);
+    if geometric_normal.dot(view) > 0.0 && normal.dot(view) < LEAST_VIEW_COSINE {
+        // Interpolated or mapped, the normal turned away from an eye that sees the surface:
+        // it is bent back as far as models reflect at all.
+        let aside = unit_or(normal - normal.dot(view) * view, tangent);
+        let sine = (1.0 - LEAST_VIEW_COSINE * LEAST_VIEW_COSINE).sqrt();
+        normal = unit_or(LEAST_VIEW_COSINE * view + sine * aside, view);
+        tangent = orthogonal_unit(tangent, normal);
+    }
     // Direction of anisotropy relative to the tangent, and its strength.
     let anisotropy = material.anisotropy_texture.as_ref().map(|slot| {
         let texel = sample(slot);
@@ -434,6 +445,19 @@ pub fn surface_point(
         });
         appearance
     };
+    let anisotropic = (appearance.reflections()).any(|r| r.alpha.x != r.alpha.y);
+    if anisotropic && matches!(material.surface, Surface::Layered { .. }) {
+        // glTF says that the frame is interpolated from the vertices; that of other materials is
+        // the triangle's own: x along ∂position/∂u, by Cramer's rule and up to its length. Zero
+        // without texture coordinates.
+        let step = |to: &Vertex| Vec2::from(to.uv) - Vec2::from(a.uv);
+        let (to_b, to_c) = (step(b), step(c));
+        let along = ((pb - pa) * to_c.y - (pc - pa) * to_b.y) * to_b.perp_dot(to_c).signum();
+        let along = along.reject_from_normalized(normal).normalize_or_zero();
+        if along != Vec3::ZERO {
+            tangent = along;
+        }
+    }
     SurfacePoint {
         position,
         geometric_normal,
@@ -524,6 +548,7 @@ pub fn wgsl_constants() -> String {
          const SURFACE_MAX_EXPONENT: f32 = {MAX_EXPONENT:?};\n\
          const SURFACE_DIELECTRIC_F0: f32 = {DIELECTRIC_F0:?};\n\
          const MAX_REFLECTIONS: u32 = {MAX_REFLECTIONS}u;\n\
+         const SURFACE_LEAST_VIEW_COSINE: f32 = {LEAST_VIEW_COSINE:?};\n\
          const SURFACE_DEGENERATE_LENGTH_SQUARED: f32 = {DEGENERATE_LENGTH_SQUARED:?};\n"
     )
 }

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use crate::surface::{Join, Model};
 use crate::{
-    brdf, cells, gpu, local_light, polar, prefiltered, shade, spherical_gaussian, surface, tables,
+    brdf, cells, glossy, gpu, local_light, polar, prefiltered, shade, spherical_gaussian, surface, tables,
     tonemap,
 };
 
@@ -48,6 +48,7 @@ const LIBRARY: &[&str] = &[
     include_str!("wgsl/ambient.wgsl"),
     include_str!("wgsl/surface.wgsl"),
     include_str!("wgsl/brdf.wgsl"),
+    include_str!("wgsl/glossy.wgsl"),
 ];
 
 /// The complete WGSL of one module.
@@ -111,6 +112,7 @@ fn constants() -> String {
     text += &cells::wgsl_constants();
     text += &surface::wgsl_constants();
     text += &brdf::wgsl_constants();
+    text += &glossy::wgsl_constants();
     text += &shade::wgsl_constants();
     text += &tonemap::wgsl_constants();
     text

@@ -183,9 +183,9 @@ struct Render {
     /// How visible light is integrated.
     #[arg(long, value_enum, default_value = "polar")]
     method: MethodName,
-    /// What glossy surfaces reflect of the environment: its lobes, or its image in the
-    /// places where the lobes are visible.
-    #[arg(long, value_enum, default_value = "lobes")]
+    /// What surfaces see of the environment: its lobes alone, or also what its image has beyond
+    /// them.
+    #[arg(long, value_enum, default_value = "auto")]
     reflections: ReflectionsName,
     /// Polar: how many spokes per lobe.
     #[arg(long, value_enum, default_value = "standard")]
@@ -313,6 +313,8 @@ enum QualityName {
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum ReflectionsName {
+    /// The image where the environment has one
+    Auto,
     Lobes,
     Prefiltered,
 }
@@ -400,6 +402,7 @@ fn run_render(arguments: &Render) -> anyhow::Result<Value> {
     let picture = &arguments.picture;
     let local_lights = read_local_lights(picture.lights.as_deref())?;
     let reflections = match arguments.reflections {
+        ReflectionsName::Auto => prefiltered,
         ReflectionsName::Lobes => None,
         ReflectionsName::Prefiltered => Some(prefiltered.with_context(|| {
             format!(
@@ -798,8 +801,9 @@ fn read_environment(path: &Path) -> anyhow::Result<(Vec<SphericalGaussian>, Opti
     let bytes = read(path)?;
     let environment: Environment = relight_format::read_environment(&bytes, &Limits::default())
         .with_context(|| path.display().to_string())?;
-    let lobes = environment.lobes.iter().map(Into::into).collect();
-    Ok((lobes, Prefiltered::new(&environment.prefiltered)))
+    let lobes: Vec<_> = environment.lobes.iter().map(Into::into).collect();
+    let image = Prefiltered::new(&environment.prefiltered, &lobes);
+    Ok((lobes, image))
 }
 
 /// The `[[lights]]` of a scene file.

@@ -42,7 +42,7 @@ pub struct FitOptions {
 impl Default for FitOptions {
     fn default() -> Self {
         Self {
-            lobes: 32,
+            lobes: 64,
             max_error: None,
         }
     }

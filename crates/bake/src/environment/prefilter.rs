@@ -84,7 +84,7 @@ mod tests {
         let image = render(&[light], 256, 128);
         let levels = prefilter(&image);
         assert_eq!(levels.levels(), Some(7));
-        let seen = prefiltered::Prefiltered::new(&levels).unwrap();
+        let seen = prefiltered::Prefiltered::new(&levels, &[]).unwrap();
         let light = relight_shading::spherical_gaussian::SphericalGaussian::from(&light);
         for sharpness in [2000.0, 300.0, 50.0, 25.0] {
             for aside in [0.0, 0.05, 0.2] {

@@ -300,9 +300,8 @@ fn stripes() -> Prefiltered {
             ))
         })
     });
-    Prefiltered::new(&relight_format::Prefiltered {
-        texels: texels.collect(),
-    })
+    let texels = texels.collect();
+    Prefiltered::new(&relight_format::Prefiltered { texels }, &[])
     .expect("whole levels")
 }
 

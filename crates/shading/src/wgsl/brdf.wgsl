@@ -47,7 +47,8 @@ fn brdf_shape(reflection: Reflection, wo: vec3<f32>) {
     let round = ratio < BRDF_ROUND_RATIO;
     let alpha = reflection.alpha;
     let isotropic = max(alpha.x, alpha.y) < BRDF_ISOTROPIC_RATIO * min(alpha.x, alpha.y);
-    let pairs = select(BRDF_ANISOTROPIC_PAIRS, BRDF_ISOTROPIC_PAIRS, isotropic);
+    let few = isotropic && model != MODEL_GGX;
+    let pairs = select(BRDF_ANISOTROPIC_PAIRS, BRDF_ISOTROPIC_PAIRS, few);
     let table = 2u * u32(model == MODEL_GGX) + u32(!isotropic);
     let position = log2(max(ratio, 1.0)) * BRDF_MIXTURES_PER_OCTAVE;
     let node = min(u32(position), BRDF_MIXTURES - 2u);

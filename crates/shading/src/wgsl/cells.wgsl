@@ -1,7 +1,7 @@
 // Twin of cells.rs. The lobes of one call are enumerated by cells_lobe, in place of a list.
 
-// The wide lights on a Lambertian surface, the lobe `cells_single`, or the products of lights
-// with `specular_lobes`.
+// The wide lights on a Lambertian surface, the lobe `cells_single`, or what `cells_reflection`
+// makes of wide lights.
 const CELLS_WIDE: u32 = 0u;
 const CELLS_SINGLE: u32 = 1u;
 const CELLS_PRODUCTS: u32 = 2u;
@@ -10,7 +10,9 @@ var<private> cells_kind: u32;
 var<private> cells_single: SphericalGaussian;
 // Range of lights, where they are seen from, and what a Lambertian surface reflects.
 var<private> cells_first_light: u32;
-var<private> cells_position: vec3<f32>;
+var<private> cells_point: SurfacePoint;
+// Its lobes are those of brdf_specular_lobes.
+var<private> cells_reflection: Reflection;
 var<private> cells_diffuse: vec3<f32>;
 
 // The frame of the cells: columns are its axes. Normal in it.
@@ -40,7 +42,7 @@ fn cells_lobe_count() -> u32 {
     if cells_kind == CELLS_WIDE {
         return all;
     }
-    return (all - cells_first_light) * specular_count;
+    return all - cells_first_light;
 }
 
 // In world space; of no amplitude if it is none of the call's.
@@ -49,13 +51,16 @@ fn cells_lobe(index: u32) -> SphericalGaussian {
         return cells_single;
     }
     if cells_kind == CELLS_WIDE {
-        var light = shade_light(index, cells_position);
+        var light = shade_light(index, cells_point.position);
         light.amplitude *= select(cells_diffuse, vec3(0.0), light.sharpness > CELLS_NARROW);
         return light;
     }
-    var light = shade_light(cells_first_light + index / specular_count, cells_position);
-    light.amplitude *= select(vec3(1.0), vec3(0.0), light.sharpness > CELLS_NARROW);
-    return spherical_gaussian_product(light, specular_lobes[index % specular_count]);
+    var light = shade_light(cells_first_light + index, cells_point.position);
+    if light.sharpness <= CELLS_NARROW {
+        return glossy_reflected(cells_point, cells_reflection, light, vec3(0.0));
+    }
+    light.amplitude = vec3(0.0);
+    return light;
 }
 
 // ∫ of sin², sin cos, sin³, sin² cos and sin cos² over `width` from `start`.

@@ -40,8 +40,9 @@ fn prefiltered_texel(start: u32, at: vec2<i32>, n: u32) -> vec3<f32> {
     let index = start + u32(inside.y) * n + u32(inside.x);
     let place = vec2(index % PREFILTERED_TEXTURE_WIDTH, index / PREFILTERED_TEXTURE_WIDTH);
     let texel = textureLoad(prefiltered, place, 0).x;
-    let channels = vec3(texel & 511u, texel >> 9u & 511u, texel >> 18u & 511u);
-    // 2^(exponent − 24), exact.
-    let power = bitcast<f32>(((texel >> 27u) + 103u) << 23u);
+    let bits = bitcast<i32>(texel);
+    let channels = vec3(extractBits(bits, 0u, 9u), extractBits(bits, 9u, 9u), extractBits(bits, 18u, 9u));
+    // 2^(exponent − 22), exact.
+    let power = bitcast<f32>(((texel >> 27u) + 105u) << 23u);
     return vec3<f32>(channels) * power;
 }

@@ -31,14 +31,13 @@ fn shade(point: SurfacePoint) -> vec3<f32> {
     }
     sum = shade_lobes(point);
     if frame.prefiltered_levels > 0u {
+        sum += shade_diffused(point);
         for (var k = 0u; k < reflection_count; k++) {
             brdf_specular_lobes(point, reflections[k]);
-            for (var j = 0u; j < specular_count; j++) {
-                sum += shade_reflected(specular_lobes[j], point.normal);
-            }
+            sum += shade_reflected(point, reflections[k]);
         }
     }
-    return sum;
+    return max(sum, vec3(0.0));
 }
 
 // Lights of specular reflection begin here: no prefiltered image stands for them.
@@ -55,28 +54,64 @@ fn shade_light(index: u32, position: vec3<f32>) -> SphericalGaussian {
     return SphericalGaussian(light.axis, light.sharpness, light.amplitude);
 }
 
-// What one specular lobe reflects of the prefiltered image.
-fn shade_reflected(lobe: SphericalGaussian, normal: vec3<f32>) -> vec3<f32> {
-    let incoming = prefiltered_radiance(frame.environment_rotation * lobe.axis, lobe.sharpness);
-    let image = spherical_gaussian_integral(lobe) * incoming;
-    let even = SHADE_EVEN * lobe.amplitude * incoming;
-    var reflected = even * shade_visible(lobe, SHADE_EVEN, normal);
-    var through = vec3(0.0);
+// What a Lambertian surface reflects of the image beyond the lights.
+fn shade_diffused(point: SurfacePoint) -> vec3<f32> {
+    let diffuse = point.appearance.diffuse / PI;
+    if all(diffuse == vec3(0.0)) {
+        return vec3(0.0);
+    }
+    var seen = vec3(0.0);
+    var whole = 0.0;
+    for (var i = 0u; i <= SHADE_RING; i++) {
+        var axis = point.normal;
+        if i > 0u {
+            let azimuth = 2.0 * PI * f32(i) / f32(SHADE_RING);
+            let aside = point.tangent * cos(azimuth) + point.bitangent * sin(azimuth);
+            axis = SHADE_RING_COSINE * axis + sqrt(1.0 - SHADE_RING_COSINE * SHADE_RING_COSINE) * aside;
+        }
+        let beyond = prefiltered_radiance(frame.environment_rotation * axis, SHADE_RING_SHARPNESS);
+        whole += tables_cosine_integral(SHADE_RING_SHARPNESS, dot(point.normal, axis));
+        seen += beyond * ambient_integrate(SHADE_RING_SHARPNESS, axis, point.normal);
+    }
+    return diffuse * seen * (PI / whole);
+}
+
+// What a specular reflection shows of the environment, in the places where the lights are
+// visible.
+fn shade_reflected(point: SurfacePoint, reflection: Reflection) -> vec3<f32> {
+    var image = vec3(0.0);
+    for (var j = 0u; j < specular_count; j++) {
+        let lobe = specular_lobes[j];
+        let part = lobe.amplitude * tables_cosine_integral(lobe.sharpness, dot(point.normal, lobe.axis));
+        image += part * prefiltered_radiance(frame.environment_rotation * lobe.axis, lobe.sharpness);
+    }
+    var scaled = vec3(0.0);
+    var seen = vec3(0.0);
     for (var i = 0u; i < frame.light_count; i++) {
         let light = SphericalGaussian(lights[i].axis, lights[i].sharpness, lights[i].amplitude);
-        let product = spherical_gaussian_product(light, lobe);
-        let whole = spherical_gaussian_integral(product);
-        if !shade_negligible(whole, through) {
-            let share = shade_share(whole, through);
-            through += whole;
-            reflected += product.amplitude * shade_visible(product, share, normal);
+        let lobe = glossy_reflected(point, reflection, light, scaled);
+        let cosine = dot(point.normal, lobe.axis);
+        let whole = lobe.amplitude * tables_cosine_integral(lobe.sharpness, cosine);
+        if !shade_negligible(whole, scaled) {
+            let share = shade_share(whole, scaled);
+            scaled += whole;
+            seen += lobe.amplitude * shade_visible(lobe, share, point.normal);
         }
     }
-    let wide = SHADE_DETAIL_SHARPNESS.x;
-    let sharp = SHADE_DETAIL_SHARPNESS.y;
-    let detail = clamp(log(lobe.sharpness / wide) / log(sharp / wide), 0.0, 1.0);
-    let least = vec3(1.17549435e-38);
-    return reflected * mix(through, image, detail) / max(through + SHADE_EVEN * image, least);
+    // Lobes that are not quite the model may miss more than there is.
+    let unshadowed = max(image + scaled, SHADE_LEAST_OF_LIGHTS * scaled);
+    // The part of a light from everywhere that is visible: where the lights are dark, it alone
+    // tells.
+    let white = SphericalGaussian(point.normal, 0.0, vec3(1.0));
+    let everywhere = glossy_reflected(point, reflection, white, vec3(0.0));
+    if all(everywhere.amplitude == vec3(0.0)) {
+        return vec3(0.0);
+    }
+    let cosine = dot(point.normal, everywhere.axis);
+    let whole = tables_cosine_integral(everywhere.sharpness, cosine);
+    let part = shade_visible(everywhere, SHADE_EVEN, point.normal) / max(whole, 1.17549435e-38);
+    let even = SHADE_EVEN * max(unshadowed, scaled);
+    return unshadowed * (seen + even * part) / max(scaled + even, vec3(1.17549435e-38));
 }
 
 // What a lobe of the integral `whole` can add, in what has been gathered before, in the channel

@@ -3,7 +3,7 @@
 fn shade_lobes(point: SurfacePoint) -> vec3<f32> {
     var sum = vec3(0.0);
     let all = frame.light_count + frame.local_light_count;
-    cells_position = point.position;
+    cells_point = point;
     cells_diffuse = point.appearance.diffuse / PI;
     if any(cells_diffuse != vec3(0.0)) {
         cells_kind = CELLS_WIDE;
@@ -18,7 +18,8 @@ fn shade_lobes(point: SurfacePoint) -> vec3<f32> {
     }
     cells_first_light = shade_first_light();
     for (var k = 0u; k < reflection_count; k++) {
-        brdf_specular_lobes(point, reflections[k]);
+        cells_reflection = reflections[k];
+        brdf_specular_lobes(point, cells_reflection);
         cells_kind = CELLS_PRODUCTS;
         let around = cells_around();
         sum += cells_integrate(around.xyz, around.w, point.normal);
@@ -27,28 +28,24 @@ fn shade_lobes(point: SurfacePoint) -> vec3<f32> {
     return sum;
 }
 
-// Products of narrow lights with `specular_lobes`.
+// What `cells_reflection` makes of narrow lights.
 fn shade_narrow(normal: vec3<f32>) -> vec3<f32> {
     var sum = vec3(0.0);
     let all = frame.light_count + frame.local_light_count;
     var carried = vec3(0.0);
     for (var i = cells_first_light; i < all; i++) {
-        let light = shade_light(i, cells_position);
-        for (var j = 0u; j < specular_count; j++) {
-            let product = spherical_gaussian_product(light, specular_lobes[j]);
-            carried += spherical_gaussian_integral(product);
-        }
+        let light = shade_light(i, cells_point.position);
+        let lobe = glossy_reflected(cells_point, cells_reflection, light, vec3(0.0));
+        carried += spherical_gaussian_integral(lobe);
     }
     for (var i = cells_first_light; i < all; i++) {
-        let light = shade_light(i, cells_position);
+        let light = shade_light(i, cells_point.position);
         if light.sharpness <= CELLS_NARROW {
             continue;
         }
-        for (var j = 0u; j < specular_count; j++) {
-            let product = spherical_gaussian_product(light, specular_lobes[j]);
-            if !shade_negligible(spherical_gaussian_integral(product), carried) {
-                sum += shade_single(product, normal);
-            }
+        let lobe = glossy_reflected(cells_point, cells_reflection, light, vec3(0.0));
+        if !shade_negligible(spherical_gaussian_integral(lobe), carried) {
+            sum += shade_single(lobe, normal);
         }
     }
     return sum;

@@ -17,10 +17,8 @@ fn shade_lobes(point: SurfacePoint) -> vec3<f32> {
             brdf_specular_lobes(point, reflections[k]);
             for (var i = begin; i < all; i++) {
                 let light = shade_light(i, point.position);
-                for (var j = 0u; j < specular_count; j++) {
-                    let lobe = spherical_gaussian_product(light, specular_lobes[j]);
-                    sum += shade_lobe(lobe, point.normal, sum);
-                }
+                let lobe = glossy_reflected(point, reflections[k], light, sum);
+                sum += shade_lobe(lobe, point.normal, sum);
             }
         }
     }

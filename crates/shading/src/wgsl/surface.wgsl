@@ -71,6 +71,14 @@ fn surface_point(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32
     }
 
     let view = surface_unit_or(frame.eye - position, normal);
+    if dot(geometric_normal, view) > 0.0 && dot(normal, view) < SURFACE_LEAST_VIEW_COSINE {
+        // Interpolated or mapped, the normal turned away from an eye that sees the surface:
+        // it is bent back as far as models reflect at all.
+        let aside = surface_unit_or(normal - dot(normal, view) * view, tangent);
+        let sine = sqrt(1.0 - SURFACE_LEAST_VIEW_COSINE * SURFACE_LEAST_VIEW_COSINE);
+        normal = surface_unit_or(SURFACE_LEAST_VIEW_COSINE * view + sine * aside, view);
+        tangent = surface_orthogonal_unit(tangent, normal);
+    }
     // Direction of anisotropy relative to the tangent, and its strength.
     var direction = vec2(1.0, 0.0);
     var strength = 1.0;
@@ -120,6 +128,27 @@ fn surface_point(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32
             tangent = surface_unit_or(tangent * direction.x + bitangent * direction.y, tangent);
         }
         appearance.diffuse = surface_layers(material_index, uv, dot(normal, view));
+    }
+
+    var anisotropic = false;
+    for (var i = 0u; i < reflection_count; i++) {
+        let alpha = reflections[i].alpha;
+        anisotropic = anisotropic || (reflections[i].model != MODEL_NONE && alpha.x != alpha.y);
+    }
+    if anisotropic && materials[material_index].surface == SURFACE_LAYERED {
+        // glTF says that the frame is interpolated from the vertices; that of other materials is
+        // the triangle's own: x along the derivative of position by u, up to its length. Zero
+        // without texture coordinates.
+        let to_b = vec2(b.u - a.u, b.v - a.v);
+        let to_c = vec2(c.u - a.u, c.v - a.v);
+        let turn = select(-1.0, 1.0, to_b.x * to_c.y - to_b.y * to_c.x >= 0.0);
+        let along = ((b.position - a.position) * to_c.y - (c.position - a.position) * to_b.y) * turn;
+        let flat = along - normal * dot(along, normal);
+        let size = length(flat);
+        // As the twin: what rounds to no length is no direction.
+        if size > 1e-19 {
+            tangent = flat / size;
+        }
     }
 
     var point: SurfacePoint;

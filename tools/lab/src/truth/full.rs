@@ -4,12 +4,12 @@
 
 use std::f32::consts::PI;
 
-use glam::{Mat3, Vec2, Vec3};
+use glam::{Mat3, Vec3};
 use relight_bake::environment::hdr::LatLong;
 use relight_bake::measured::{self, Table};
 use relight_bake::scene::load::SceneInput;
 use relight_format::{
-    BakeReport, Representation, Scene, Surface, Triangle, Vertex, VisibilityParameters,
+    BakeReport, Representation, Scene, Triangle, VisibilityParameters,
 };
 use relight_shading::gpu;
 use relight_shading::reference;
@@ -90,7 +90,7 @@ pub fn render(
             let material = geometry.scene.triangles[triangle].material as usize;
             let table = measured.get(material).and_then(Option::as_ref);
             Some(Reflector {
-                point: exact_frame(&point, geometry.scene, triangle),
+                point,
                 table,
             })
         };
@@ -121,40 +121,6 @@ pub fn render(
             (radiance / samples as f32, coverage / samples as f32)
         })
     })
-}
-
-/// The frame in which `point` is anisotropic. glTF says that it is interpolated from the
-/// vertices; for other materials it is the triangle's own: x where the texture coordinate u
-/// grows.
-fn exact_frame(point: &SurfacePoint, scene: &Scene, triangle: usize) -> SurfacePoint {
-    let triangle = &scene.triangles[triangle];
-    let material = &scene.materials[triangle.material as usize];
-    let isotropic = point
-        .appearance
-        .reflections()
-        .all(|reflection| reflection.alpha.x == reflection.alpha.y);
-    if isotropic || !matches!(material.surface, Surface::Layered { .. }) {
-        return *point;
-    }
-    let [a, b, c] = triangle
-        .vertices
-        .map(|vertex| &scene.vertices[vertex as usize]);
-    let edge = |to: &Vertex| Vec3::from(to.position) - Vec3::from(a.position);
-    let step = |to: &Vertex| Vec2::from(to.uv) - Vec2::from(a.uv);
-    let (b, c) = ((edge(b), step(b)), (edge(c), step(c)));
-    // ∂position/∂u by Cramer's rule, up to its length; zero without texture coordinates.
-    let along = (b.0 * c.1.y - c.0 * b.1.y) * b.1.perp_dot(c.1).signum();
-    let tangent = along
-        .reject_from_normalized(point.normal)
-        .normalize_or_zero();
-    if tangent == Vec3::ZERO {
-        return *point;
-    }
-    SurfacePoint {
-        tangent,
-        bitangent: point.normal.cross(tangent),
-        ..*point
-    }
 }
 
 /// A surface point and the exact way it reflects.
@@ -598,29 +564,20 @@ mod tests {
         };
         let view = test_scene::view(4);
         let tangent = |scene: &Scene| {
-            let Seen {
-                point, triangle, ..
-            } = Geometry::new(scene, view).seen(2.0, 2.0).unwrap();
-            let exact = exact_frame(&point, scene, triangle);
-            assert_eq!(exact.bitangent, exact.normal.cross(exact.tangent));
-            (point.tangent, exact.tangent)
+            let point = Geometry::new(scene, view).seen(2.0, 2.0).unwrap().point;
+            assert_eq!(point.bitangent, point.normal.cross(point.tangent));
+            point.tangent
         };
         scene.materials[0].surface = alpha([0.1, 0.4]);
-        assert!(
-            tangent(&scene)
-                .1
-                .distance(Vec3::new(1.0, 0.0, 2.0).normalize())
-                < 1e-6
-        );
+        assert!(tangent(&scene).distance(Vec3::new(1.0, 0.0, 2.0).normalize()) < 1e-6);
         scene.materials[0].surface = alpha([0.4, 0.4]);
-        let (vertex, exact) = tangent(&scene);
-        assert_eq!(vertex, exact);
+        let vertex = tangent(&scene);
+        assert!(vertex.distance(Vec3::new(1.0, 0.0, 2.0).normalize()) > 0.1);
         scene.materials[0].surface = alpha([0.1, 0.4]);
         for vertex in &mut scene.vertices {
             vertex.uv = [0.0; 2];
         }
-        let (vertex, exact) = tangent(&scene);
-        assert_eq!(vertex, exact);
+        assert_eq!(tangent(&scene), vertex);
     }
 
     #[test]

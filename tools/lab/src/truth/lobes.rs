@@ -159,6 +159,8 @@ impl Mixture {
         product_lobes(point, lighting, |lobe| {
             bound += luminance(lobe.integral().into());
             lobes.push(lobe);
+            // Nothing is to be left out.
+            Vec3::ZERO
         });
         lobes.retain(|lobe| luminance(lobe.integral().into()) > NEGLIGIBLE * bound);
         // Neighbours in direction become neighbours in the sums, so that systematic sampling

@@ -1,0 +1,212 @@
+//! What a specular reflection shows of one light: a single Gaussian that carries the
+//! reflection model's own value.
+//!
+//! The lobes of [`crate::brdf`] give the shape. A light times a handful of them is as many
+//! Gaussians. How bright each is says the model: its value over that of all lobes, averaged over
+//! five points of the Gaussian. So tails, grazing angles, Fresnel and masking are the model's
+//! where lobes are only near it. Then one Gaussian of the same integral, mean direction and spread
+//! replaces them, and visibility is integrated once for every light and reflection.
+
+use glam::Vec3;
+
+use crate::brdf::{SpecularLobes, specular_lobes};
+use crate::reference;
+use crate::spherical_gaussian::{SphericalGaussian, energy};
+use crate::surface::{Reflection, SurfacePoint};
+use crate::tables::Tables;
+
+/// Points beside the centre lie at this many standard deviations along two axes: with the
+/// weights below, the Gauss-Hermite rule of degree 3 in each.
+const POINT_DEVIATIONS: f32 = 1.732_050_8;
+const CENTER_WEIGHT: f32 = 1.0 / 3.0;
+const POINT_WEIGHT: f32 = 1.0 / 6.0;
+/// Largest tangent of the angle between the centre and another point.
+const FARTHEST_POINT: f32 = 2.0;
+/// Least mean cosine over the points of a Gaussian that reflects at all.
+const LEAST_COSINE: f32 = 1e-4;
+/// Least 1 − |mean vector|² of a Gaussian: below, roundings of unit vectors are as large.
+const LEAST_SPREAD: f32 = 1e-7;
+/// Least integral of a light's products: below, their quotients are roundings.
+const LEAST_MASS: f32 = 1e-30;
+/// Products below this part of a light's are left to the others.
+const LEAST_PART: f32 = 0.01;
+/// The model's value may exceed that of the lobes by this factor where a light is too faint to be
+/// looked at.
+const TAIL: f32 = 30.0;
+/// Most by which a light's reflection may exceed its energy times the model's value at a point.
+const EXCESS: f32 = 8.0;
+
+/// One specular reflection of a surface point towards its eye, ready to meet lights.
+pub struct Glossy<'a> {
+    point: &'a SurfacePoint,
+    reflection: &'a Reflection,
+    view: Vec3,
+    lobes: SpecularLobes,
+}
+
+impl<'a> Glossy<'a> {
+    /// The reflection `reflection` of `point`.
+    pub fn new(point: &'a SurfacePoint, reflection: &'a Reflection) -> Self {
+        Self {
+            point,
+            reflection,
+            view: point.to_local(point.view),
+            lobes: specular_lobes(point, reflection),
+        }
+    }
+
+    /// The lobes.
+    pub fn lobes(&self) -> &[SphericalGaussian] {
+        self.lobes.as_slice()
+    }
+
+    /// What each lobe reflects of a radiance of 1 from everywhere.
+    pub fn whites(&self) -> impl Iterator<Item = Vec3> {
+        self.lobes().iter().map(|lobe| {
+            let cosine = self.point.normal.dot(lobe.axis);
+            lobe.amplitude * Tables::get().cosine_integral(lobe.sharpness, cosine)
+        })
+    }
+
+    /// What the reflection shows of `light`: the radiance towards the eye is the integral of the
+    /// Gaussian times the cosine with the normal over what is visible. None where there is
+    /// nothing to see, or nothing that is not `negligible`.
+    pub fn reflected(
+        &self,
+        light: &SphericalGaussian,
+        negligible: impl Fn(Vec3) -> bool,
+    ) -> Option<SphericalGaussian> {
+        let first = self.lobes.as_slice().first()?;
+        let white = SphericalGaussian {
+            amplitude: Vec3::ONE,
+            ..*light
+        };
+        let times = |lobe: &SphericalGaussian| {
+            white.product(&SphericalGaussian {
+                amplitude: Vec3::splat(grey(lobe)),
+                ..*lobe
+            })
+        };
+        let mut all = 0.0;
+        for lobe in self.lobes() {
+            let product = times(lobe);
+            all += product.amplitude.x * energy(product.sharpness);
+        }
+        let color = light.amplitude * (first.amplitude / grey(first));
+        if all < LEAST_MASS || negligible(TAIL * all * color) {
+            return None;
+        }
+        // Directions are differences to one among them, which keeps the digits of narrow
+        // lobes.
+        let mut origin = None;
+        let (mut used, mut total) = (0.0, Vec3::ZERO);
+        let (mut mass, mut rest, mut squares, mut mean) = (0.0, 0.0, 0.0, Vec3::ZERO);
+        for lobe in self.lobes() {
+            let product = times(lobe);
+            let part = product.amplitude.x * energy(product.sharpness);
+            if part < LEAST_PART * all {
+                continue;
+            }
+            used += part;
+            let scaled = self.scaled(&product, part, EXCESS * energy(light.sharpness));
+            total += scaled;
+            let weight = scaled.element_sum();
+            let short = shortening(product.sharpness);
+            let offset = product.axis - *origin.get_or_insert(product.axis);
+            mass += weight;
+            rest += weight * short;
+            mean += weight * (1.0 - short) * offset;
+            squares += weight * (1.0 - short) * offset.length_squared();
+        }
+        if mass < LEAST_MASS {
+            return None;
+        }
+        let origin = origin?;
+        (rest, mean, squares) = (rest / mass, mean / mass, squares / mass);
+        // 1 − |m|² for the mean vector m = (1 − rest) origin + mean, without the difference
+        // of nearly equal numbers: origin · mean is half the sum of squared offsets, below 0.
+        let spread = rest * (2.0 - rest) + (1.0 - rest) * squares - mean.length_squared();
+        let spread = spread.clamp(LEAST_SPREAD, 1.0);
+        let sharpness = (1.0 - spread).sqrt() * (2.0 + spread) / spread;
+        Some(SphericalGaussian {
+            axis: unit_or((1.0 - rest) * origin + mean, origin),
+            sharpness,
+            amplitude: light.amplitude * total * (all / (used * energy(sharpness))),
+        })
+    }
+
+    /// The integral of a product of a white light and a lobe, `part`, as the model makes it: in
+    /// all at most `most` times the model's value.
+    fn scaled(&self, product: &SphericalGaussian, part: f32, most: f32) -> Vec3 {
+        let reach = (POINT_DEVIATIONS / (product.sharpness + 0.5).sqrt()).min(FARTHEST_POINT);
+        let (u, v) = frame(product.axis);
+        let offsets = [Vec3::ZERO, reach * u, -reach * u, reach * v, -reach * v];
+        let (mut sum, mut whole) = (Vec3::ZERO, 0.0);
+        for (index, offset) in offsets.into_iter().enumerate() {
+            let direction = (product.axis + offset).normalize();
+            let local = self.point.to_local(direction);
+            if local.z > 0.0 {
+                let values = self.lobes().iter().map(|lobe| lobe.evaluate(direction));
+                let lobes = values.sum::<Vec3>().element_sum();
+                let model = reference::evaluate_specular(self.reflection, local, self.view);
+                let weight = if index == 0 { CENTER_WEIGHT } else { POINT_WEIGHT };
+                let times = (part / lobes.max(f32::MIN_POSITIVE)).min(most);
+                sum += weight * local.z * times * model;
+                whole += weight * local.z;
+            }
+        }
+        sum / whole.max(LEAST_COSINE)
+    }
+}
+
+/// A lobe's weight without its colour, which all lobes of a reflection share.
+fn grey(lobe: &SphericalGaussian) -> f32 {
+    lobe.amplitude.element_sum()
+}
+
+/// By how much a lobe's mean vector is shorter than 1: 1 − coth λ + 1/λ.
+fn shortening(sharpness: f32) -> f32 {
+    if sharpness < 0.25 {
+        return 1.0 - sharpness * (1.0 / 3.0 - sharpness * sharpness / 45.0);
+    }
+    1.0 / sharpness - 2.0 / ((2.0 * sharpness.min(40.0)).exp() - 1.0)
+}
+
+/// Two unit vectors at right angles to the unit vector `axis` (Duff et al. 2017).
+fn frame(axis: Vec3) -> (Vec3, Vec3) {
+    let sign = if axis.z < 0.0 { -1.0 } else { 1.0 };
+    let a = -1.0 / (sign + axis.z);
+    let b = axis.x * axis.y * a;
+    (
+        Vec3::new(1.0 + sign * axis.x * axis.x * a, sign * b, -sign * axis.x),
+        Vec3::new(b, sign + axis.y * axis.y * a, -axis.y),
+    )
+}
+
+fn unit_or(vector: Vec3, otherwise: Vec3) -> Vec3 {
+    let squared = vector.length_squared();
+    if squared > 1e-30 {
+        vector / squared.sqrt()
+    } else {
+        otherwise
+    }
+}
+
+/// The constants of this module, as WGSL.
+pub fn wgsl_constants() -> String {
+    let reals = [
+        ("POINT_DEVIATIONS", POINT_DEVIATIONS),
+        ("CENTER_WEIGHT", CENTER_WEIGHT),
+        ("POINT_WEIGHT", POINT_WEIGHT),
+        ("FARTHEST_POINT", FARTHEST_POINT),
+        ("LEAST_COSINE", LEAST_COSINE),
+        ("LEAST_SPREAD", LEAST_SPREAD),
+        ("LEAST_MASS", LEAST_MASS),
+        ("LEAST_PART", LEAST_PART),
+        ("TAIL", TAIL),
+        ("EXCESS", EXCESS),
+    ];
+    reals
+        .map(|(name, value)| format!("const GLOSSY_{name}: f32 = {value:?};\n"))
+        .concat()
+}

@@ -17,10 +17,11 @@ pub struct Frame<'a> {
     pub camera: Camera,
     /// Distant light, for instance the lobes of a [`relight_format::Environment`].
     pub lights: &'a [SphericalGaussian],
-    /// The environment's image, which specular lobes then reflect in place of `lights`; those
-    /// say how much of it is visible.
+    /// What the environment's image has beyond `lights`, as they are here before they are turned;
+    /// without it, surfaces see the lights alone. Sharp reflections show it where the lights say
+    /// that the environment is visible.
     pub reflections: Option<&'a Prefiltered>,
-    /// Turns the lights and the reflected image, world space.
+    /// Turns the lights and the image, world space.
     pub rotation: Quat,
     /// Lights inside the scene, at most [`MAX_LOCAL_LIGHTS`](relight_shading::gpu::MAX_LOCAL_LIGHTS).
     pub local_lights: &'a [LocalLight],

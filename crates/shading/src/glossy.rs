@@ -149,7 +149,11 @@ impl<'a> Glossy<'a> {
                 let values = self.lobes().iter().map(|lobe| lobe.evaluate(direction));
                 let lobes = values.sum::<Vec3>().element_sum();
                 let model = reference::evaluate_specular(self.reflection, local, self.view);
-                let weight = if index == 0 { CENTER_WEIGHT } else { POINT_WEIGHT };
+                let weight = if index == 0 {
+                    CENTER_WEIGHT
+                } else {
+                    POINT_WEIGHT
+                };
                 let times = (part / lobes.max(f32::MIN_POSITIVE)).min(most);
                 sum += weight * local.z * times * model;
                 whole += weight * local.z;

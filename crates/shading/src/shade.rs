@@ -6,6 +6,7 @@ use std::f32::consts::{FRAC_1_PI, FRAC_PI_2, PI, TAU};
 use glam::{Mat3, Vec3};
 
 use crate::cells::CellsOptions;
+use crate::glossy::Glossy;
 use crate::gpu;
 use crate::polar::PolarOptions;
 use crate::prefiltered::Prefiltered;
@@ -13,7 +14,6 @@ use crate::spherical_gaussian::SphericalGaussian;
 use crate::ssdf::SignedDistance;
 use crate::surface::SurfacePoint;
 use crate::tables::Tables;
-use crate::glossy::Glossy;
 use crate::{ambient, cells, polar};
 
 /// A product lobe whose whole energy is below this fraction of the radiance gathered so
@@ -148,7 +148,13 @@ pub fn shade_counting(
                 visible(lobe, share, point.normal, field, *method)
             };
             let glossy = Glossy::new(point, reflection);
-            radiance += reflected(&glossy, point.normal, lighting.lights, reflections, &mut visible);
+            radiance += reflected(
+                &glossy,
+                point.normal,
+                lighting.lights,
+                reflections,
+                &mut visible,
+            );
         }
     }
     radiance.max(Vec3::ZERO)
@@ -244,7 +250,9 @@ fn diffused(
             let aside = point.tangent * cosine + point.bitangent * sine;
             axis = RING_COSINE * axis + (1.0 - RING_COSINE * RING_COSINE).sqrt() * aside;
         }
-        let beyond = reflections.image.radiance(reflections.rotation * axis, RING_SHARPNESS);
+        let beyond = reflections
+            .image
+            .radiance(reflections.rotation * axis, RING_SHARPNESS);
         let cosine = point.normal.dot(axis);
         *integrals += 1;
         whole += Tables::get().cosine_integral(RING_SHARPNESS, cosine);

@@ -4,8 +4,8 @@ use std::fmt::Write as _;
 
 use crate::surface::{Join, Model};
 use crate::{
-    brdf, cells, glossy, gpu, local_light, polar, prefiltered, shade, spherical_gaussian, surface, tables,
-    tonemap,
+    brdf, cells, glossy, gpu, local_light, polar, prefiltered, shade, spherical_gaussian, surface,
+    tables, tonemap,
 };
 
 /// What a shader module is for.

@@ -332,7 +332,7 @@ pub struct EnvironmentArguments {
     /// Asset to write.
     #[arg(short, long, value_name = "OUT.relight")]
     pub output: PathBuf,
-    /// Spherical Gaussians to fit, 1 to 1024; with --max-error, at most [default: 32, with
+    /// Spherical Gaussians to fit, 1 to 1024; with --max-error, at most [default: 64, with
     /// --max-error 256].
     #[arg(long, value_name = "N", value_parser = lobes)]
     lobes: Option<usize>,

@@ -307,6 +307,15 @@ fn bake_material(arguments: &MaterialArguments, monitor: Monitor) -> anyhow::Res
             (None, None) => fit::Stop::default(),
         };
         let fit = fit::fit(&table, stop);
+        if let Some(most) = arguments.max_error
+            && fit.relative_l2 > most
+        {
+            anyhow::bail!(
+                "relative L2 error: expected at most {most}, found {:.4} with {} lobes",
+                fit.relative_l2,
+                fit.lobes.len(),
+            );
+        }
         report.relative_l2 = fit.relative_l2 as f32;
         report.shaded_relative_l2 = fit.shaded_relative_l2 as f32;
         report.albedo_error = fit.albedo_error as f32;

@@ -29,9 +29,9 @@ use crate::solve::amplitude;
 /// When to stop adding lobes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Stop {
-    /// At this many, 1 to [`MAX_FITTED_LOBES`].
+    /// At this many, 1 to [`MAX_FITTED_LOBES`]; fewer where more have a larger relative L2 error.
     Lobes(usize),
-    /// At this relative L2 error, or the most lobes.
+    /// At this relative L2 error; the least that was found if none reaches it.
     Error(f64),
     /// When a lobe takes less than this fraction off the error that is minimised and off the plain
     /// one as it is shaded, or at the most lobes.
@@ -372,6 +372,7 @@ fn fit_pairs(pairs: &[Pair], stop: Stop) -> Fit {
     };
     let mut lobes: Vec<(f32, [Column; 2])> = Vec::new();
     let mut best = with(&lobes);
+    let mut kept: Option<Fit> = None;
     while lobes.len() < most {
         let before = best.error;
         let mut candidate = lobes.clone();
@@ -413,11 +414,24 @@ fn fit_pairs(pairs: &[Pair], stop: Stop) -> Fit {
             }
         }
         (lobes, best) = (candidate, refined);
-        if matches!(stop, Stop::Error(most) if measured(pairs, &lobes, &best).relative_l2 <= most) {
+        if matches!(stop, Stop::Gain(_)) {
+            continue;
+        }
+        // What is minimised is not what is reported: a lobe more may not make that worse.
+        let fit = measured(pairs, &lobes, &best);
+        if kept
+            .as_ref()
+            .is_none_or(|kept| fit.relative_l2 < kept.relative_l2)
+        {
+            kept = Some(fit);
+        }
+        if let (Stop::Error(most), Some(kept)) = (stop, &kept)
+            && kept.relative_l2 <= most
+        {
             break;
         }
     }
-    measured(pairs, &lobes, &best)
+    kept.unwrap_or_else(|| measured(pairs, &lobes, &best))
 }
 
 /// The fit of a solution, with its errors.
@@ -578,8 +592,7 @@ mod tests {
         let mut last = f64::INFINITY;
         for count in 1..=4 {
             let fit = fit_pairs(&pairs, Stop::Lobes(count));
-            // It is the weighted error that cannot grow.
-            assert!(fit.relative_l2 <= 1.05 * last, "{count}: {fit:?}");
+            assert!(fit.relative_l2 <= last, "{count}: {fit:?}");
             last = fit.relative_l2;
             let appearance = fit.appearance();
             let found = energy(&|p| reference::evaluate(&appearance, p.light, p.view));

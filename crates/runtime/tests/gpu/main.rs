@@ -301,8 +301,7 @@ fn stripes() -> Prefiltered {
         })
     });
     let texels = texels.collect();
-    Prefiltered::new(&relight_format::Prefiltered { texels }, &[])
-    .expect("whole levels")
+    Prefiltered::new(&relight_format::Prefiltered { texels }, &[]).expect("whole levels")
 }
 
 fn local_lights_and_reflections_match_twins(gpu: &mut Gpu) -> Outcome {

@@ -27,7 +27,7 @@ use relight_bake::monitor::Monitor;
 use relight_bake::scene::load::SceneInput;
 use relight_bake::scene::{self, load};
 use relight_format::{self as format, Camera, Environment, Limits, Scene};
-use relight_runtime::{CellsOptions, Frame, Method, PolarOptions};
+use relight_runtime::{CellsOptions, Frame, Method, PolarOptions, Prefiltered};
 use relight_shading::spherical_gaussian::SphericalGaussian;
 
 use self::report::Figure;
@@ -278,7 +278,7 @@ fn provenance(settings: &Settings, renderer: &Renderer) -> Vec<(String, String)>
 }
 
 /// Scene files; `$DATA` in them is the folder of data.
-const SCENES: [(&str, &str); 8] = [
+const SCENES: [(&str, &str); 13] = [
     ("teapot", include_str!("../../scenes/teapot.toml")),
     ("duck", include_str!("../../scenes/duck.toml")),
     ("spot", include_str!("../../scenes/spot.toml")),
@@ -290,13 +290,25 @@ const SCENES: [(&str, &str); 8] = [
         "FlightHelmet",
         include_str!("../../scenes/FlightHelmet.toml"),
     ),
+    (
+        "gold_armadillo",
+        include_str!("../../scenes/gold_armadillo.toml"),
+    ),
+    (
+        "brushed_walk_1",
+        include_str!("../../scenes/brushed_walk_1.toml"),
+    ),
+    ("white_bunny", include_str!("../../scenes/white_bunny.toml")),
+    ("grey_bunny", include_str!("../../scenes/grey_bunny.toml")),
+    ("gold_suzi", include_str!("../../scenes/gold_suzi.toml")),
 ];
 
 /// Environment maps in the folder of data.
-const ENVIRONMENTS: [(&str, &str); 3] = [
+const ENVIRONMENTS: [(&str, &str); 4] = [
     ("grace", "env/debevec/grace_latlong.hdr"),
     ("stpeters", "env/debevec/stpeters_latlong.hdr"),
     ("studio", "env/polyhaven/studio.hdr"),
+    ("lobby", "env/polyhaven/lobby.hdr"),
 ];
 
 fn known<'a>(list: &[(&str, &'a str)], name: &str) -> anyhow::Result<&'a str> {
@@ -328,6 +340,8 @@ struct Light {
     image: LatLong,
     environment: Environment,
     lobes: Vec<SphericalGaussian>,
+    /// What the image has beyond the lobes.
+    beyond: Option<Prefiltered>,
 }
 
 impl Light {
@@ -339,8 +353,10 @@ impl Light {
             max_error: None,
         };
         let environment = environment::fit(&image, &options, monitor)?.environment;
+        let lobes: Vec<_> = environment.lobes.iter().map(Into::into).collect();
         Ok(Self {
-            lobes: environment.lobes.iter().map(Into::into).collect(),
+            beyond: Prefiltered::new(&environment.prefiltered, &lobes),
+            lobes,
             image,
             environment,
         })

@@ -8,9 +8,7 @@ use glam::{Mat3, Vec3};
 use relight_bake::environment::hdr::LatLong;
 use relight_bake::measured::{self, Table};
 use relight_bake::scene::load::SceneInput;
-use relight_format::{
-    BakeReport, Representation, Scene, Triangle, VisibilityParameters,
-};
+use relight_format::{BakeReport, Representation, Scene, Triangle, VisibilityParameters};
 use relight_shading::gpu;
 use relight_shading::reference;
 use relight_shading::surface::SurfacePoint;
@@ -89,10 +87,7 @@ pub fn render(
             } = geometry.seen(x as f32 + u, y as f32 + v)?;
             let material = geometry.scene.triangles[triangle].material as usize;
             let table = measured.get(material).and_then(Option::as_ref);
-            Some(Reflector {
-                point,
-                table,
-            })
+            Some(Reflector { point, table })
         };
         let center = (options.filter == Filter::Center).then(|| at([0.5; 2]));
         std::array::from_fn(|replica| -> Estimate {

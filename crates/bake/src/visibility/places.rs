@@ -142,6 +142,14 @@ impl Places {
     }
 }
 
+/// The side of every corner of every triangle: corners at one position have the same number if
+/// their triangles lie around the same air.
+pub fn sides(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<[u32; 3]> {
+    let welded = weld(positions, triangles);
+    let (_, sides) = umbrellas(positions, triangles, &welded);
+    sides.as_chunks::<3>().0.to_vec()
+}
+
 /// A mesh whose vertices are each at one place.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Divided {
@@ -153,16 +161,16 @@ pub struct Divided {
     pub places: Vec<u32>,
 }
 
-impl Places {
-    /// Copies vertices that triangles use at several places.
-    pub fn divide(&self, triangles: &[[u32; 3]], vertices: usize) -> Divided {
-        let mut divided = Divided {
+impl Divided {
+    /// Copies vertices that triangles use at several places, or on several sides.
+    pub fn new(triangles: &[[u32; 3]], vertices: usize, corners: &[[u32; 3]]) -> Self {
+        let mut divided = Self {
             triangles: triangles.to_vec(),
             copied: Vec::new(),
             places: vec![u32::MAX; vertices],
         };
         let mut copies: HashMap<[u32; 2], u32> = HashMap::new();
-        for (triangle, places) in divided.triangles.iter_mut().zip(&self.corners) {
+        for (triangle, places) in divided.triangles.iter_mut().zip(corners) {
             for (vertex, &place) in triangle.iter_mut().zip(places) {
                 let first = &mut divided.places[*vertex as usize];
                 if *first == u32::MAX {
@@ -515,5 +523,137 @@ impl Emerging<'_> {
                 normal.dot(crossing.normal) > 0.0
                     && normal.cross(crossing.normal).length() < SAME_PLANE
             })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3Swizzles as _;
+
+    use super::*;
+
+    const OFFSET: f32 = 1e-3;
+
+    fn places(positions: &[[f32; 3]], triangles: &[[u32; 3]]) -> Places {
+        let positions: Vec<Vec3> = positions.iter().copied().map(Vec3::from).collect();
+        let corners = triangles.iter();
+        let soup: Vec<_> = corners
+            .map(|triangle| triangle.map(|vertex| positions[vertex as usize]))
+            .collect();
+        Places::new(&positions, triangles, &RayCaster::new(&soup), OFFSET)
+    }
+
+    /// Squares of two triangles each, which share no vertices.
+    fn squares(corners: &[[[f32; 3]; 4]]) -> (Vec<[f32; 3]>, Vec<[u32; 3]>) {
+        let triangles = (0..corners.len() as u32).map(|i| 4 * i);
+        let triangles = triangles.flat_map(|i| [[i, i + 1, i + 2], [i, i + 2, i + 3]]);
+        (corners.as_flattened().to_vec(), triangles.collect())
+    }
+
+    /// A box with faces outwards.
+    fn cuboid([a, b, c]: [f32; 3], [d, e, f]: [f32; 3]) -> [[[f32; 3]; 4]; 6] {
+        [
+            [[a, b, c], [d, b, c], [d, b, f], [a, b, f]],
+            [[a, e, c], [a, e, f], [d, e, f], [d, e, c]],
+            [[a, b, f], [d, b, f], [d, e, f], [a, e, f]],
+            [[d, b, c], [a, b, c], [a, e, c], [d, e, c]],
+            [[a, b, c], [a, b, f], [a, e, f], [a, e, c]],
+            [[d, b, f], [d, b, c], [d, e, c], [d, e, f]],
+        ]
+    }
+
+    const FLOOR: [[f32; 3]; 4] = [
+        [-4.0, 0.0, -4.0],
+        [-4.0, 0.0, 4.0],
+        [4.0, 0.0, 4.0],
+        [4.0, 0.0, -4.0],
+    ];
+
+    #[test]
+    fn corners_of_a_solid_share_a_place_outside_of_it() {
+        let (positions, triangles) = squares(&cuboid([-1.0; 3], [1.0; 3]));
+        let places = places(&positions, &triangles);
+        assert_eq!(places.origins.len(), 8);
+        assert_eq!(places.moved_corners, 0);
+        for (triangle, corners) in triangles.iter().zip(&places.corners) {
+            for (vertex, place) in triangle.iter().zip(corners) {
+                let position = Vec3::from(positions[*vertex as usize]);
+                let moved = places.origins[*place as usize] - position;
+                assert!((moved.length() - OFFSET).abs() < 1e-6);
+                assert!((moved * position).min_element() > 0.0, "{moved}");
+            }
+        }
+    }
+
+    #[test]
+    fn sides_of_a_sheet_are_apart_though_they_share_vertices() {
+        // Two squares in one plane, each with its back.
+        let positions = [
+            [0.0, 0.0],
+            [0.0, 1.0],
+            [1.0, 1.0],
+            [1.0, 0.0],
+            [2.0, 0.0],
+            [2.0, 1.0],
+        ]
+        .map(|[x, z]| [x, 0.0, z]);
+        let front = [[0, 1, 2], [0, 2, 3], [3, 2, 5], [3, 5, 4]];
+        let back = front.map(|[a, b, c]| [a, c, b]);
+        let triangles = [front, back].concat();
+        let places = places(&positions, &triangles);
+        assert_eq!(places.origins.len(), 12);
+        for (index, corners) in places.corners.iter().enumerate() {
+            let height = if index < 4 { OFFSET } else { -OFFSET };
+            for place in corners {
+                let origin = places.origins[*place as usize];
+                assert!((origin.y - height).abs() < 1e-6, "{index}: {origin}");
+            }
+        }
+        let divided = Divided::new(&triangles, positions.len(), &places.corners);
+        assert_eq!(divided.places.len(), 12);
+        for (triangle, corners) in divided.triangles.iter().zip(&places.corners) {
+            assert_eq!(
+                triangle.map(|vertex| divided.places[vertex as usize]),
+                *corners
+            );
+        }
+    }
+
+    #[test]
+    fn faces_that_touch_others_are_sampled_in_front_of_them() {
+        // A box stands on a floor; another one is sunk into it.
+        for bottom in [0.0, -0.5] {
+            let mut faces = vec![FLOOR];
+            faces.extend(cuboid([-1.0, bottom, -1.0], [1.0, 2.0, 1.0]));
+            let (positions, triangles) = squares(&faces);
+            let places = places(&positions, &triangles);
+            // The lower corners of the four walls.
+            for (index, triangle) in triangles.iter().enumerate().skip(6) {
+                for (vertex, place) in triangle.iter().zip(&places.corners[index]) {
+                    let position = Vec3::from(positions[*vertex as usize]);
+                    let origin = places.origins[*place as usize];
+                    if position.y > 0.0 {
+                        continue;
+                    }
+                    let outside = origin.xz().abs().max_element() > 1.0;
+                    assert!(
+                        origin.y > 0.0 && origin.y < 0.1 && outside,
+                        "{position}: {origin}"
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn what_a_pole_goes_through_stays_where_it_is() {
+        let mut faces = vec![FLOOR];
+        faces.extend(cuboid([0.5, -1.0, 0.5], [0.6, 2.0, 0.6]));
+        let (positions, triangles) = squares(&faces);
+        let places = places(&positions, &triangles);
+        for corner in places.corners[..2].as_flattened() {
+            let origin = places.origins[*corner as usize];
+            assert!(origin.xz().abs().min_element() > 3.99, "{origin}");
+        }
     }
 }

@@ -14,8 +14,9 @@ use super::{Key, cut, divide, key, sides};
 use crate::compress::{Normal, Weighting};
 use crate::mesh::Mesh;
 use crate::monitor::{Interrupted, Monitor};
+use crate::ssdf;
 use crate::visibility::contour::ContourMesh;
-use crate::{ssdf, visibility};
+use crate::visibility::places::Places;
 
 /// Texels per side of the visibility that is compared: half of a bake's.
 const SAMPLE_RESOLUTION: u32 = 64;

@@ -7,11 +7,12 @@
 //! before, vertices in the order in which triangles use them, and attributes are multiples
 //! of steps.
 
+use std::collections::HashMap;
 use std::ops::Range;
 
 use bytemuck::Zeroable as _;
 
-use crate::{CHANNELS_PER_TILE, Cluster, Triangle, Vertex};
+use crate::{CHANNELS_PER_TILE, Cluster, MAX_TILES_PER_CLUSTER, Triangle, Vertex};
 
 /// Numbers of a [`Vertex`].
 const COMPONENTS: usize = size_of::<Vertex>() / size_of::<f32>();
@@ -74,53 +75,324 @@ impl Parallelograms {
     }
 }
 
-/// Vertices as differences, with the steps of their numbers before them.
-pub(crate) fn encode_vertices(vertices: &[Vertex], expected: &Parallelograms) -> Vec<u8> {
-    let numbers: &[[f32; COMPONENTS]] = bytemuck::cast_slice(vertices);
-    let count = vertices.len();
-    let mut steps = Vec::new();
-    let mut differences = Vec::with_capacity(COMPONENTS * count);
-    for component in 0..COMPONENTS {
-        let numbers: Vec<f32> = numbers.iter().map(|vertex| vertex[component]).collect();
-        let step = step(&numbers);
-        let values: Vec<i32> = (numbers.iter())
-            .map(|number| to_integer(*number, step))
-            .collect();
-        differences.extend((0..count).map(|vertex| {
-            let expected = expected.of(vertex, &(0..count), |other| values[other]);
-            zigzag(values[vertex].wrapping_sub(expected)).to_le_bytes()
-        }));
-        steps.push(step as u8);
+/// Vertices that share their position and coefficients with an earlier one of their cluster.
+/// Those that do not are the places, numbered in their order.
+pub(crate) struct Places {
+    /// Of every vertex.
+    numbers: Vec<u32>,
+    /// The vertex of every place.
+    vertices: Vec<u32>,
+    /// The first place of every cluster, and their number.
+    first: Vec<u32>,
+}
+
+impl Places {
+    /// Which vertices can share.
+    pub(crate) fn find(vertices: &[Vertex], clusters: &[Cluster], coefficients: &[i16]) -> Self {
+        let mut places = Self {
+            numbers: Vec::with_capacity(vertices.len()),
+            vertices: Vec::new(),
+            first: Vec::with_capacity(clusters.len() + 1),
+        };
+        let mut known: HashMap<[u32; 3], Vec<u32>> = HashMap::new();
+        for cluster in clusters {
+            places.first.push(places.vertices.len() as u32);
+            known.clear();
+            let channels = cluster.tiles as usize * CHANNELS_PER_TILE;
+            let row = |vertex: u32| {
+                let start = cluster.first_coefficient as usize;
+                let start = start + (vertex - cluster.first_vertex) as usize * channels;
+                &coefficients[start..][..channels]
+            };
+            for vertex in cluster.first_vertex..cluster.first_vertex + cluster.vertex_count {
+                let position = vertices[vertex as usize].position.map(f32::to_bits);
+                let others = known.entry(position).or_default();
+                let newest = others.iter().rev().take(MOST_ALIKE);
+                let same = newest
+                    .copied()
+                    .find(|&place| row(places.vertices[place as usize]) == row(vertex));
+                let place = same.unwrap_or_else(|| {
+                    places.vertices.push(vertex);
+                    others.push(places.vertices.len() as u32 - 1);
+                    places.vertices.len() as u32 - 1
+                });
+                places.numbers.push(place);
+            }
+        }
+        places.first.push(places.vertices.len() as u32);
+        places
     }
-    let mut bytes = steps;
-    bytes.extend(planes(&differences));
+
+    /// For every vertex 0 if it is a place of its own, else how long ago its place came up.
+    fn codes(&self) -> Vec<u32> {
+        let mut next = 0;
+        (self.numbers.iter())
+            .map(|&number| {
+                let code = next - number;
+                next = next.max(number + 1);
+                code
+            })
+            .collect()
+    }
+
+    /// The inverse of [`Self::codes`]; none if a vertex has a place of another cluster.
+    fn from_codes(codes: impl Iterator<Item = u32>, clusters: &[Cluster]) -> Option<Self> {
+        let mut places = Self {
+            numbers: Vec::new(),
+            vertices: Vec::new(),
+            first: Vec::with_capacity(clusters.len() + 1),
+        };
+        let mut codes = codes.enumerate();
+        for cluster in clusters {
+            let first = places.vertices.len() as u32;
+            places.first.push(first);
+            for _ in 0..cluster.vertex_count {
+                let (vertex, code) = codes.next()?;
+                let next = places.vertices.len() as u32;
+                if code == 0 {
+                    places.vertices.push(vertex as u32);
+                } else if code > next - first {
+                    return None;
+                }
+                places.numbers.push(next - code);
+            }
+        }
+        places.first.push(places.vertices.len() as u32);
+        Some(places)
+    }
+
+    /// What is expected of places: what is of vertices, were those of a place one.
+    fn expected(&self, triangles: &[Triangle]) -> Parallelograms {
+        let number = |vertex: u32| self.numbers.get(vertex as usize).copied();
+        let triangles: Vec<Triangle> = (triangles.iter())
+            .map(|triangle| Triangle {
+                vertices: (triangle.vertices).map(|vertex| number(vertex).unwrap_or(u32::MAX)),
+                ..*triangle
+            })
+            .collect();
+        Parallelograms::new(&triangles, self.vertices.len())
+    }
+
+    /// Places and channels of every cluster.
+    fn clusters<'a>(
+        &'a self,
+        clusters: &'a [Cluster],
+    ) -> impl Iterator<Item = (Range<usize>, usize)> + 'a {
+        (clusters.iter().zip(self.first.windows(2))).map(|(cluster, ends)| {
+            let channels = cluster.tiles as usize * CHANNELS_PER_TILE;
+            (ends[0] as usize..ends[1] as usize, channels)
+        })
+    }
+}
+
+/// Components of positions, normals, tangents.
+const POSITION: Range<usize> = 0..3;
+const NORMAL: Range<usize> = 3..6;
+const TANGENT: Range<usize> = 6..9;
+/// Places of one position that a vertex is compared with.
+const MOST_ALIKE: usize = 8;
+/// Bits that say how normals and tangents are expected.
+const FACE_NORMALS: u8 = 1;
+const AXIS_TANGENTS: u8 = 2;
+
+/// Vertices as differences, with the steps of their numbers before them.
+pub(crate) fn encode_vertices(
+    vertices: &[Vertex],
+    triangles: &[Triangle],
+    places: &Places,
+) -> Vec<u8> {
+    let numbers: &[[f32; COMPONENTS]] = bytemuck::cast_slice(vertices);
+    let of_vertices = Parallelograms::new(triangles, vertices.len());
+    let of_places = places.expected(triangles);
+    let mut steps = [0; COMPONENTS];
+    let mut integers: [Vec<i32>; COMPONENTS] = [const { Vec::new() }; COMPONENTS];
+    for component in 0..COMPONENTS {
+        let numbers: Vec<f32> = if POSITION.contains(&component) {
+            let places = places.vertices.iter();
+            places
+                .map(|&vertex| numbers[vertex as usize][component])
+                .collect()
+        } else {
+            numbers.iter().map(|vertex| vertex[component]).collect()
+        };
+        steps[component] = step(&numbers);
+        let numbers = numbers.into_iter();
+        integers[component] = numbers.map(|x| to_integer(x, steps[component])).collect();
+    }
+    let mut differences: [Vec<u32>; COMPONENTS] = std::array::from_fn(|component| {
+        let values = &integers[component];
+        let expected = if POSITION.contains(&component) {
+            &of_places
+        } else {
+            &of_vertices
+        };
+        (0..values.len())
+            .map(|i| {
+                let expected = expected.of(i, &(0..values.len()), |other| values[other]);
+                zigzag(values[i].wrapping_sub(expected))
+            })
+            .collect()
+    });
+    let mut modes = 0;
+    let others = [
+        (FACE_NORMALS, NORMAL, face_normals(vertices, triangles)),
+        (AXIS_TANGENTS, TANGENT, axis_tangents(vertices)),
+    ];
+    for (mode, components, expected) in others {
+        let other = components.clone().zip(0..).map(|(component, axis)| {
+            let step = steps[component];
+            let values = integers[component].iter().zip(&expected);
+            values
+                .map(|(value, expected)| zigzag(value.wrapping_sub(expect(expected[axis], step))))
+                .collect::<Vec<u32>>()
+        });
+        let other: Vec<Vec<u32>> = other.collect();
+        // About the bits that differences take.
+        let bits = |differences: &[Vec<u32>]| -> u64 {
+            let differences = differences.iter().flatten();
+            differences
+                .map(|code| u64::from(u32::BITS - code.leading_zeros()))
+                .sum()
+        };
+        if bits(&other) < bits(&differences[components.clone()]) {
+            modes |= mode;
+            differences[components].clone_from_slice(&other);
+        }
+    }
+    let mut bytes: Vec<u8> = steps.iter().map(|step| *step as u8).collect();
+    bytes.push(modes);
+    bytes.extend(planes(&to_bytes(&places.codes())));
+    let (positions, rest) = differences.split_at(POSITION.end);
+    bytes.extend(planes(&to_bytes(&positions.concat())));
+    bytes.extend(planes(&to_bytes(&rest.concat())));
     bytes
 }
 
-/// The inverse of [`encode_vertices`], with what is expected of their coefficients; none if
-/// the length is not that of any vertices.
+fn to_bytes(numbers: &[u32]) -> Vec<[u8; 4]> {
+    numbers.iter().map(|number| number.to_le_bytes()).collect()
+}
+
+/// The inverse of [`encode_vertices`]; none if the bytes are not those of the clusters'
+/// vertices.
 pub(crate) fn decode_vertices(
     bytes: &[u8],
     triangles: &[Triangle],
-) -> Option<(Vec<Vertex>, Parallelograms)> {
-    let (steps, planes) = bytes.split_at_checked(COMPONENTS)?;
-    if !planes.len().is_multiple_of(size_of::<Vertex>()) {
+    clusters: &[Cluster],
+) -> Option<(Vec<Vertex>, Places)> {
+    let count: u64 = (clusters.iter()).map(|c| u64::from(c.vertex_count)).sum();
+    let (steps, bytes) = bytes.split_at_checked(COMPONENTS)?;
+    let (&modes, bytes) = bytes.split_first()?;
+    let count = usize::try_from(count).ok()?;
+    let (codes, bytes) = bytes.split_at_checked(count.checked_mul(4)?)?;
+    let codes = (0..count).map(|vertex| u32::from_le_bytes(element(codes, vertex)));
+    let places = Places::from_codes(codes, clusters)?;
+    let (positions, rest) = bytes.split_at_checked(12 * places.vertices.len())?;
+    if rest.len() != 36 * count || modes > FACE_NORMALS | AXIS_TANGENTS {
         return None;
     }
-    let count = planes.len() / size_of::<Vertex>();
-    let expected = Parallelograms::new(triangles, count);
     let mut vertices = vec![Vertex::zeroed(); count];
-    let numbers: &mut [[f32; COMPONENTS]] = bytemuck::cast_slice_mut(&mut vertices);
-    let mut values = vec![0i32; count];
-    for (component, step) in steps.iter().enumerate() {
-        for vertex in 0..count {
-            let difference = u32::from_le_bytes(element(planes, component * count + vertex));
-            let expected = expected.of(vertex, &(0..count), |other| values[other]);
-            values[vertex] = expected.wrapping_add(from_zigzag(difference));
-            numbers[vertex][component] = from_integer(values[vertex], *step as i8);
+    let of_places = places.expected(triangles);
+    let mut decoded = vec![0i32; places.vertices.len()];
+    for component in POSITION {
+        let step = steps[component] as i8;
+        let start = component * decoded.len();
+        undo(&mut decoded, &of_places, positions, start);
+        for (vertex, &place) in vertices.iter_mut().zip(&places.numbers) {
+            vertex.position[component] = from_integer(decoded[place as usize], step);
         }
     }
-    Some((vertices, expected))
+    let of_vertices = Parallelograms::new(triangles, count);
+    let mut decoded = vec![0i32; count];
+    let mut expected = Vec::new();
+    for component in NORMAL.start..COMPONENTS {
+        let start = (component - NORMAL.start) * count;
+        let step = steps[component] as i8;
+        if component == NORMAL.start && modes & FACE_NORMALS != 0 {
+            expected = face_normals(&vertices, triangles);
+        } else if component == TANGENT.start && modes & AXIS_TANGENTS != 0 {
+            expected = axis_tangents(&vertices);
+        } else if component == TANGENT.start || component == TANGENT.end {
+            expected.clear();
+        }
+        if expected.is_empty() {
+            undo(&mut decoded, &of_vertices, rest, start);
+        } else {
+            for (vertex, (value, expected)) in decoded.iter_mut().zip(&expected).enumerate() {
+                let difference = u32::from_le_bytes(element(rest, start + vertex));
+                let expected = expect(expected[component % 3], step);
+                *value = expected.wrapping_add(from_zigzag(difference));
+            }
+        }
+        let numbers: &mut [[f32; COMPONENTS]] = bytemuck::cast_slice_mut(&mut vertices);
+        for (numbers, value) in numbers.iter_mut().zip(&decoded) {
+            numbers[component] = from_integer(*value, step);
+        }
+    }
+    Some((vertices, places))
+}
+
+/// Adds differences, from number `start` of `planes` on, to what is expected.
+fn undo(values: &mut [i32], expected: &Parallelograms, planes: &[u8], start: usize) {
+    let all = 0..values.len();
+    for i in all.clone() {
+        let difference = u32::from_le_bytes(element(planes, start + i));
+        let expected = expected.of(i, &all, |other| values[other]);
+        values[i] = expected.wrapping_add(from_zigzag(difference));
+    }
+}
+
+/// An expected number in steps.
+fn expect(number: f64, step: i8) -> i32 {
+    // Bits of what is not a number differ between processors.
+    if number.is_nan() {
+        return 0;
+    }
+    if step == NO_STEP {
+        return to_integer(number as f32, step);
+    }
+    (number / 2f64.powi(i32::from(step))).round_ties_even() as i32
+}
+
+/// Unit normal of the first triangle that uses a vertex. Sums, products, quotients and square
+/// roots are rounded alike everywhere.
+fn face_normals(vertices: &[Vertex], triangles: &[Triangle]) -> Vec<[f64; 3]> {
+    let mut normals = vec![[0.0; 3]; vertices.len()];
+    let mut known = vec![false; vertices.len()];
+    for triangle in triangles {
+        let corners = triangle
+            .vertices
+            .map(|vertex| vertices.get(vertex as usize));
+        let [Some(a), Some(b), Some(c)] = corners else {
+            continue;
+        };
+        let edge = |end: &Vertex| {
+            [0, 1, 2].map(|axis| f64::from(end.position[axis]) - f64::from(a.position[axis]))
+        };
+        let (u, v) = (edge(b), edge(c));
+        let normal = [(1, 2), (2, 0), (0, 1)].map(|(i, j)| u[i] * v[j] - u[j] * v[i]);
+        let [x, y, z] = normal.map(|x| x * x);
+        let length = (x + y + z).sqrt();
+        for vertex in triangle.vertices {
+            if !std::mem::replace(&mut known[vertex as usize], true) {
+                normals[vertex as usize] = normal.map(|x| x / length);
+            }
+        }
+    }
+    normals
+}
+
+/// Unit tangents that run around the vertical axis.
+fn axis_tangents(vertices: &[Vertex]) -> Vec<[f64; 3]> {
+    let tangent = |vertex: &Vertex| {
+        let [x, _, z] = vertex.normal.map(f64::from);
+        let length = (x * x + z * z).sqrt();
+        if length > 0.0 {
+            [z / length, 0.0, -x / length]
+        } else {
+            [1.0, 0.0, 0.0]
+        }
+    };
+    vertices.iter().map(tangent).collect()
 }
 
 /// Triangles: how long before the newest vertex their corners are, and how their material
@@ -229,67 +501,99 @@ fn from_integer(integer: i32, step: i8) -> f32 {
 }
 
 /// Coefficients of image after image of every cluster: what all are multiples of, then
-/// differences, in multiples of it.
+/// differences, in multiples of it, of places.
 pub(crate) fn encode_coefficients(
     coefficients: &[i16],
+    triangles: &[Triangle],
     clusters: &[Cluster],
-    expected: &Parallelograms,
+    places: &Places,
 ) -> Vec<u8> {
+    let expected = places.expected(triangles);
     let mut steps = Vec::new();
     let mut differences = Vec::with_capacity(coefficients.len());
-    for_images(clusters, |vertices, place| {
-        let value = |vertex: usize| i32::from(coefficients[place(vertex)]);
-        let common = vertices.clone().fold(0, |step, vertex| {
-            greatest_common_divisor(step, value(vertex))
-        });
-        // A lone −32768 has a step that 16 bits do not hold; such coefficients are not valid.
-        let step = common.clamp(1, i32::from(i16::MAX));
-        steps.push((step as u16).to_le_bytes());
-        differences.extend(vertices.clone().map(|vertex| {
-            let difference = value(vertex) - expected.of(vertex, &vertices, value);
-            // Modulo 2¹⁶, like the coefficients themselves.
-            let multiple = (difference / step) as i16;
-            (zigzag(i32::from(multiple)) as u16).to_le_bytes()
-        }));
-    });
+    for ((members, channels), cluster) in places.clusters(clusters).zip(clusters) {
+        for channel in 0..channels {
+            let value = |place: usize| {
+                let row = places.vertices[place] - cluster.first_vertex;
+                let row = cluster.first_coefficient as usize + row as usize * channels;
+                i32::from(coefficients[row + channel])
+            };
+            let common = members
+                .clone()
+                .fold(0, |step, place| greatest_common_divisor(step, value(place)));
+            // A lone −32768 has a step that 16 bits do not hold; such coefficients are not valid.
+            let step = common.clamp(1, i32::from(i16::MAX));
+            steps.push((step as u16).to_le_bytes());
+            differences.extend(members.clone().map(|place| {
+                let difference = value(place) - expected.of(place, &members, value);
+                // Modulo 2¹⁶, like the coefficients themselves.
+                let multiple = (difference / step) as i16;
+                (zigzag(i32::from(multiple)) as u16).to_le_bytes()
+            }));
+        }
+    }
     let mut bytes = planes(&steps);
     bytes.extend(planes(&differences));
     bytes
 }
 
-/// The inverse of [`encode_coefficients`]; none if clusters and their vertices are not of
+/// The inverse of [`encode_coefficients`]; none if clusters and their places are not of
 /// this length.
 pub(crate) fn decode_coefficients(
     bytes: &[u8],
+    triangles: &[Triangle],
     clusters: &[Cluster],
-    expected: &Parallelograms,
+    places: &Places,
 ) -> Option<Vec<i16>> {
     let images = |cluster: &Cluster| u64::from(cluster.tiles) * CHANNELS_PER_TILE as u64;
-    let vertices = |cluster: &Cluster| u64::from(cluster.vertex_count);
-    let all_vertices: u64 = clusters.iter().map(vertices).sum();
     let all_images: u64 = clusters.iter().map(images).sum();
-    let all = clusters.iter().try_fold(0u64, |sum, cluster| {
-        sum.checked_add(vertices(cluster).checked_mul(images(cluster))?)
+    let counts = clusters.iter().zip(places.first.windows(2));
+    let all = counts.clone().try_fold(0u64, |sum, (cluster, ends)| {
+        sum.checked_add(u64::from(ends[1] - ends[0]).checked_mul(images(cluster))?)
     });
     let expected_length = all?.checked_add(all_images)?.checked_mul(2)?;
-    if all_vertices != expected.0.len() as u64 || expected_length != bytes.len() as u64 {
+    // Of few places many vertices: more tiles than a cluster may have are refused here, before
+    // they cost memory.
+    let tiles = clusters
+        .iter()
+        .all(|cluster| cluster.tiles <= MAX_TILES_PER_CLUSTER);
+    if expected_length != bytes.len() as u64 || !tiles {
         return None;
     }
+    let expected = places.expected(triangles);
     let (steps, differences) = bytes.split_at(2 * all_images as usize);
-    let mut coefficients = vec![0i16; differences.len() / 2];
+    let all = counts.map(|(cluster, _)| images(cluster) * u64::from(cluster.vertex_count));
+    let mut coefficients = Vec::with_capacity(usize::try_from(all.sum::<u64>()).ok()?);
     let (mut image, mut index) = (0, 0);
-    for_images(clusters, |vertices, place| {
-        let step = i32::from(u16::from_le_bytes(element(steps, image)));
-        image += 1;
-        for vertex in vertices.clone() {
-            let value = |vertex: usize| i32::from(coefficients[place(vertex)]);
-            let expected = expected.of(vertex, &vertices, value);
-            let difference = u16::from_le_bytes(element(differences, index));
-            index += 1;
-            let difference = from_zigzag(u32::from(difference)).wrapping_mul(step);
-            coefficients[place(vertex)] = expected.wrapping_add(difference) as i16;
+    let mut values = vec![0i16; places.vertices.len()];
+    let mut vertices = places.numbers.iter();
+    for ((members, channels), cluster) in places.clusters(clusters).zip(clusters) {
+        let start = coefficients.len();
+        coefficients.resize(start + cluster.vertex_count as usize * channels, 0);
+        let vertices: Vec<u32> = (vertices.by_ref())
+            .take(cluster.vertex_count as usize)
+            .copied()
+            .collect();
+        for channel in 0..channels {
+            let step = i32::from(u16::from_le_bytes(element(steps, image)));
+            image += 1;
+            for place in members.clone() {
+                let value = |place: usize| i32::from(values[place]);
+                let expected = expected.of(place, &members, value);
+                let difference = u16::from_le_bytes(element(differences, index));
+                index += 1;
+                let difference = from_zigzag(u32::from(difference)).wrapping_mul(step);
+                values[place] = expected.wrapping_add(difference) as i16;
+            }
+            let column = coefficients[start..]
+                .iter_mut()
+                .skip(channel)
+                .step_by(channels);
+            for (coefficient, &place) in column.zip(&vertices) {
+                *coefficient = values[place as usize];
+            }
         }
-    });
+    }
     Some(coefficients)
 }
 
@@ -298,26 +602,6 @@ fn greatest_common_divisor(a: i32, b: i32) -> i32 {
         a.abs()
     } else {
         greatest_common_divisor(b, a % b)
-    }
-}
-
-/// Hands over the vertices of every image of every cluster, and where a vertex's coefficient
-/// is.
-fn for_images(
-    clusters: &[Cluster],
-    mut hand_over: impl FnMut(Range<usize>, &dyn Fn(usize) -> usize),
-) {
-    let (mut first, mut start) = (0, 0);
-    for cluster in clusters {
-        let channels = cluster.tiles as usize * CHANNELS_PER_TILE;
-        let vertices = first..first + cluster.vertex_count as usize;
-        for channel in 0..channels {
-            hand_over(vertices.clone(), &|vertex| {
-                start + (vertex - first) * channels + channel
-            });
-        }
-        start += vertices.len() * channels;
-        first = vertices.end;
     }
 }
 
@@ -339,29 +623,38 @@ mod tests {
         coefficients: &[i16],
         clusters: &[Cluster],
     ) {
-        let expected = Parallelograms::new(triangles, vertices.len());
         let decoded = decode_triangles(&encode_triangles(triangles)).unwrap();
         assert_eq!(decoded, triangles);
-        let bytes = encode_vertices(vertices, &expected);
-        let (decoded, again) = decode_vertices(&bytes, triangles).unwrap();
+        let places = Places::find(vertices, clusters, coefficients);
+        let bytes = encode_vertices(vertices, triangles, &places);
+        let (decoded, again) = decode_vertices(&bytes, triangles, clusters).unwrap();
         assert_eq!(
             bytemuck::cast_slice::<_, u32>(&decoded),
             bytemuck::cast_slice::<_, u32>(vertices)
         );
-        assert_eq!(again.0, expected.0);
-        let bytes = encode_coefficients(coefficients, clusters, &expected);
+        assert_eq!(again.numbers, places.numbers);
+        assert_eq!(again.vertices, places.vertices);
+        let bytes = encode_coefficients(coefficients, triangles, clusters, &places);
         assert_eq!(
-            decode_coefficients(&bytes, clusters, &expected).unwrap(),
+            decode_coefficients(&bytes, triangles, clusters, &again).unwrap(),
             coefficients
         );
     }
 
-    fn cluster(vertex_count: u32, tiles: u32) -> Cluster {
-        Cluster {
-            vertex_count,
-            tiles,
-            ..Cluster::zeroed()
-        }
+    /// Of so many vertices and tiles each.
+    fn clusters<const N: usize>(sizes: [[u32; 2]; N]) -> [Cluster; N] {
+        let mut next = Cluster::zeroed();
+        sizes.map(|[vertex_count, tiles]| {
+            let cluster = Cluster {
+                vertex_count,
+                tiles,
+                ..next
+            };
+            next.first_vertex += vertex_count;
+            next.first_coefficient += vertex_count * tiles * CHANNELS_PER_TILE as u32;
+            next.first_tile += tiles;
+            cluster
+        })
     }
 
     #[test]
@@ -402,11 +695,7 @@ mod tests {
                 let vertices: Vec<Vertex> = (0..count)
                     .map(|_| bytemuck::cast([(); COMPONENTS].map(|()| number(random()))))
                     .collect();
-                let clusters = [
-                    cluster(count / 3, 2),
-                    cluster(0, 1),
-                    cluster(count - count / 3, 1),
-                ];
+                let clusters = clusters([[count / 3, 2], [0, 1], [count - count / 3, 1]]);
                 let images = clusters
                     .iter()
                     .map(|cluster| cluster.vertex_count * cluster.tiles * 4);
@@ -422,16 +711,96 @@ mod tests {
     #[test]
     fn lengths_are_checked() {
         assert!(decode_triangles(&[0; 17]).is_none());
-        assert!(decode_vertices(&[0; COMPONENTS - 1], &[]).is_none());
-        assert!(decode_vertices(&[0; COMPONENTS + 47], &[]).is_none());
-        let expected = Parallelograms::new(&[], 3);
-        let decode = |length: usize, clusters: &[Cluster]| {
-            decode_coefficients(&vec![0; length], clusters, &expected).is_some()
+        let clusters = clusters([[2, 1], [1, 1]]);
+        // One vertex of the first cluster shares a place.
+        let codes = |codes: [u8; 3], places: usize| {
+            let mut bytes = vec![0; COMPONENTS + 1];
+            bytes.extend(codes);
+            bytes.resize(COMPONENTS + 1 + 3 * 40 + 12 * places, 0);
+            bytes
         };
-        assert!(decode(2 * (4 + 12), &[cluster(3, 1)]));
-        assert!(!decode(2 * (4 + 12) - 1, &[cluster(3, 1)]));
-        assert!(!decode(2 * (4 + 8), &[cluster(2, 1)]));
-        assert!(!decode(0, &[cluster(u32::MAX, u32::MAX); 3]));
+        let decode = |bytes: &[u8]| decode_vertices(bytes, &[], &clusters);
+        let shared = codes([0, 1, 0], 2);
+        let (vertices, places) = decode(&shared).unwrap();
+        assert_eq!(vertices.len(), 3);
+        assert_eq!(places.numbers, [0, 0, 1]);
+        assert!(decode(&codes([0, 0, 0], 3)).is_some());
+        for wrong in [
+            &shared[..COMPONENTS],
+            &shared[..shared.len() - 1],
+            &codes([0, 1, 0], 3),
+            &codes([0, 2, 0], 2),
+            &codes([1, 0, 0], 2),
+            // The place of another cluster.
+            &codes([0, 0, 1], 2),
+            &codes([0, 0, 255], 2),
+        ] {
+            assert!(decode(wrong).is_none());
+        }
+        let mut unknown_mode = shared.clone();
+        unknown_mode[COMPONENTS] = 4;
+        assert!(decode(&unknown_mode).is_none());
+        let decode = |length: usize, clusters: &[Cluster]| {
+            decode_coefficients(&vec![0; length], &[], clusters, &places)
+        };
+        let found = decode(2 * (8 + 8), &clusters);
+        assert_eq!(found.map(|coefficients| coefficients.len()), Some(12));
+        assert!(decode(2 * (8 + 8) - 1, &clusters).is_none());
+        let mut tiles = clusters;
+        tiles[0].tiles = u32::MAX;
+        assert!(decode(0, &tiles).is_none());
+    }
+
+    /// Flat triangles, which share no vertices but every position.
+    #[test]
+    fn vertices_of_one_place_share_what_is_known_of_it() {
+        let n = 24;
+        let at = |x: u32, z: u32| {
+            let y = ((x * x + 3 * z * x) % 17) as f32 / 32.0;
+            [x as f32 / 64.0, y, z as f32 / 64.0]
+        };
+        let corners = (0..n * n).flat_map(|i| {
+            let (x, z) = (i % n, i / n);
+            let [a, b, c, d] = [(x, z), (x, z + 1), (x + 1, z), (x + 1, z + 1)];
+            [[a, b, c], [c, b, d]]
+        });
+        let channels = CHANNELS_PER_TILE as u32;
+        let mut coefficients = Vec::new();
+        let mut vertices = Vec::new();
+        for triangle in corners {
+            let [a, b, c] = triangle.map(|(x, z)| at(x, z));
+            let edge = |end: [f32; 3]| [0, 1, 2].map(|axis| end[axis] - a[axis]);
+            let (u, v) = (edge(b), edge(c));
+            let normal = [(1, 2), (2, 0), (0, 1)].map(|(i, j)| u[i] * v[j] - u[j] * v[i]);
+            let length = normal.iter().map(|x| x * x).sum::<f32>().sqrt();
+            // Minus zero is a multiple of nothing.
+            let normal = normal.map(|x| (x / length * 16384.0).round() / 16384.0 + 0.0);
+            for (x, z) in triangle {
+                vertices.push(Vertex {
+                    position: at(x, z),
+                    normal,
+                    tangent: [1.0, 0.0, 0.0, 1.0],
+                    uv: [0.0; 2],
+                });
+                coefficients.extend((0..channels).map(|channel| (7 * x + channel * z) as i16));
+            }
+        }
+        let triangles: Vec<Triangle> = (0..2 * n * n)
+            .map(|i| Triangle {
+                vertices: [3 * i, 3 * i + 1, 3 * i + 2],
+                ..Triangle::zeroed()
+            })
+            .collect();
+        let clusters = clusters([[6 * n * n, 1]]);
+        let places = Places::find(&vertices, &clusters, &coefficients);
+        assert_eq!(places.vertices.len() as u32, (n + 1) * (n + 1));
+        come_back(&triangles, &vertices, &coefficients, &clusters);
+        let bytes = encode_vertices(&vertices, &triangles, &places);
+        assert_eq!(bytes[COMPONENTS] & FACE_NORMALS, FACE_NORMALS);
+        let normals = COMPONENTS + 1 + 4 * vertices.len() + 12 * places.vertices.len();
+        let normals = &bytes[normals..][..3 * vertices.len()];
+        let other = normals.iter().filter(|byte| **byte > 2).count();
+        assert!(other < normals.len() / 100, "{other} of {}", normals.len());
     }
 
     #[test]
@@ -458,8 +827,9 @@ mod tests {
                 ..Triangle::zeroed()
             })
             .collect();
-        let expected = Parallelograms::new(&triangles, vertices.len());
-        let bytes = encode_vertices(&vertices, &expected);
+        let clusters = clusters([[n * n, 0]]);
+        let places = Places::find(&vertices, &clusters, &[]);
+        let bytes = encode_vertices(&vertices, &triangles, &places);
         // Rows and columns are straight, their heights all but: a few steps of curvature.
         let large = bytes[COMPONENTS..].iter().filter(|byte| **byte > 8).count();
         assert!(large < vertices.len() / 10, "{large} of {}", bytes.len());

@@ -4,7 +4,7 @@ use bytemuck::{Pod, Zeroable};
 use serde::{Deserialize, Serialize};
 
 use crate::container::{Kind, Limits, Reader, SectionKind, Writer};
-use crate::geometry::{self, Parallelograms};
+use crate::geometry::{self, Places};
 use crate::prediction;
 use crate::{Camera, Error, Issue, Material, Texture, TextureEncoding};
 
@@ -180,14 +180,14 @@ pub fn read_scene(bytes: &[u8], limits: &Limits) -> Result<Scene, Error> {
             triangles.len(),
         )
     })?;
-    let (vertices, expected) =
-        geometry::decode_vertices(&vertices, &triangles).ok_or_else(|| {
-            let expected = "12 bytes, and 48 per vertex";
+    let (vertices, places) = geometry::decode_vertices(&vertices, &triangles, &clusters)
+        .ok_or_else(|| {
+            let expected = "13 bytes, 40 per vertex of the clusters and 12 per place in them";
             length(SectionKind::Vertices, expected, vertices.len())
         })?;
-    let coefficients = geometry::decode_coefficients(&coefficients, &clusters, &expected)
+    let coefficients = geometry::decode_coefficients(&coefficients, &triangles, &clusters, &places)
         .ok_or_else(|| {
-            let expected = "2 bytes per image and coefficient of the clusters";
+            let expected = "2 bytes per image of the clusters and coefficient of their places";
             length(SectionKind::Coefficients, expected, coefficients.len())
         })?;
     let scene = Scene {
@@ -223,14 +223,18 @@ pub fn write_scene(scene: &Scene) -> Result<Vec<u8>, Error> {
             .collect(),
         report: scene.report.clone(),
     })?;
-    let expected = Parallelograms::new(&scene.triangles, scene.vertices.len());
-    let vertices = geometry::encode_vertices(&scene.vertices, &expected);
+    let places = Places::find(&scene.vertices, &scene.clusters, &scene.coefficients);
+    let vertices = geometry::encode_vertices(&scene.vertices, &scene.triangles, &places);
     writer.section(SectionKind::Vertices, &vertices)?;
     let triangles = geometry::encode_triangles(&scene.triangles);
     writer.section(SectionKind::Triangles, &triangles)?;
     writer.section(SectionKind::Clusters, &scene.clusters)?;
-    let coefficients =
-        geometry::encode_coefficients(&scene.coefficients, &scene.clusters, &expected);
+    let coefficients = geometry::encode_coefficients(
+        &scene.coefficients,
+        &scene.triangles,
+        &scene.clusters,
+        &places,
+    );
     writer.section(SectionKind::Coefficients, &coefficients)?;
     let resolution = scene.visibility.basis_resolution;
     let differences = prediction::differences(&scene.basis, resolution);

@@ -45,7 +45,7 @@ impl Compressed {
         (self.squared_error / vertices as f64).sqrt() as f32
     }
 
-    /// The same of vertices in another order, of which each comes once.
+    /// The same of vertices in another order, in which some may come several times.
     #[must_use]
     pub fn reordered(self, order: &[usize]) -> Self {
         let channels = self.tiles as usize * CHANNELS_PER_TILE;

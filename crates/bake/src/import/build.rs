@@ -1,5 +1,6 @@
 //! What all importers share: parts of a mesh are cleaned, completed and appended.
 
+use std::collections::HashSet;
 use std::path::Path;
 
 use glam::{DVec3, Vec2, Vec3};
@@ -7,6 +8,7 @@ use relight_format::{Material, Texture};
 
 use super::Error;
 use crate::mesh::{self, MAX_COORDINATE, Mesh, Triangle, Vertex, tangent};
+use crate::visibility::places::{self, Divided};
 
 /// Triangles of one material, in world space.
 pub(super) struct Part {
@@ -53,6 +55,8 @@ pub(super) struct Builder<'a> {
     invented_normals: usize,
     turned_away: usize,
     second_sheets: usize,
+    repeated: usize,
+    back_to_back: usize,
 }
 
 impl<'a> Builder<'a> {
@@ -67,6 +71,8 @@ impl<'a> Builder<'a> {
             invented_normals: 0,
             turned_away: 0,
             second_sheets: 0,
+            repeated: 0,
+            back_to_back: 0,
         }
     }
 
@@ -96,6 +102,7 @@ impl<'a> Builder<'a> {
         part.triangles
             .retain(|triangle| face_normal(corners(&part.vertices, *triangle)).is_some());
         self.degenerate += before - part.triangles.len();
+        self.merge_coincident(&mut part);
         drop_unused(&mut part.vertices, &mut part.triangles);
         let normals = self.normals(&part);
         let complete = |(given, normal): (&GivenVertex, Vec3)| {
@@ -127,6 +134,59 @@ impl<'a> Builder<'a> {
             self.append(&vertices, &triangles, part.material)?;
         }
         Ok(())
+    }
+
+    /// Drops triangles that repeat another. Where two lie back to back on the same vertices,
+    /// gives each its own: the mean of their normals is neither's.
+    fn merge_coincident(&mut self, part: &mut Part) {
+        let positions: Vec<Vec3> = part.vertices.iter().map(|vertex| vertex.position).collect();
+        let key = |triangle: &[u32; 3]| {
+            // Adding zero turns −0 into +0. Turned so that the least corner comes first.
+            let mut corners = triangle.map(|vertex| {
+                (positions[vertex as usize] + Vec3::ZERO)
+                    .to_array()
+                    .map(f32::to_bits)
+            });
+            let first = (0..3).min_by_key(|&k| corners[k]).unwrap_or(0);
+            corners.rotate_left(first);
+            corners
+        };
+        let mut seen = HashSet::with_capacity(part.triangles.len());
+        let before = part.triangles.len();
+        part.triangles.retain(|triangle| seen.insert(key(triangle)));
+        self.repeated += before - part.triangles.len();
+        let back = |triangle: &[u32; 3]| {
+            let [a, b, c] = key(triangle);
+            seen.contains(&[a, c, b])
+        };
+        let doubled: Vec<bool> = part.triangles.iter().map(back).collect();
+        let count = doubled.iter().filter(|doubled| **doubled).count();
+        if count == 0 {
+            return;
+        }
+        self.back_to_back += count / 2;
+        let sides = places::sides(&positions, &part.triangles);
+        let divided = Divided::new(&part.triangles, part.vertices.len(), &sides);
+        part.triangles = divided.triangles;
+        for vertex in divided.copied {
+            part.vertices.push(part.vertices[vertex as usize]);
+        }
+        // Normals of one side are wrong on the other.
+        let mut votes = vec![0i32; part.vertices.len()];
+        for (triangle, doubled) in part.triangles.iter().zip(doubled) {
+            let corners = triangle.map(|vertex| part.vertices[vertex as usize].position);
+            let face = face_normal(corners).unwrap_or_default();
+            for vertex in triangle {
+                let normal = part.vertices[*vertex as usize].normal.unwrap_or_default();
+                let away = face.dot(normal.as_dvec3()) < 0.0;
+                votes[*vertex as usize] += if doubled && away { 1 } else { -1 };
+            }
+        }
+        for (vertex, votes) in part.vertices.iter_mut().zip(votes) {
+            if votes > 0 {
+                vertex.normal = vertex.normal.map(|normal| -normal);
+            }
+        }
     }
 
     /// Unit normals: the part's own, else those of faces.
@@ -216,6 +276,11 @@ impl<'a> Builder<'a> {
         mesh.drop_unused_textures();
         let counted = [
             (self.degenerate, "triangles of zero area are dropped"),
+            (self.repeated, "triangles repeat another and are dropped"),
+            (
+                self.back_to_back,
+                "pairs of triangles lie back to back: each becomes the two sides of one sheet",
+            ),
             (
                 self.invented_normals,
                 "vertices have a zero normal, which their faces replace",

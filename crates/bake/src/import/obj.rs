@@ -10,6 +10,8 @@ use std::path::Path;
 use glam::{DVec2, DVec3, Vec2, Vec3};
 use relight_format::{Material, Specular, Surface, Texture, TextureEncoding, TextureSlot};
 
+use crate::visibility::places;
+
 use super::build::{Builder, GivenVertex, Part, Tangents, angle_weighted_normals};
 use crate::files::Files;
 
@@ -54,14 +56,18 @@ struct Corner {
     normal: Option<u32>,
 }
 
+/// Where a file has neither normals nor smoothing groups, faces that bend by more than this
+/// meet at a hard edge: boxes are flat, scans smooth.
+const CREASE_DEGREES: f64 = 60.0;
+
 #[derive(Debug)]
 struct Face {
     /// First and one past the last corner.
     corners: [usize; 2],
     /// Index into [`Obj::materials`].
     material: usize,
-    /// Smoothing group; 0 is flat.
-    smoothing: u32,
+    /// Smoothing group, 0 of which is flat; none in a file without groups.
+    smoothing: Option<u32>,
     line: usize,
 }
 
@@ -140,7 +146,7 @@ fn parse(file: &Path, text: &str) -> Result<Obj, Error> {
                 obj.faces.push(Face {
                     corners: [start, obj.corners.len()],
                     material,
-                    smoothing: smoothing.unwrap_or(1),
+                    smoothing,
                     line: number,
                 });
             }
@@ -156,7 +162,7 @@ fn parse(file: &Path, text: &str) -> Result<Obj, Error> {
                 // Faces before the first statement are in no group once there is one.
                 if smoothing.is_none() {
                     for face in &mut obj.faces {
-                        face.smoothing = 0;
+                        face.smoothing = Some(0);
                     }
                 }
                 smoothing = Some(rest.parse().unwrap_or(0));
@@ -295,10 +301,6 @@ impl Obj {
         }
         Ok((triangles, skipped))
     }
-
-    fn position(&self, corner: u32) -> Vec3 {
-        self.positions[self.corners[corner as usize].position as usize]
-    }
 }
 
 /// Cuts a polygon into triangles of local indices: a fan if it is convex, else by ear
@@ -367,45 +369,61 @@ fn triangulate(points: &[DVec3]) -> Option<Vec<[usize; 3]>> {
 }
 
 /// The normal of each corner of each triangle: the file's, else the angle-weighted mean over
-/// the triangles that share the position and the smoothing group, else the face's; none where
+/// the triangles around the position on its side of the surface, those of its smoothing group
+/// or, where the file has no groups, those that bend by less than the crease angle; none where
 /// faces cancel.
 fn corner_normals(obj: &Obj, triangles: &[Triangle]) -> Vec<[Option<Vec3>; 3]> {
     let given = |corner: u32| {
         let index = obj.corners[corner as usize].normal?;
         obj.normals.get(index as usize)?.try_normalize()
     };
-    let mut sums: HashMap<(u32, u32), DVec3> = HashMap::new();
     let incomplete = triangles
         .iter()
         .any(|t| t.corners.iter().any(|&c| given(c).is_none()));
-    // Group 0 is never smoothed, so its normals are kept per face, under the face's number.
-    let key = |triangle: &Triangle, corner: u32| match obj.faces[triangle.face as usize].smoothing {
-        0 => (u32::MAX - triangle.face, 0),
-        group => (obj.corners[corner as usize].position, group),
-    };
-    if incomplete {
-        for triangle in triangles {
-            let points = triangle
-                .corners
-                .map(|corner| obj.position(corner).as_dvec3());
-            for (corner, weight) in triangle
-                .corners
-                .into_iter()
-                .zip(angle_weighted_normals(points))
-            {
-                *sums.entry(key(triangle, corner)).or_default() += weight;
-            }
-        }
+    if !incomplete {
+        let given = triangles.iter().map(|t| t.corners.map(given));
+        return given.collect();
     }
-    let smooth = |triangle: &Triangle, corner: u32| {
-        let sum = sums.get(&key(triangle, corner))?;
-        Some(sum.try_normalize()?.as_vec3())
-    };
-    triangles
-        .iter()
+    let indices: Vec<[u32; 3]> = (triangles.iter())
         .map(|t| {
             t.corners
-                .map(|corner| given(corner).or_else(|| smooth(t, corner)))
+                .map(|corner| obj.corners[corner as usize].position)
+        })
+        .collect();
+    let sides = places::sides(&obj.positions, &indices);
+    // Around every corner: smoothing group, unit normal of the face and that times its angle.
+    let mut around: HashMap<u32, Vec<(Option<u32>, DVec3, DVec3)>> = HashMap::new();
+    let group = |t: &Triangle| obj.faces[t.face as usize].smoothing;
+    let normal = |triangle: [u32; 3]| {
+        let [a, b, c] = triangle.map(|position| obj.positions[position as usize].as_dvec3());
+        (b - a).cross(c - a).normalize_or_zero()
+    };
+    for ((t, positions), sides) in triangles.iter().zip(&indices).zip(&sides) {
+        let points = positions.map(|position| obj.positions[position as usize].as_dvec3());
+        let weighted = angle_weighted_normals(points);
+        for (side, weighted) in sides.iter().zip(weighted) {
+            let of_face = (group(t), normal(*positions), weighted);
+            around.entry(*side).or_default().push(of_face);
+        }
+    }
+    let crease = CREASE_DEGREES.to_radians().cos();
+    let smooth = |t: &Triangle, positions: [u32; 3], side: u32| {
+        let (own_group, own) = (group(t), normal(positions));
+        let others = around.get(&side)?.iter();
+        let sum: DVec3 = others
+            .filter(|(group, normal, _)| match own_group {
+                Some(0) => false,
+                None => group.is_none() && normal.dot(own) >= crease,
+                some => *group == some,
+            })
+            .map(|(_, _, weighted)| *weighted)
+            .sum();
+        let flat = own_group == Some(0);
+        Some(if flat { own } else { sum }.try_normalize()?.as_vec3())
+    };
+    (triangles.iter().zip(&indices).zip(&sides))
+        .map(|((t, positions), sides)| {
+            [0, 1, 2].map(|k| given(t.corners[k]).or_else(|| smooth(t, *positions, sides[k])))
         })
         .collect()
 }

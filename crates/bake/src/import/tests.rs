@@ -589,7 +589,7 @@ fn no_mutation_of_an_obj_panics() {
 fn corner_normals_of_a_cube_are_its_diagonals() {
     let mesh = import_obj(
         "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 0 0 1\nv 1 0 1\nv 1 1 1\nv 0 1 1\n\
-         f 4 3 2 1\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n",
+         s 1\nf 4 3 2 1\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n",
     )
     .expect("a cube");
     // Whatever the diagonals of the faces are, the angles at a corner sum to 90° per face.
@@ -601,11 +601,46 @@ fn corner_normals_of_a_cube_are_its_diagonals() {
 }
 
 #[test]
+fn faces_back_to_back_become_two_sides() {
+    // A square, its back on the same vertices, and one triangle twice.
+    let square = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n";
+    let mesh = import_obj(&format!(
+        "{square}f 1 2 3\nf 1 3 4\nf 3 2 1\nf 4 3 1\nf 2 3 1\n"
+    ))
+    .expect("a sheet");
+    assert_eq!((mesh.vertices.len(), mesh.triangles.len()), (8, 4));
+    for triangle in &mesh.triangles {
+        let [a, b, c] = mesh.corners(triangle);
+        let face = (b - a).cross(c - a).normalize();
+        for vertex in triangle.vertices {
+            assert_close(mesh.vertices[vertex as usize].normal, face);
+        }
+    }
+    for part in [
+        "2 pairs of triangles lie back to back",
+        "1 triangles repeat",
+    ] {
+        let told = mesh.warnings.iter().any(|warning| warning.contains(part));
+        assert!(told, "{part}: {:?}", mesh.warnings);
+    }
+    // Normals of the file are of one side.
+    let mesh = import_obj(&format!(
+        "{square}vn 0 0 1\nf 1//1 2//1 3//1\nf 3//1 2//1 1//1\n"
+    ))
+    .expect("a sheet");
+    let normals: Vec<f32> = mesh.vertices.iter().map(|vertex| vertex.normal.z).collect();
+    assert_eq!(normals, [1.0, 1.0, 1.0, -1.0, -1.0, -1.0]);
+}
+
+#[test]
 fn smoothing_groups_keep_edges() {
     let corner = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 0 0 1\nv 0 1 1\n";
     let faces = ["f 1 2 3 4\n", "f 1 4 6 5\n"];
     let vertices = |text: String| import_obj(&text).expect("two squares").vertices.len();
-    assert_eq!(vertices(format!("{corner}{}{}", faces[0], faces[1])), 6);
+    // Without groups what bends by more than the crease angle is an edge.
+    assert_eq!(vertices(format!("{corner}{}{}", faces[0], faces[1])), 8);
+    let blunt = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv -1 0 1\nv -1 1 1\n";
+    assert_eq!(vertices(format!("{blunt}{}{}", faces[0], faces[1])), 6);
     assert_eq!(
         vertices(format!("{corner}s 1\n{}s 2\n{}", faces[0], faces[1])),
         8

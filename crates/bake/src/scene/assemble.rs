@@ -6,6 +6,10 @@ use super::error::Error;
 use super::surface::ErrorSums;
 use crate::compress::Compressed;
 
+/// Errors on the surface above this, radians, are warned of: pictures of such bakes are off by
+/// several percent.
+const LARGE_ERROR: f32 = 0.025;
+
 /// A finished cluster; needs nothing else of the scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Cluster {
@@ -38,6 +42,14 @@ pub fn assemble<E: From<Error>>(
         }
     }
     scene.report.errors = errors.errors();
+    let off = scene.report.errors.surface;
+    if off > LARGE_ERROR {
+        scene.report.warnings.push(format!(
+            "visibility on the surface is off by {off:.3} rad, root mean square, where {LARGE_ERROR} \
+             is usual at most: shadows will look wrong in places; compare with `lab truth`, and \
+             try --preset high, or --refine-error 0.02"
+        ));
+    }
     Ok(scene)
 }
 

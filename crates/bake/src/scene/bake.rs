@@ -14,7 +14,7 @@ use super::fingerprint::Dependencies;
 use super::load::SceneInput;
 use super::options::Options;
 use super::queue::Queue;
-use super::sample::{CHUNK_VERTICES, Prepared};
+use super::sample::{CHUNK_VERTICES, Placed, Prepared};
 use super::statistics::{Statistics, add_time, load};
 use crate::mesh::{Mesh, cluster, refine};
 use crate::monitor::Monitor;
@@ -120,16 +120,17 @@ impl<'a> Bake<'a> {
             coefficients: Vec::new(),
             basis: Vec::new(),
         };
+        let placed = Placed::new(&mut mesh, &contours, ray_offset);
         let chunks = match options.representation {
             Representation::ClusteredPca => {
-                cluster::partition(&mesh.positions(), &mesh.indices(), CHUNK_VERTICES)
+                cluster::partition(&placed.origins, &placed.triangles, CHUNK_VERTICES)
             }
             Representation::GlobalPca => vec![(0..mesh.triangles.len() as u32).collect()],
         };
         stages.push(("refine", clock.elapsed()));
 
         let mut bake = Self {
-            prepared: Prepared::new(mesh, chunks, contours, options, ray_offset, monitor),
+            prepared: Prepared::new(mesh, placed, chunks, contours, options, monitor),
             head,
             aim: options.aim,
             fingerprint: dependencies.fingerprint(),

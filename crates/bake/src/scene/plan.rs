@@ -160,11 +160,16 @@ impl Prepared<'_> {
         let mut errors = ErrorSums::at_vertices(&compressed, vertices.len());
         for probe in probes {
             if triangles.binary_search(&probe.triangle).is_ok() {
-                let columns = columns(&probe.vertices, vertices);
+                let columns = columns(&probe.places, vertices);
                 errors.add_probe(probe, &columns, &stored, &exact, &self.weighting);
             }
         }
-        let local = |vertex: u32| vertices.partition_point(|&other| other < vertex) as u32;
+        let mut used: Vec<u32> = (triangles.iter())
+            .flat_map(|&index| self.mesh.triangles[index as usize].vertices)
+            .collect();
+        used.sort_unstable();
+        used.dedup();
+        let local = |vertex: u32| used.partition_point(|&other| other < vertex) as u32;
         let triangle = |&index: &u32| {
             let source = &self.mesh.triangles[index as usize];
             format::Triangle {
@@ -174,15 +179,18 @@ impl Prepared<'_> {
             }
         };
         let triangles: Vec<_> = triangles.iter().map(triangle).collect();
-        let (triangles, order) = layout::walk(&triangles, vertices.len());
-        let vertex = |&column: &usize| {
-            let vertex = self.mesh.vertices[vertices[column] as usize];
-            layout::rounded(vertex.into())
+        let (triangles, order) = layout::walk(&triangles, used.len());
+        let order: Vec<u32> = order.into_iter().map(|number| used[number]).collect();
+        let vertex = |&vertex: &u32| layout::rounded(self.mesh.vertices[vertex as usize].into());
+        let column = |&vertex: &u32| {
+            let place = self.places[vertex as usize];
+            vertices.partition_point(|&other| other < place)
         };
+        let columns: Vec<usize> = order.iter().map(column).collect();
         Cluster {
             vertices: order.iter().map(vertex).collect(),
             triangles,
-            compressed: compressed.reordered(&order),
+            compressed: compressed.reordered(&columns),
             errors,
         }
     }

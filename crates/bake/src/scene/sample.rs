@@ -14,6 +14,7 @@ use crate::mesh::{Mesh, cluster};
 use crate::monitor::{Interrupted, Monitor};
 use crate::ssdf::{Sampled, Sampler};
 use crate::visibility::contour::ContourMesh;
+use crate::visibility::places::{Divided, Places};
 use crate::visibility::{self, Bitmap};
 
 /// Sine of the angle by which normal maps are taken to turn normals; texels that turn them
@@ -26,6 +27,40 @@ pub(super) const CHUNK_VERTICES: usize = 1024;
 /// them come to about six times as much.
 const CHUNK_BUDGET_BYTES: usize = 96 << 20;
 
+/// Normals whose differences are shorter are the same.
+const SAME_NORMAL: f32 = 1e-3;
+
+/// Where vertices are sampled.
+pub(super) struct Placed {
+    pub(super) origins: Vec<Vec3>,
+    /// The place of every vertex.
+    places: Vec<u32>,
+    /// The places of every triangle's corners.
+    pub(super) triangles: Vec<[u32; 3]>,
+    ray_offset: f32,
+}
+
+impl Placed {
+    /// Copies vertices that see different things from different sides.
+    pub(super) fn new(mesh: &mut Mesh, contours: &ContourMesh, ray_offset: f32) -> Self {
+        let triangles = mesh.indices();
+        let places = Places::new(&mesh.positions(), &triangles, contours.caster(), ray_offset);
+        let divided = Divided::new(&triangles, mesh.vertices.len(), &places.corners);
+        for (triangle, vertices) in mesh.triangles.iter_mut().zip(divided.triangles) {
+            triangle.vertices = vertices;
+        }
+        for vertex in divided.copied {
+            mesh.vertices.push(mesh.vertices[vertex as usize]);
+        }
+        Self {
+            origins: places.origins,
+            places: divided.places,
+            triangles: places.corners,
+            ray_offset,
+        }
+    }
+}
+
 /// A refined scene with all that sampling and compressing parts of it needs, in any order.
 pub(super) struct Prepared<'a> {
     pub(super) options: Options,
@@ -34,12 +69,17 @@ pub(super) struct Prepared<'a> {
     pub(super) mesh: Mesh,
     /// How far the normal map of each material may turn normals, as in [`Normal::tilt`].
     tilts: Vec<f32>,
+    /// The place of every vertex of the mesh.
+    pub(super) places: Vec<u32>,
+    /// The places of every triangle's corners.
     pub(super) triangles: Vec<[u32; 3]>,
     /// Triangles that are sampled and compressed together.
     pub(super) chunks: Vec<Vec<u32>>,
-    /// Where visibility is sampled, one point per vertex.
+    /// Where visibility is sampled, one point per place.
     pub(super) origins: Vec<Vec3>,
-    contours: ContourMesh,
+    pub(super) contours: ContourMesh,
+    /// Distance of samples from the surface, metres.
+    pub(super) ray_offset: f32,
     pub(super) sampler: Sampler,
     pub(super) weighting: Weighting,
     /// Whether every point is also sampled by one ray per texel.
@@ -50,10 +90,10 @@ pub(super) struct Prepared<'a> {
 impl<'a> Prepared<'a> {
     pub(super) fn new(
         mut mesh: Mesh,
+        placed: Placed,
         chunks: Vec<Vec<u32>>,
         contours: ContourMesh,
         options: &Options,
-        ray_offset: f32,
         monitor: Monitor<'a>,
     ) -> Self {
         let tilt = |material: relight_format::Material| match material.normal_texture {
@@ -61,14 +101,15 @@ impl<'a> Prepared<'a> {
             None => 0.0,
         };
         let tilts = mesh.materials.drain(..).map(tilt).collect();
-        let triangles = mesh.indices();
         Self {
             options: options.clone(),
             monitor,
             tilts,
-            origins: visibility::origins(&mesh.positions(), &triangles, ray_offset),
+            origins: placed.origins,
+            places: placed.places,
+            triangles: placed.triangles,
+            ray_offset: placed.ray_offset,
             mesh,
-            triangles,
             chunks,
             contours,
             sampler: Sampler::new(
@@ -127,20 +168,48 @@ impl<'a> Prepared<'a> {
         Samples::new(ssdfs, &normals, &self.weighting)
     }
 
-    /// Shading normals of `vertices`, which `triangles` use.
-    fn normals(&self, triangles: &[u32], vertices: &[u32]) -> Vec<Normal> {
-        let mut normals: Vec<Normal> = (vertices.iter())
-            .map(|&vertex| Normal {
-                direction: (self.mesh.vertices[vertex as usize].normal).normalize_or_zero(),
+    /// Shading normals at `places`, which `triangles` use: their mean, and how far others of
+    /// the same place, and normal maps, turn away from it.
+    fn normals(&self, triangles: &[u32], places: &[u32]) -> Vec<Normal> {
+        let mut normals = vec![
+            Normal {
+                direction: Vec3::ZERO,
                 tilt: 0.0,
+            };
+            places.len()
+        ];
+        let corners = |triangle: u32| {
+            let vertices = self.mesh.triangles[triangle as usize].vertices;
+            vertices.map(|vertex| {
+                let place = self.places[vertex as usize];
+                let normal = self.mesh.vertices[vertex as usize].normal;
+                let column = places.partition_point(|&other| other < place);
+                (column, normal.normalize_or_zero())
             })
-            .collect();
+        };
         for &triangle in triangles {
-            let tilt = self.tilt(triangle);
-            if tilt > 0.0 {
-                for vertex in self.triangles[triangle as usize] {
-                    normals[vertices.partition_point(|&other| other < vertex)].tilt = tilt;
+            for (column, normal) in corners(triangle) {
+                // Where all are the same, their mean is it to the last bit.
+                let sum = &mut normals[column].direction;
+                if sum.normalize_or_zero().distance(normal) > SAME_NORMAL {
+                    *sum += normal;
                 }
+            }
+        }
+        for normal in &mut normals {
+            normal.direction = normal.direction.normalize_or_zero();
+        }
+        for &triangle in triangles {
+            let map = self.tilt(triangle);
+            for (column, corner) in corners(triangle) {
+                let normal = &mut normals[column];
+                let cosine = normal.direction.dot(corner);
+                let turned = if cosine > 0.0 {
+                    (1.0 - cosine * cosine).max(0.0).sqrt()
+                } else {
+                    1.0
+                };
+                normal.tilt = normal.tilt.max((map + turned).min(1.0));
             }
         }
         normals

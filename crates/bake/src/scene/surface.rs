@@ -7,18 +7,28 @@ use std::sync::atomic::Ordering;
 
 use glam::Vec3;
 use relight_format::VisibilityErrors;
+use relight_shading::octahedral;
 
 use super::sample::Prepared;
 use crate::compress::{Compressed, Normal, Weighting};
 use crate::monitor::Interrupted;
+use crate::visibility::ray::Crossing;
+
+/// Rays per side of the map that tells whether a point lies inside of something.
+const INSIDE_RESOLUTION: u32 = 8;
 
 /// A point inside a triangle.
 pub(super) struct Probe {
     pub(super) triangle: u32,
-    pub(super) vertices: [u32; 3],
+    /// Of its corners.
+    pub(super) places: [u32; 3],
+    vertices: [u32; 3],
     /// What each vertex counts; their sum is 1.
     weights: [f32; 3],
-    /// Of the triangle.
+    /// Where rays from it begin.
+    origin: Vec3,
+    /// Unit normal of the triangle, and its area.
+    face: Vec3,
     area: f32,
     exact: Vec<f32>,
     normal: Normal,
@@ -105,8 +115,9 @@ impl Prepared<'_> {
             .filter(|triangle| triangle.is_multiple_of(step))
             .map(|&triangle| self.probe(triangle))
             .collect();
+        probes.retain(|probe| !self.is_inside(probe));
         let points = (probes.iter_mut())
-            .map(|probe| (probe.mean(|vertex| self.origins[vertex as usize]), probe))
+            .map(|probe| (probe.origin, probe))
             .collect();
         self.sample(points, |probe, sampled| {
             let direction = probe
@@ -123,9 +134,39 @@ impl Prepared<'_> {
         Ok(probes)
     }
 
+    /// Whether a point lies where nobody looks: inside of something. All around it are backs, or
+    /// sheets with two fronts.
+    fn is_inside(&self, probe: &Probe) -> bool {
+        let count = INSIDE_RESOLUTION;
+        let texels = (0..count * count).map(|i| [i % count, i / count]);
+        let mut fronts = 0;
+        let mut backs = 0;
+        for [x, y] in texels {
+            let direction = octahedral::texel_direction(x, y, count);
+            if direction.dot(probe.face) <= 0.0 {
+                continue;
+            }
+            let caster = self.contours.caster();
+            let Some(hit) = caster.closest_hit(probe.origin, direction) else {
+                return false;
+            };
+            // Besides the nearest, whatever coincides with it.
+            let reach = hit.distance * (1.0 + 1e-5);
+            let around = caster.crossings(probe.origin, direction, reach);
+            let back = |crossing: &Crossing| crossing.normal.dot(direction) >= 0.0;
+            if around.iter().any(back) {
+                backs += 1;
+            } else {
+                fronts += 1;
+            }
+        }
+        backs > fronts
+    }
+
     fn probe(&self, triangle: u32) -> Probe {
-        let vertices = self.triangles[triangle as usize];
-        let [a, b, c] = self.mesh.corners(&self.mesh.triangles[triangle as usize]);
+        let corners = &self.mesh.triangles[triangle as usize];
+        let [a, b, c] = self.mesh.corners(corners);
+        let area_normal = (b - a).cross(c - a);
         // An additive recurrence covers a square evenly, whatever triangles are taken
         // (Roberts 2018); its upper half is folded onto the lower one.
         let along = |ratio: f64| (f64::from(triangle) * ratio).fract() as f32;
@@ -135,11 +176,15 @@ impl Prepared<'_> {
         } else {
             [u, v]
         };
+        let offset = self.ray_offset * area_normal.normalize_or_zero();
         Probe {
             triangle,
-            vertices,
+            places: self.triangles[triangle as usize],
+            vertices: corners.vertices,
             weights: [1.0 - u - v, u, v],
-            area: 0.5 * (b - a).cross(c - a).length(),
+            origin: a * (1.0 - u - v) + b * u + c * v + offset,
+            face: area_normal.normalize_or_zero(),
+            area: 0.5 * area_normal.length(),
             exact: Vec::new(),
             normal: Normal {
                 direction: Vec3::ZERO,

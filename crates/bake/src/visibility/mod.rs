@@ -2,6 +2,7 @@
 
 mod arrange;
 pub mod contour;
+pub mod places;
 pub mod ray;
 
 use glam::Vec3;

@@ -30,6 +30,17 @@ pub struct RayCaster {
     triangles: Vec<[Vec3A; 3]>,
 }
 
+/// Where a ray passes through the scene.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Crossing {
+    /// Ray parameter, in lengths of the direction.
+    pub distance: f32,
+    /// Of the triangle: unit length, on the side from which its vertices run counter-clockwise.
+    pub normal: Vec3,
+    /// A vertex of the triangle.
+    pub vertex: Vec3,
+}
+
 /// A triangle's bounds, padded so that rounding in the box test loses no hit.
 struct Padded {
     vertices: [Vec3A; 3],
@@ -83,6 +94,38 @@ impl RayCaster {
         !self.bvh.ray_traverse_miss(ray, |ray, index| {
             intersect(&self.triangles[index], ray).map_or(f32::INFINITY, |(t, _)| t)
         })
+    }
+
+    /// Whether anything lies between two points.
+    pub fn blocked(&self, from: Vec3, to: Vec3) -> bool {
+        if self.triangles.is_empty() {
+            return false;
+        }
+        let ray = Ray::new(from.into(), (to - from).into(), 0.0, 1.0);
+        !self.bvh.ray_traverse_miss(ray, |ray, index| {
+            intersect(&self.triangles[index], ray).map_or(f32::INFINITY, |(t, _)| t)
+        })
+    }
+
+    /// Everything on the ray up to `length`, in no particular order.
+    pub fn crossings(&self, origin: Vec3, direction: Vec3, length: f32) -> Vec<Crossing> {
+        let mut crossings = Vec::new();
+        if self.triangles.is_empty() {
+            return crossings;
+        }
+        let ray = Ray::new(origin.into(), direction.into(), 0.0, length);
+        self.bvh.ray_traverse_anyhit(ray, |ray, index| {
+            let triangle = &self.triangles[index];
+            if let Some((distance, _)) = intersect(triangle, ray).filter(|(t, _)| *t <= length) {
+                let [a, b, c] = *triangle;
+                crossings.push(Crossing {
+                    distance,
+                    normal: (b - a).cross(c - a).normalize_or_zero().into(),
+                    vertex: a.into(),
+                });
+            }
+        });
+        crossings
     }
 
     /// The nearest intersection at a parameter greater than zero.

@@ -81,6 +81,34 @@ fn expected_from(v: u32, triangles: &[([u32; 3], u16, u16)]) -> [Option<u32>; 3]
     ]
 }
 
+/// Unit normal of the first triangle that uses a vertex; zero if none does.
+fn face_normal(scene: &Scene, v: usize) -> [f64; 3] {
+    let mut triangles = scene.triangles.iter();
+    let Some(triangle) = triangles.find(|t| t.vertices.contains(&(v as u32))) else {
+        return [0.0; 3];
+    };
+    let [a, b, c] = (triangle.vertices).map(|v| scene.vertices[v as usize].position.map(f64::from));
+    let u = [0, 1, 2].map(|i| b[i] - a[i]);
+    let w = [0, 1, 2].map(|i| c[i] - a[i]);
+    let n = [0, 1, 2].map(|i| {
+        let (j, k) = ((i + 1) % 3, (i + 2) % 3);
+        u[j] * w[k] - u[k] * w[j]
+    });
+    let length = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt();
+    n.map(|x| x / length)
+}
+
+/// The tangent that runs around +Y.
+fn axis_tangent(scene: &Scene, v: usize) -> [f64; 3] {
+    let [x, _, z] = scene.vertices[v].normal.map(f64::from);
+    let length = (x * x + z * z).sqrt();
+    if length > 0.0 {
+        [z / length, 0.0, -x / length]
+    } else {
+        [1.0, 0.0, 0.0]
+    }
+}
+
 fn compare(scene: &Scene) {
     let file = File::parse(&write_scene(scene).unwrap());
     let [vertices, triangles_raw, coefficients, basis] =
@@ -93,11 +121,30 @@ fn compare(scene: &Scene) {
     assert!(found.eq(triangles.iter().copied()));
 
     let count = scene.vertices.len();
-    let expected: Vec<_> = (0..count as u32)
-        .map(|v| expected_from(v, &triangles))
+    let codes = numbers(&vertices[13..][..4 * count], 4);
+    // The place of every vertex, the vertex of every place.
+    let (mut place, mut first): (Vec<usize>, Vec<usize>) = (Vec::new(), Vec::new());
+    for (v, code) in codes.iter().enumerate() {
+        place.push(first.len() - *code as usize);
+        if *code == 0 {
+            first.push(v);
+        }
+        let own = &scene.vertices[first[place[v]]];
+        assert_eq!(own.position, scene.vertices[v].position);
+    }
+    let at_places: Vec<_> = triangles
+        .iter()
+        .map(|(corners, ..)| (corners.map(|v| place[v as usize] as u32), 0, 0))
         .collect();
-    let sum = |v: usize, among: std::ops::Range<usize>, values: &[i64]| {
-        let [a, b, c] = expected[v].map(|other| {
+    let from = |count: usize, triangles: &[([u32; 3], u16, u16)]| -> Vec<[Option<u32>; 3]> {
+        (0..count as u32)
+            .map(|v| expected_from(v, triangles))
+            .collect()
+    };
+    let of_vertices = from(count, &triangles);
+    let of_places = from(first.len(), &at_places);
+    let sum = |of: &[[Option<u32>; 3]], v: usize, among: std::ops::Range<usize>, values: &[i64]| {
+        let [a, b, c] = of[v].map(|other| {
             let other = other.map(|other| other as usize);
             other
                 .filter(|other| *other < v && among.contains(other))
@@ -105,33 +152,59 @@ fn compare(scene: &Scene) {
         });
         a + b - c
     };
-    let differences = numbers(&vertices[12..], 4);
+    let decoded = |value: i64, exponent: i8| {
+        if exponent == -128 {
+            let bits = value as u32;
+            f32::from_bits(if value < 0 { bits ^ 0x7fff_ffff } else { bits })
+        } else {
+            (value as f64 * f64::from(exponent).exp2()) as f32
+        }
+    };
+    let all = |v: usize| {
+        let vertex = &scene.vertices[v];
+        let (normal, tangent) = (&vertex.normal, &vertex.tangent);
+        [&vertex.position[..], normal, tangent, &vertex.uv].concat()
+    };
+    let positions = numbers(&vertices[13 + 4 * count..][..12 * first.len()], 4);
+    let others = numbers(&vertices[13 + 4 * count + 12 * first.len()..], 4);
     for component in 0..12 {
         let exponent = vertices[component] as i8;
-        let mut values = vec![0; count];
-        for v in 0..count {
-            let value = sum(v, 0..count, &values) + signed(differences[component * count + v]);
-            // Modulo 2³².
-            values[v] = i64::from(value as i32);
-            let number = if exponent == -128 {
-                let bits = values[v] as u32;
-                f32::from_bits(if values[v] < 0 {
-                    bits ^ 0x7fff_ffff
-                } else {
-                    bits
-                })
+        let (of, differences, vertex_of): (_, &[u32], Box<dyn Fn(usize) -> usize>) =
+            if component < 3 {
+                let start = component * first.len();
+                (
+                    &of_places,
+                    &positions[start..][..first.len()],
+                    Box::new(|p| first[p]),
+                )
             } else {
-                (values[v] as f64 * f64::from(exponent).exp2()) as f32
+                let start = (component - 3) * count;
+                (&of_vertices, &others[start..][..count], Box::new(|v| v))
             };
-            let vertex = &scene.vertices[v];
-            let all = [
-                &vertex.position[..],
-                &vertex.normal,
-                &vertex.tangent,
-                &vertex.uv,
-            ]
-            .concat();
-            assert_eq!(number.to_bits(), all[component].to_bits());
+        let by_face = (3..6).contains(&component) && vertices[12] & 1 != 0;
+        let by_axis = (6..9).contains(&component) && vertices[12] & 2 != 0;
+        let mut values = vec![0; differences.len()];
+        for i in 0..values.len() {
+            let other = if by_face {
+                Some(face_normal(scene, i)[component - 3])
+            } else if by_axis {
+                Some(axis_tangent(scene, i)[component - 6])
+            } else {
+                None
+            };
+            let expected = match other {
+                None => sum(of, i, 0..values.len(), &values),
+                Some(x) if x.is_nan() => 0,
+                Some(x) if exponent == -128 => {
+                    let bits = (x as f32).to_bits() as i32;
+                    i64::from(if bits < 0 { bits ^ 0x7fff_ffff } else { bits })
+                }
+                Some(x) => (x / f64::from(exponent).exp2()).round_ties_even() as i64,
+            };
+            // Modulo 2³².
+            values[i] = i64::from((expected + signed(differences[i])) as i32);
+            let number = decoded(values[i], exponent);
+            assert_eq!(number.to_bits(), all(vertex_of(i))[component].to_bits());
         }
     }
 
@@ -144,17 +217,22 @@ fn compare(scene: &Scene) {
     let differences = numbers(&coefficients[2 * images..], 2);
     let (mut image, mut at) = (0, 0);
     for cluster in &scene.clusters {
-        let first = cluster.first_vertex as usize;
-        let members = first..first + cluster.vertex_count as usize;
+        let start = cluster.first_vertex as usize;
+        let vertices = start..start + cluster.vertex_count as usize;
         let channels = 4 * cluster.tiles as usize;
+        let begins = first.partition_point(|v| *v < vertices.start);
+        let members = begins..first.partition_point(|v| *v < vertices.end);
         for channel in 0..channels {
-            let mut values = vec![0; count];
-            for v in members.clone() {
+            let mut values = vec![0; first.len()];
+            for p in members.clone() {
                 let difference = signed(differences[at]) * i64::from(steps[image]);
-                values[v] = i64::from((sum(v, members.clone(), &values) + difference) as i16);
-                let place = cluster.first_coefficient as usize + (v - first) * channels + channel;
-                assert_eq!(values[v], i64::from(scene.coefficients[place]));
+                let expected = sum(&of_places, p, members.clone(), &values);
+                values[p] = i64::from((expected + difference) as i16);
                 at += 1;
+            }
+            for v in vertices.clone() {
+                let index = cluster.first_coefficient as usize + (v - start) * channels + channel;
+                assert_eq!(values[place[v]], i64::from(scene.coefficients[index]));
             }
             image += 1;
         }

@@ -138,7 +138,7 @@ fn foreign_headers_are_rejected() {
     let mut text = bytes.clone();
     text.insert(7, b'\r');
     assert_eq!(issue(&text), Issue::BadMagic);
-    for version in [0, 2, 4, u32::MAX] {
+    for version in [0, 3, 5, u32::MAX] {
         assert_eq!(with(8, version), Issue::UnknownVersion);
     }
     for kind in [0, 2, 3, u32::MAX] {
@@ -362,7 +362,7 @@ fn messages_name_place_expectation_and_finding_in_brief() {
     let error = inspect(&bytes, &Limits::default()).unwrap_err();
     assert_eq!(
         error.to_string(),
-        "UnknownVersion in header: expected version 3, found version 9"
+        "UnknownVersion in header: expected version 4, found version 9"
     );
     let mut scene = full_scene();
     scene.materials[0].name = "é".repeat(1 << 20);

@@ -14,8 +14,9 @@ use super::{Key, cut, divide, key, sides};
 use crate::compress::{Normal, Weighting};
 use crate::mesh::Mesh;
 use crate::monitor::{Interrupted, Monitor};
+use crate::ssdf;
 use crate::visibility::contour::ContourMesh;
-use crate::{ssdf, visibility};
+use crate::visibility::places::Places;
 
 /// Texels per side of the visibility that is compared: half of a bake's.
 const SAMPLE_RESOLUTION: u32 = 64;
@@ -212,10 +213,19 @@ fn sample_ends(
     if missing.is_empty() {
         return Ok(());
     }
-    let origins = visibility::origins(&mesh.positions(), &mesh.indices(), bound.ray_offset);
+    let triangles = mesh.indices();
+    let caster = comparison.contours.caster();
+    let places = Places::new(&mesh.positions(), &triangles, caster, bound.ray_offset);
+    // Of a vertex on several sides any will do.
+    let mut place_of = vec![0; mesh.vertices.len()];
+    for (triangle, corners) in triangles.iter().zip(&places.corners) {
+        for (vertex, place) in triangle.iter().zip(corners) {
+            place_of[*vertex as usize] = *place;
+        }
+    }
     let points: Vec<Point> = (missing.iter())
         .map(|&vertex| Point {
-            origin: origins[vertex as usize],
+            origin: places.origins[place_of[vertex as usize] as usize],
             normal: Vec3::ZERO,
         })
         .collect();

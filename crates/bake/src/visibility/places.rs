@@ -1,0 +1,659 @@
+//! Where a surface's visibility is sampled: one place per position and side.
+//!
+//! Visibility depends on where a point is, not on its normal, so triangles that meet at a
+//! position share one sample as long as they lie around the same air. Which do is told edge by
+//! edge, in the order in which faces follow each other around the edge: the front of one looks
+//! at the next. So both sides of a sheet stay apart even where they share their vertices, and
+//! so do solids that touch.
+//!
+//! Where other surfaces cross or touch a triangle, its corners may lie in them or behind them.
+//! Such a corner is sampled where the part of the triangle ends that people see: a ray from its
+//! centre towards the corner tells where.
+
+use std::collections::HashMap;
+
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+use relight_shading::octahedral;
+
+use super::ray::{Crossing, RayCaster};
+
+/// Triangles whose fronts enclose more than this, radians, are two sides of a thin thing.
+const THIN: f64 = 330.0 / 180.0 * std::f64::consts::PI;
+/// Directions from an edge that differ by less, radians, are the same.
+const SAME_ANGLE: f64 = 1e-5;
+/// Cosine between normals above which two triangles around an edge need no closer look.
+const FOLDED: f64 = -0.8;
+/// How close to another surface a corner touches it, and how close to a position crossings
+/// may be of the surface that goes on there, in offsets.
+const TOUCHING: f32 = 2.0;
+const ADJACENT: f32 = 20.0;
+/// Sine of the angle between planes that are the same, but for rounding.
+const SAME_PLANE: f32 = 1e-3;
+
+/// Crossings that are closer, in offsets, are of both sides of one sheet.
+const SHEET: f32 = 0.01;
+/// Points of a triangle that may be what people see of it, as weights of its corners.
+const CENTRES: [[f32; 3]; 4] = [
+    [1.0 / 3.0; 3],
+    [0.8, 0.1, 0.1],
+    [0.1, 0.8, 0.1],
+    [0.1, 0.1, 0.8],
+];
+/// Rays per side of the map that tells how open a point lies.
+const EXPOSURE_RESOLUTION: u32 = 8;
+
+/// Places of a mesh.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Places {
+    /// Where visibility is sampled.
+    pub origins: Vec<Vec3>,
+    /// The place of every corner of every triangle.
+    pub corners: Vec<[u32; 3]>,
+    /// Corners that are sampled elsewhere since they lie on or behind other surfaces.
+    pub moved_corners: usize,
+}
+
+impl Places {
+    /// Each place is a position moved by `offset`, in metres, along the area-weighted mean
+    /// normal of its triangles, or where a triangle emerges from another one. `caster` casts
+    /// at the same surface, however it is divided. Triangles without area stay where they are.
+    pub fn new(
+        positions: &[Vec3],
+        triangles: &[[u32; 3]],
+        caster: &RayCaster,
+        offset: f32,
+    ) -> Self {
+        let welded = weld(positions, triangles);
+        let corner = |index: usize| positions[triangles[index / 3][index % 3] as usize];
+        let (mut places, mut of) = umbrellas(positions, triangles, &welded);
+        let normals: Vec<Vec3> = (triangles.par_iter())
+            .map(|triangle| {
+                let [a, b, c] = triangle.map(|vertex| positions[vertex as usize]);
+                (b - a).cross(c - a)
+            })
+            .collect();
+        let members = Members::new(&of, places);
+        let ends: Vec<Option<Vec3>> = (0..triangles.len())
+            .into_par_iter()
+            .flat_map_iter(|triangle| {
+                let around = |k: usize| {
+                    let members = members.of(of[3 * triangle + k]).iter();
+                    members.map(|&member| normals[member as usize / 3])
+                };
+                let emerging = Emerging {
+                    caster,
+                    offset,
+                    corners: [0, 1, 2].map(|k| corner(3 * triangle + k)),
+                    normal: normals[triangle].normalize_or_zero(),
+                };
+                emerging.ends(around)
+            })
+            .collect();
+        let mut sums = vec![Vec3::ZERO; places];
+        let mut starts = vec![Vec3::ZERO; places];
+        for (index, end) in ends.iter().enumerate() {
+            let place = of[index] as usize;
+            starts[place] = corner(index);
+            if end.is_none() {
+                sums[place] += normals[index / 3];
+            }
+        }
+        let mut origins: Vec<Vec3> = (starts.iter().zip(&sums))
+            .map(|(start, sum)| *start + offset * sum.normalize_or_zero())
+            .collect();
+        for place in 0..members.count() {
+            let moved = members.of(place).iter();
+            let mut moved: Vec<(Vec3, usize)> = moved
+                .filter_map(|&index| Some((ends[index as usize]?, index as usize)))
+                .collect();
+            // What emerges nearest to the corner stands for all that it sees.
+            let start = starts[place as usize];
+            moved.sort_by(|(a, first), (b, second)| {
+                let distance = |end: &Vec3| end.distance_squared(start);
+                distance(a).total_cmp(&distance(b)).then(first.cmp(second))
+            });
+            let mut room = moved.len() == members.of(place).len();
+            let mut groups: Vec<(Vec3, u32)> = Vec::new();
+            for (end, index) in moved {
+                let seen = |from: Vec3| !caster.blocked(from, end);
+                let group = groups.iter().find(|(from, _)| seen(*from));
+                let place = group.map(|&(_, place)| place).unwrap_or_else(|| {
+                    // A place that none is left at is used again.
+                    let place = if std::mem::take(&mut room) {
+                        origins[place as usize] = end;
+                        place
+                    } else {
+                        origins.push(end);
+                        places += 1;
+                        places as u32 - 1
+                    };
+                    groups.push((end, place));
+                    place
+                });
+                of[index] = place;
+            }
+        }
+        Self {
+            origins,
+            corners: of.as_chunks::<3>().0.to_vec(),
+            moved_corners: ends.iter().flatten().count(),
+        }
+    }
+}
+
+/// The side of every corner of every triangle: corners at one position have the same number if
+/// their triangles lie around the same air.
+pub fn sides(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<[u32; 3]> {
+    let welded = weld(positions, triangles);
+    let (_, sides) = umbrellas(positions, triangles, &welded);
+    sides.as_chunks::<3>().0.to_vec()
+}
+
+/// A mesh whose vertices are each at one place.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Divided {
+    /// Corners of triangles; vertices from the former number on are copies.
+    pub triangles: Vec<[u32; 3]>,
+    /// What each copy is a copy of.
+    pub copied: Vec<u32>,
+    /// The place of every vertex; [`u32::MAX`] for those that no triangle uses.
+    pub places: Vec<u32>,
+}
+
+impl Divided {
+    /// Copies vertices that triangles use at several places, or on several sides.
+    pub fn new(triangles: &[[u32; 3]], vertices: usize, corners: &[[u32; 3]]) -> Self {
+        let mut divided = Self {
+            triangles: triangles.to_vec(),
+            copied: Vec::new(),
+            places: vec![u32::MAX; vertices],
+        };
+        let mut copies: HashMap<[u32; 2], u32> = HashMap::new();
+        for (triangle, places) in divided.triangles.iter_mut().zip(corners) {
+            for (vertex, &place) in triangle.iter_mut().zip(places) {
+                let first = &mut divided.places[*vertex as usize];
+                if *first == u32::MAX {
+                    *first = place;
+                }
+                if *first != place {
+                    let number = (vertices + divided.copied.len()) as u32;
+                    let copy = *copies.entry([*vertex, place]).or_insert(number);
+                    if copy == number {
+                        divided.copied.push(*vertex);
+                        divided.places.push(place);
+                    }
+                    *vertex = copy;
+                }
+            }
+        }
+        divided
+    }
+}
+
+/// A number for every vertex, the same for the same position.
+fn weld(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<u32> {
+    let mut numbers = HashMap::with_capacity(positions.len());
+    let mut welded = vec![u32::MAX; positions.len()];
+    for &vertex in triangles.as_flattened() {
+        // Adding zero turns −0 into +0.
+        let key = (positions[vertex as usize] + Vec3::ZERO)
+            .to_array()
+            .map(f32::to_bits);
+        let next = numbers.len() as u32;
+        welded[vertex as usize] = *numbers.entry(key).or_insert(next);
+    }
+    welded
+}
+
+/// A triangle at an edge.
+#[derive(Clone, Copy)]
+struct Side {
+    /// The welded ends of the edge, the lesser first.
+    edge: [u32; 2],
+    /// Number of the corner at which the edge begins, as the triangle winds.
+    corner: u32,
+    /// Whether the triangle winds from the lesser end to the other.
+    ascends: bool,
+}
+
+/// Divides the corners at every position by the air in front of their triangles. Returns how
+/// many groups there are and that of every corner, numbered as they come up.
+fn umbrellas(positions: &[Vec3], triangles: &[[u32; 3]], welded: &[u32]) -> (usize, Vec<u32>) {
+    let mut sides: Vec<Side> = (0..3 * triangles.len())
+        .filter_map(|corner| {
+            let triangle = triangles[corner / 3];
+            let [a, b] = [0, 1].map(|k| welded[triangle[(corner + k) % 3] as usize]);
+            (a != b).then_some(Side {
+                edge: [a.min(b), a.max(b)],
+                corner: corner as u32,
+                ascends: a < b,
+            })
+        })
+        .collect();
+    sides.par_sort_unstable_by_key(|side| (side.edge, side.corner));
+    let mut groups = Groups::new(3 * triangles.len());
+    for sides in sides.chunk_by(|a, b| a.edge == b.edge) {
+        connect(sides, positions, triangles, &mut groups);
+    }
+    groups.numbered()
+}
+
+/// Connects the triangles around an edge whose fronts face each other.
+fn connect(sides: &[Side], positions: &[Vec3], triangles: &[[u32; 3]], groups: &mut Groups) {
+    let at = |corner: u32, k: u32| {
+        let (triangle, corner) = (corner / 3, (corner + k) % 3);
+        positions[triangles[triangle as usize][corner as usize] as usize].as_dvec3()
+    };
+    let mut join = |a: &Side, b: &Side| {
+        let ends = |side: &Side| {
+            let next = side.corner / 3 * 3 + (side.corner + 1) % 3;
+            if side.ascends {
+                [side.corner, next]
+            } else {
+                [next, side.corner]
+            }
+        };
+        for (a, b) in ends(a).into_iter().zip(ends(b)) {
+            groups.join(a, b);
+        }
+    };
+    let normal = |side: &Side| {
+        let [a, b, c] = [0, 1, 2].map(|k| at(side.corner, k));
+        (b - a).cross(c - a).normalize_or_zero()
+    };
+    if let [a, b] = sides {
+        if a.ascends != b.ascends && normal(a).dot(normal(b)) > FOLDED {
+            join(a, b);
+            return;
+        }
+    }
+    let [low, high] = {
+        let side = &sides[0];
+        let ends = [at(side.corner, 0), at(side.corner, 1)];
+        if side.ascends {
+            ends
+        } else {
+            [ends[1], ends[0]]
+        }
+    };
+    let axis = (high - low).normalize_or_zero();
+    let across = |side: &Side| {
+        let away = at(side.corner, 2) - low;
+        (away - axis * axis.dot(away)).normalize_or_zero()
+    };
+    // Angles are told from the first triangle that has area.
+    let Some(first) = sides.iter().map(across).find(|way| *way != DVec3::ZERO) else {
+        return;
+    };
+    let third = axis.cross(first);
+    let mut around: Vec<(f64, &Side)> = (sides.iter())
+        .filter_map(|side| {
+            let way = across(side);
+            let angle = way.dot(third).atan2(way.dot(first));
+            (way != DVec3::ZERO).then_some((angle, side))
+        })
+        .collect();
+    around.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.corner.cmp(&b.1.corner)));
+    let rays: Vec<&[(f64, &Side)]> = around.chunk_by(|a, b| b.0 - a.0 < SAME_ANGLE).collect();
+    for (number, ray) in rays.iter().enumerate() {
+        let next = rays[(number + 1) % rays.len()];
+        let mut wedge = next[0].0 - ray[0].0;
+        if number + 1 == rays.len() {
+            wedge += std::f64::consts::TAU;
+        }
+        // Ascending triangles face growing angles.
+        let rising = ray.iter().filter(|(_, side)| side.ascends);
+        let falling = next.iter().filter(|(_, side)| !side.ascends);
+        if wedge < THIN {
+            if let Some((_, from)) = rising.clone().next() {
+                falling.clone().for_each(|(_, side)| join(from, side));
+            }
+        }
+        // The same triangle twice.
+        for same in [rising.collect::<Vec<_>>(), falling.collect()] {
+            for pair in same.windows(2) {
+                join(pair[0].1, pair[1].1);
+            }
+        }
+    }
+}
+
+/// Disjoint sets of corners.
+struct Groups {
+    parents: Vec<u32>,
+}
+
+impl Groups {
+    fn new(corners: usize) -> Self {
+        Self {
+            parents: (0..corners as u32).collect(),
+        }
+    }
+
+    fn root(&mut self, mut corner: u32) -> u32 {
+        while self.parents[corner as usize] != corner {
+            let parent = self.parents[corner as usize];
+            self.parents[corner as usize] = self.parents[parent as usize];
+            corner = parent;
+        }
+        corner
+    }
+
+    fn join(&mut self, a: u32, b: u32) {
+        let (a, b) = (self.root(a), self.root(b));
+        // The least is the root: what comes out does not depend on the order of joins.
+        self.parents[a.max(b) as usize] = a.min(b);
+    }
+
+    fn numbered(mut self) -> (usize, Vec<u32>) {
+        let mut count = 0;
+        let mut numbers = vec![0; self.parents.len()];
+        for corner in 0..self.parents.len() as u32 {
+            let root = self.root(corner);
+            if root == corner {
+                numbers[corner as usize] = count;
+                count += 1;
+            } else {
+                numbers[corner as usize] = numbers[root as usize];
+            }
+        }
+        (count as usize, numbers)
+    }
+}
+
+/// The corners of every place.
+struct Members {
+    first: Vec<u32>,
+    corners: Vec<u32>,
+}
+
+impl Members {
+    fn new(of: &[u32], places: usize) -> Self {
+        let mut first = vec![0; places + 1];
+        for &place in of {
+            first[place as usize + 1] += 1;
+        }
+        for place in 0..places {
+            first[place + 1] += first[place];
+        }
+        let mut next = first.clone();
+        let mut corners = vec![0; of.len()];
+        for (corner, &place) in of.iter().enumerate() {
+            corners[next[place as usize] as usize] = corner as u32;
+            next[place as usize] += 1;
+        }
+        Self { first, corners }
+    }
+
+    fn count(&self) -> u32 {
+        self.first.len() as u32 - 1
+    }
+
+    fn of(&self, place: u32) -> &[u32] {
+        let [from, to] = [0, 1].map(|k| self.first[place as usize + k] as usize);
+        &self.corners[from..to]
+    }
+}
+
+/// A triangle that may be partly behind others.
+struct Emerging<'a> {
+    caster: &'a RayCaster,
+    offset: f32,
+    corners: [Vec3; 3],
+    /// Unit length, or zero without area.
+    normal: Vec3,
+}
+
+impl Emerging<'_> {
+    /// For every corner that lies on or behind something, where the triangle emerges from it.
+    /// `around` gives the normals of the triangles that the surface goes on with at a corner.
+    fn ends<I: Iterator<Item = Vec3>>(&self, around: impl Fn(usize) -> I) -> [Option<Vec3>; 3] {
+        if self.normal == Vec3::ZERO {
+            return [None; 3];
+        }
+        let from = |weights: [f32; 3]| {
+            let centre = self.at(weights);
+            [0, 1, 2].map(|k| self.end(centre, self.corners[k], || around(k)))
+        };
+        let ends = from(CENTRES[0]);
+        if ends == [None; 3] {
+            return ends;
+        }
+        // What people see of the triangle may be near one of its corners alone.
+        let exposure = |weights: [f32; 3]| {
+            let origin = self.at(weights) + self.offset * self.normal;
+            let count = EXPOSURE_RESOLUTION;
+            let texels = (0..count * count).map(|i| [i % count, i / count]);
+            let open = texels.filter(|&[x, y]| {
+                let direction = octahedral::texel_direction(x, y, count);
+                direction.dot(self.normal) > 0.0 && !self.caster.any_hit(origin, direction)
+            });
+            open.count()
+        };
+        let mut best = (0, exposure(CENTRES[0]));
+        for (index, weights) in CENTRES.into_iter().enumerate().skip(1) {
+            let open = exposure(weights);
+            if open > 2 * best.1 {
+                best = (index, open);
+            }
+        }
+        if best.0 == 0 {
+            ends
+        } else {
+            from(CENTRES[best.0])
+        }
+    }
+
+    fn at(&self, weights: [f32; 3]) -> Vec3 {
+        let [a, b, c] = self.corners;
+        a * weights[0] + b * weights[1] + c * weights[2]
+    }
+
+    /// Where the triangle emerges on the way from a point of it to a corner, if it does.
+    fn end<I: Iterator<Item = Vec3>>(
+        &self,
+        centre: Vec3,
+        corner: Vec3,
+        around: impl Fn() -> I,
+    ) -> Option<Vec3> {
+        let start = centre + self.offset * self.normal;
+        let way = corner - centre;
+        let length = way.length();
+        let direction = way.normalize_or_zero();
+        let reach = TOUCHING * self.offset;
+        let mut crossings = self.caster.crossings(start, direction, length + reach);
+        crossings.retain(|crossing| {
+            let near = (crossing.distance - length).abs() <= ADJACENT * self.offset;
+            !(near && self.goes_on(crossing, corner, around()))
+        });
+        if crossings.is_empty() || direction == Vec3::ZERO {
+            return None;
+        }
+        crossings.sort_by(|a, b| {
+            let slope = |crossing: &Crossing| crossing.normal.dot(direction);
+            (a.distance.total_cmp(&b.distance)).then(slope(a).total_cmp(&slope(b)))
+        });
+        let before = |crossing: &Crossing| {
+            let slope = crossing.normal.dot(direction).abs();
+            let margin = self.offset / slope.max(1.0 / ADJACENT);
+            (crossing.distance - margin).max(0.0)
+        };
+        let touching = crossings.partition_point(|crossing| crossing.distance <= length - reach);
+        let (crossed, touching) = crossings.split_at(touching);
+        // How many solids the way has entered, and where it entered the first.
+        let (mut depth, mut entered) = (0, None);
+        let same = |a: &Crossing, b: &Crossing| b.distance - a.distance < SHEET * self.offset;
+        for sheets in crossed.chunk_by(same) {
+            let fronts = sheets
+                .iter()
+                .filter(|sheet| sheet.normal.dot(direction) < 0.0);
+            let fronts = fronts.count() as i32;
+            let backs = sheets.len() as i32 - fronts;
+            // Where both sides of a sheet face outwards, every other one leads inside.
+            let step = match (fronts, backs) {
+                (1.., 1..) if depth > 0 => -1,
+                (1.., 1..) => 1,
+                _ => (fronts - backs).signum(),
+            };
+            if depth == 0 && step > 0 {
+                entered = Some(before(&sheets[0]));
+            }
+            depth += step;
+        }
+        let end = if depth > 0 {
+            entered?
+        } else {
+            touching.iter().map(before).min_by(f32::total_cmp)?
+        };
+        Some(start + end * direction)
+    }
+
+    /// Whether what is crossed is the surface itself, which goes on at the corner.
+    fn goes_on(
+        &self,
+        crossing: &Crossing,
+        corner: Vec3,
+        mut around: impl Iterator<Item = Vec3>,
+    ) -> bool {
+        let height = crossing.normal.dot(corner - crossing.vertex).abs();
+        height < SAME_PLANE * ADJACENT * self.offset
+            && around.any(|normal| {
+                let normal = normal.normalize_or_zero();
+                normal.dot(crossing.normal) > 0.0
+                    && normal.cross(crossing.normal).length() < SAME_PLANE
+            })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3Swizzles as _;
+
+    use super::*;
+
+    const OFFSET: f32 = 1e-3;
+
+    fn places(positions: &[[f32; 3]], triangles: &[[u32; 3]]) -> Places {
+        let positions: Vec<Vec3> = positions.iter().copied().map(Vec3::from).collect();
+        let corners = triangles.iter();
+        let soup: Vec<_> = corners
+            .map(|triangle| triangle.map(|vertex| positions[vertex as usize]))
+            .collect();
+        Places::new(&positions, triangles, &RayCaster::new(&soup), OFFSET)
+    }
+
+    /// Squares of two triangles each, which share no vertices.
+    fn squares(corners: &[[[f32; 3]; 4]]) -> (Vec<[f32; 3]>, Vec<[u32; 3]>) {
+        let triangles = (0..corners.len() as u32).map(|i| 4 * i);
+        let triangles = triangles.flat_map(|i| [[i, i + 1, i + 2], [i, i + 2, i + 3]]);
+        (corners.as_flattened().to_vec(), triangles.collect())
+    }
+
+    /// A box with faces outwards.
+    fn cuboid([a, b, c]: [f32; 3], [d, e, f]: [f32; 3]) -> [[[f32; 3]; 4]; 6] {
+        [
+            [[a, b, c], [d, b, c], [d, b, f], [a, b, f]],
+            [[a, e, c], [a, e, f], [d, e, f], [d, e, c]],
+            [[a, b, f], [d, b, f], [d, e, f], [a, e, f]],
+            [[d, b, c], [a, b, c], [a, e, c], [d, e, c]],
+            [[a, b, c], [a, b, f], [a, e, f], [a, e, c]],
+            [[d, b, f], [d, b, c], [d, e, c], [d, e, f]],
+        ]
+    }
+
+    const FLOOR: [[f32; 3]; 4] = [
+        [-4.0, 0.0, -4.0],
+        [-4.0, 0.0, 4.0],
+        [4.0, 0.0, 4.0],
+        [4.0, 0.0, -4.0],
+    ];
+
+    #[test]
+    fn corners_of_a_solid_share_a_place_outside_of_it() {
+        let (positions, triangles) = squares(&cuboid([-1.0; 3], [1.0; 3]));
+        let places = places(&positions, &triangles);
+        assert_eq!(places.origins.len(), 8);
+        assert_eq!(places.moved_corners, 0);
+        for (triangle, corners) in triangles.iter().zip(&places.corners) {
+            for (vertex, place) in triangle.iter().zip(corners) {
+                let position = Vec3::from(positions[*vertex as usize]);
+                let moved = places.origins[*place as usize] - position;
+                assert!((moved.length() - OFFSET).abs() < 1e-6);
+                assert!((moved * position).min_element() > 0.0, "{moved}");
+            }
+        }
+    }
+
+    #[test]
+    fn sides_of_a_sheet_are_apart_though_they_share_vertices() {
+        // Two squares in one plane, each with its back.
+        let positions = [
+            [0.0, 0.0],
+            [0.0, 1.0],
+            [1.0, 1.0],
+            [1.0, 0.0],
+            [2.0, 0.0],
+            [2.0, 1.0],
+        ]
+        .map(|[x, z]| [x, 0.0, z]);
+        let front = [[0, 1, 2], [0, 2, 3], [3, 2, 5], [3, 5, 4]];
+        let back = front.map(|[a, b, c]| [a, c, b]);
+        let triangles = [front, back].concat();
+        let places = places(&positions, &triangles);
+        assert_eq!(places.origins.len(), 12);
+        for (index, corners) in places.corners.iter().enumerate() {
+            let height = if index < 4 { OFFSET } else { -OFFSET };
+            for place in corners {
+                let origin = places.origins[*place as usize];
+                assert!((origin.y - height).abs() < 1e-6, "{index}: {origin}");
+            }
+        }
+        let divided = Divided::new(&triangles, positions.len(), &places.corners);
+        assert_eq!(divided.places.len(), 12);
+        for (triangle, corners) in divided.triangles.iter().zip(&places.corners) {
+            assert_eq!(
+                triangle.map(|vertex| divided.places[vertex as usize]),
+                *corners
+            );
+        }
+    }
+
+    #[test]
+    fn faces_that_touch_others_are_sampled_in_front_of_them() {
+        // A box stands on a floor; another one is sunk into it.
+        for bottom in [0.0, -0.5] {
+            let mut faces = vec![FLOOR];
+            faces.extend(cuboid([-1.0, bottom, -1.0], [1.0, 2.0, 1.0]));
+            let (positions, triangles) = squares(&faces);
+            let places = places(&positions, &triangles);
+            // The lower corners of the four walls.
+            for (index, triangle) in triangles.iter().enumerate().skip(6) {
+                for (vertex, place) in triangle.iter().zip(&places.corners[index]) {
+                    let position = Vec3::from(positions[*vertex as usize]);
+                    let origin = places.origins[*place as usize];
+                    if position.y > 0.0 {
+                        continue;
+                    }
+                    let outside = origin.xz().abs().max_element() > 1.0;
+                    assert!(
+                        origin.y > 0.0 && origin.y < 0.1 && outside,
+                        "{position}: {origin}"
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn what_a_pole_goes_through_stays_where_it_is() {
+        let mut faces = vec![FLOOR];
+        faces.extend(cuboid([0.5, -1.0, 0.5], [0.6, 2.0, 0.6]));
+        let (positions, triangles) = squares(&faces);
+        let places = places(&positions, &triangles);
+        for corner in places.corners[..2].as_flattened() {
+            let origin = places.origins[*corner as usize];
+            assert!(origin.xz().abs().min_element() > 3.99, "{origin}");
+        }
+    }
+}

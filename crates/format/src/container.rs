@@ -13,7 +13,7 @@ use crate::{Error, Issue};
 /// First eight bytes of every asset. The line feed catches text-mode transfers.
 pub const MAGIC: [u8; 8] = *b"RELIGHT\n";
 /// Format version this crate writes.
-pub const VERSION: u32 = 3;
+pub const VERSION: u32 = 4;
 
 const HEADER_LENGTH: usize = 24;
 const ENTRY_LENGTH: usize = 32;
@@ -70,6 +70,10 @@ pub enum SectionKind {
     Lobes = 8,
     /// Texels of a [`crate::Prefiltered`].
     Prefiltered = 9,
+    /// [`crate::Source`] array.
+    Sources = 10,
+    /// Texels of all sources, concatenated.
+    SourceTexels = 11,
 }
 
 impl SectionKind {
@@ -84,6 +88,8 @@ impl SectionKind {
             Self::Texels,
             Self::Lobes,
             Self::Prefiltered,
+            Self::Sources,
+            Self::SourceTexels,
         ]
         .into_iter()
         .find(|kind| *kind as u32 == value)

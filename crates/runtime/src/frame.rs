@@ -8,6 +8,7 @@ use relight_shading::local_light::LocalLight;
 use relight_shading::polar::PolarOptions;
 use relight_shading::prefiltered::Prefiltered;
 use relight_shading::shade::Method;
+use relight_shading::sources::Sources;
 use relight_shading::spherical_gaussian::SphericalGaussian;
 
 /// Camera, light and look of one frame.
@@ -20,7 +21,10 @@ pub struct Frame<'a> {
     /// The environment's image, which specular lobes then reflect in place of `lights`; those
     /// say how much of it is visible.
     pub reflections: Option<&'a Prefiltered>,
-    /// Turns the lights and the reflected image, world space.
+    /// The environment's suns, lamps and windows, which its lobes and its image do not have:
+    /// [`Sources::new`]. Rays against the scene shadow them.
+    pub sources: Option<&'a Sources>,
+    /// Turns the lights, the reflected image and the sources, world space.
     pub rotation: Quat,
     /// Lights inside the scene, at most [`MAX_LOCAL_LIGHTS`](relight_shading::gpu::MAX_LOCAL_LIGHTS).
     pub local_lights: &'a [LocalLight],
@@ -37,6 +41,7 @@ impl<'a> Frame<'a> {
             camera,
             lights,
             reflections: None,
+            sources: None,
             rotation: Quat::IDENTITY,
             local_lights: &[],
             method: Method::Polar(PolarOptions::STANDARD),
@@ -51,6 +56,12 @@ impl<'a> Frame<'a> {
             .iter()
             .map(|light| light.rotate(&rotation))
             .collect()
+    }
+
+    /// The sources after rotation.
+    pub fn rotated_sources(&self) -> Option<Sources> {
+        let rotation = Mat3::from_quat(self.rotation);
+        self.sources.map(|sources| sources.turned(&rotation))
     }
 
     pub(crate) fn packed_local_lights(&self) -> Vec<gpu::LocalLight> {
@@ -116,6 +127,7 @@ mod tests {
             lights: &[light],
             rotation: Quat::from_rotation_y(std::f32::consts::FRAC_PI_2),
             reflections: None,
+            sources: None,
             local_lights: &[],
             method: Method::Ambient,
             exposure: 1.0,

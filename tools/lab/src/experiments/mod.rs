@@ -27,7 +27,7 @@ use relight_bake::monitor::Monitor;
 use relight_bake::scene::load::SceneInput;
 use relight_bake::scene::{self, load};
 use relight_format::{self as format, Camera, Environment, Limits, Scene};
-use relight_runtime::{CellsOptions, Frame, Method, PolarOptions};
+use relight_runtime::{CellsOptions, Frame, Method, PolarOptions, Sources};
 use relight_shading::spherical_gaussian::SphericalGaussian;
 
 use self::report::Figure;
@@ -323,27 +323,44 @@ pub fn scene_file(name: &str, folder: &Path, data: &Path) -> anyhow::Result<Path
     Ok(path)
 }
 
-/// An environment as image and as lobes.
+/// An environment as image, and as sources and lobes.
 struct Light {
     image: LatLong,
     environment: Environment,
     lobes: Vec<SphericalGaussian>,
+    sources: Option<Sources>,
 }
 
 impl Light {
     /// One of [`ENVIRONMENTS`].
-    fn new(data: &Path, name: &str, lobes: usize, monitor: Monitor) -> anyhow::Result<Self> {
+    fn new(
+        data: &Path,
+        name: &str,
+        lobes: usize,
+        sources: usize,
+        monitor: Monitor,
+    ) -> anyhow::Result<Self> {
         let image = hdr::load(&data.join(known(&ENVIRONMENTS, name)?))?;
         let options = FitOptions {
             lobes,
+            sources,
             max_error: None,
         };
         let environment = environment::fit(&image, &options, monitor)?.environment;
         Ok(Self {
             lobes: environment.lobes.iter().map(Into::into).collect(),
+            sources: Sources::new(&environment),
             image,
             environment,
         })
+    }
+
+    /// A frame under its light alone.
+    fn frame(&self, camera: Camera) -> Frame<'_> {
+        Frame {
+            sources: self.sources.as_ref(),
+            ..Frame::new(camera, &self.lobes)
+        }
     }
 }
 
@@ -354,7 +371,7 @@ pub fn fit_light(
     lobes: usize,
     monitor: Monitor,
 ) -> anyhow::Result<Vec<SphericalGaussian>> {
-    Ok(Light::new(data, name, lobes, monitor)?.lobes)
+    Ok(Light::new(data, name, lobes, 0, monitor)?.lobes)
 }
 
 /// The three that are always compared; the baseline first.
@@ -373,7 +390,7 @@ pub struct Laboratory<'a> {
     renderer: Renderer,
     monitor: Monitor<'a>,
     scenes: BTreeMap<String, Rc<Scene>>,
-    environments: BTreeMap<(String, usize), Rc<Light>>,
+    environments: BTreeMap<(String, usize, usize), Rc<Light>>,
 }
 
 impl<'a> Laboratory<'a> {
@@ -439,13 +456,24 @@ impl<'a> Laboratory<'a> {
         Ok(format::read_scene(&bytes, &Limits::default())?)
     }
 
-    /// One of [`ENVIRONMENTS`].
+    /// One of [`ENVIRONMENTS`], by lobes alone.
     fn light(&mut self, name: &str, lobes: usize) -> anyhow::Result<Rc<Light>> {
-        let key = (name.to_owned(), lobes);
+        self.light_with_sources(name, lobes, 0)
+    }
+
+    /// One of [`ENVIRONMENTS`], by lobes and at most so many sources.
+    fn light_with_sources(
+        &mut self,
+        name: &str,
+        lobes: usize,
+        sources: usize,
+    ) -> anyhow::Result<Rc<Light>> {
+        let key = (name.to_owned(), lobes, sources);
         if let Some(light) = self.environments.get(&key) {
             return Ok(light.clone());
         }
-        let light = Rc::new(Light::new(&self.settings.data, name, lobes, self.monitor)?);
+        let data = &self.settings.data;
+        let light = Rc::new(Light::new(data, name, lobes, sources, self.monitor)?);
         self.environments.insert(key, light.clone());
         Ok(light)
     }

@@ -3,9 +3,10 @@
 //! Visibility boundaries are off by some hundredths of a radian, which a sun, a lamp or a window
 //! shows in every shadow. At thresholds from the brightest pixel down to the image's mean the
 //! connected regions above form a tree; from it those regions are taken that gain most by exact
-//! shadows. A region gives the light above its threshold, so that what is left of the image is
-//! level there.
+//! shadows. A region with a margin gives what it has above its surroundings, so that what is left of
+//! the image is level there; then the next one is looked for.
 
+use std::collections::{BTreeSet, HashMap};
 use std::f64::consts::{PI, TAU};
 
 use glam::DVec3;
@@ -22,6 +23,9 @@ const LEAST_GAIN: f64 = 0.003;
 
 /// Least mean cosine to a region's middle: that of a cap of 0.6 rad.
 const LEAST_COSINE: f64 = 0.912;
+
+/// Width of the margin around a region, in roots of its area.
+const MARGIN: f64 = 0.25;
 
 /// Thresholds per factor of 2.
 const THRESHOLDS_PER_OCTAVE: f64 = 2.0;
@@ -53,20 +57,33 @@ pub fn split(image: &LatLong, most: usize) -> Split {
         light: Vec::new(),
         rest: image.clone(),
     };
-    let sum = |image: &LatLong| image.total_power().iter().sum::<f64>();
-    let whole = sum(image);
+    let whole: f64 = image.total_power().iter().sum();
     let mut before = whole;
-    let grid = Grid::new(image);
-    for region in grid.regions().into_iter().take(most) {
-        let pixels = grid.pixels(&region);
-        let (source, texels) = grid.source(&pixels, region.threshold, &mut split.rest);
+    while split.sources.len() < most {
+        let grid = Grid::new(&split.rest);
+        let Some(region) = grid.best_region(luminous_power(image)) else {
+            break;
+        };
+        let (pixels, level) = grid.surrounded(&region);
+        let (source, texels, rest) = grid.source(&pixels, level);
+        let left: f64 = rest.total_power().iter().sum();
+        split.rest = rest;
         split.sources.push(source);
         split.texels.extend(texels);
-        let left = sum(&split.rest);
         split.light.push(((before - left) / whole) as f32);
         before = left;
     }
     split
+}
+
+fn luminance(pixel: &[f32; 3]) -> f32 {
+    0.2126 * pixel[0] + 0.7152 * pixel[1] + 0.0722 * pixel[2]
+}
+
+/// ∫ of luminance over the sphere.
+fn luminous_power(image: &LatLong) -> f64 {
+    let [r, g, b] = image.total_power();
+    0.2126 * r + 0.7152 * g + 0.0722 * b
 }
 
 /// A connected region above a threshold.
@@ -94,8 +111,6 @@ struct Grid<'a> {
 
 impl<'a> Grid<'a> {
     fn new(image: &'a LatLong) -> Self {
-        let luminance =
-            |pixel: &[f32; 3]| 0.2126 * pixel[0] + 0.7152 * pixel[1] + 0.0722 * pixel[2];
         Self {
             luminance: image.pixels.iter().map(luminance).collect(),
             image,
@@ -116,17 +131,17 @@ impl<'a> Grid<'a> {
         })
     }
 
-    /// The regions that gain most, at most [`MAX_SOURCES`], best first.
-    fn regions(&self) -> Vec<Region> {
+    /// The region that gains most by exact shadows, in an image that had the light `whole`, if any
+    /// gains enough.
+    fn best_region(&self, whole: f64) -> Option<Region> {
         let width = self.width();
         let brightest = self.luminance.iter().copied().fold(0.0, f32::max);
         let light = |pixel: usize| {
             f64::from(self.luminance[pixel]) * self.image.solid_angle((pixel / width) as u32)
         };
-        let whole: f64 = (0..self.luminance.len()).map(light).sum();
         let mean = (whole / (4.0 * PI)) as f32;
         if mean <= 0.0 {
-            return Vec::new();
+            return None;
         }
         let octaves = f64::from(brightest / mean).log2() * THRESHOLDS_PER_OCTAVE;
         let count = octaves.clamp(0.0, MAX_THRESHOLDS) as i32;
@@ -160,19 +175,15 @@ impl<'a> Grid<'a> {
             }
             forest.choose(threshold(level), whole);
         }
-        let mut regions: Vec<Region> = forest
-            .trees
-            .into_iter()
-            .flat_map(|tree| tree.best)
-            .collect();
-        regions.sort_by(|a, b| b.gain.total_cmp(&a.gain).then(a.seed.cmp(&b.seed)));
-        regions.truncate(MAX_SOURCES);
-        regions
+        let regions = forest.trees.into_iter().flat_map(|tree| tree.best);
+        regions.max_by(|a, b| a.gain.total_cmp(&b.gain).then(b.seed.cmp(&a.seed)))
     }
 
-    /// A region's pixels, ascending.
-    fn pixels(&self, region: &Region) -> Vec<usize> {
-        let mut found = std::collections::BTreeSet::from([region.seed]);
+    /// The pixels of a region and of a margin around it, ascending, and the luminance of what
+    /// surrounds them: its median. Without a margin the edge of a source, which is rarely sharp,
+    /// would be left to lobes.
+    fn surrounded(&self, region: &Region) -> (Vec<usize>, f32) {
+        let mut found = BTreeSet::from([region.seed]);
         let mut open = vec![region.seed];
         while let Some(pixel) = open.pop() {
             for neighbour in self.neighbours(pixel) {
@@ -181,16 +192,22 @@ impl<'a> Grid<'a> {
                 }
             }
         }
-        found.into_iter().collect()
+        let margin = 2 + (MARGIN * (found.len() as f64).sqrt()).ceil() as usize;
+        let mut border: BTreeSet<usize> = found.clone();
+        for _ in 0..margin {
+            let around = border.iter().flat_map(|&pixel| self.neighbours(pixel));
+            border = around.filter(|pixel| !found.contains(pixel)).collect();
+            found.extend(&border);
+        }
+        let mut levels: Vec<f32> = border.iter().map(|&pixel| self.luminance[pixel]).collect();
+        levels.sort_by(f32::total_cmp);
+        let level = levels.get(levels.len() / 2).copied().unwrap_or(0.0);
+        (found.into_iter().collect(), level.min(region.threshold))
     }
 
-    /// Moves what pixels have above a threshold from `rest` to a source.
-    fn source(
-        &self,
-        pixels: &[usize],
-        threshold: f32,
-        rest: &mut LatLong,
-    ) -> (Source, Vec<[f32; 3]>) {
+    /// What pixels have above a luminance, as a source, and the image without it.
+    fn source(&self, pixels: &[usize], level: f32) -> (Source, Vec<[f32; 3]>, LatLong) {
+        let mut rest = self.image.clone();
         let width = self.width();
         let height = self.image.height as usize;
         let (first_column, columns) = self.columns(pixels);
@@ -213,7 +230,7 @@ impl<'a> Grid<'a> {
         let mut light = vec![[0f64; 3]; rows.texels * columns.texels];
         for &pixel in pixels {
             let (row, column) = (pixel / width, pixel % width);
-            let part = 1.0 - threshold / self.luminance[pixel];
+            let part = (1.0 - level / self.luminance[pixel].max(level)).max(0.0);
             let texel = rows.texel(row) * columns.texels + columns.texel(column);
             let solid_angle = self.image.solid_angle(row as u32);
             for (light, channel) in light[texel].iter_mut().zip(&mut rest.pixels[pixel]) {
@@ -239,7 +256,8 @@ impl<'a> Grid<'a> {
             rows: rows.texels as u32,
             columns: columns.texels as u32,
         };
-        (source, texels.collect())
+        let texels = texels.collect();
+        (source, texels, rest)
     }
 
     /// First column and number of columns of the shortest run, around the image, with all pixels.
@@ -302,7 +320,7 @@ impl Axis {
 /// Connected regions, growing as the threshold falls.
 #[derive(Default)]
 struct Forest {
-    of_pixel: std::collections::HashMap<usize, usize>,
+    of_pixel: HashMap<usize, usize>,
     trees: Vec<Tree>,
 }
 

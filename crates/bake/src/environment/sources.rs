@@ -10,7 +10,7 @@ use std::collections::{BTreeSet, HashMap};
 use std::f64::consts::{PI, TAU};
 
 use glam::DVec3;
-use relight_format::{MAX_SOURCES, Source};
+use relight_format::Source;
 
 use super::hdr::LatLong;
 
@@ -408,7 +408,7 @@ impl Forest {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::environment::{FitOptions, fit, render_all};
+    use crate::environment::{FitOptions, MAX_SOURCES, fit, render_all};
     use crate::monitor::SILENT;
     use glam::Vec3;
 

@@ -100,6 +100,7 @@ fn matches_twin(mesh: &Path) -> Outcome {
             lights: &lights,
             rotation: Quat::from_rotation_y(0.4),
             reflections: None,
+            sources: None,
             local_lights: &[],
             method,
             exposure: 1.0,

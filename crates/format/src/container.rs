@@ -70,6 +70,10 @@ pub enum SectionKind {
     Lobes = 8,
     /// Texels of a [`crate::Prefiltered`].
     Prefiltered = 9,
+    /// [`crate::Source`] array.
+    Sources = 10,
+    /// Texels of all sources, concatenated.
+    SourceTexels = 11,
 }
 
 impl SectionKind {
@@ -84,6 +88,8 @@ impl SectionKind {
             Self::Texels,
             Self::Lobes,
             Self::Prefiltered,
+            Self::Sources,
+            Self::SourceTexels,
         ]
         .into_iter()
         .find(|kind| *kind as u32 == value)

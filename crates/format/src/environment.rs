@@ -1,4 +1,6 @@
-//! Distant lighting as a sum of spherical Gaussians.
+//! Distant lighting as a sum of spherical Gaussians, beside sources with an outline of their own.
+
+use std::f32::consts::{PI, TAU};
 
 use bytemuck::{Pod, Zeroable};
 use serde::{Deserialize, Serialize};
@@ -71,6 +73,66 @@ impl Prefiltered {
     }
 }
 
+/// Most sources of an environment.
+pub const MAX_SOURCES: usize = 8;
+
+/// Most texels of one source.
+pub const MAX_SOURCE_TEXELS: usize = 1 << 14;
+
+/// A compact bright part of the image, such as a sun, a lamp or a window: what of it exceeds its
+/// surroundings, texel by texel.
+///
+/// Texels lie on a grid of angles: that of row i and column j of a source is centred on
+/// θ = `theta` + i · `row_step` from +Y and φ = `phi` + j · `column_step` about it, the direction
+/// (sinθ sinφ, cosθ, −sinθ cosφ). Radiance is bilinear between their centres and falls to 0
+/// one step beyond the outermost: a texel is a tent. It is radiance × `column_step` · 2 sinθ
+/// sin(`row_step`/2) of light.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct Source {
+    /// Of the first row's centres, radians, 0 to π.
+    pub theta: f32,
+    /// Of the first column's centres, radians, −2π to 2π.
+    pub phi: f32,
+    /// Between rows, radians, greater than 0 and at most π; no row lies beyond π.
+    pub row_step: f32,
+    /// Between columns, radians, greater than 0; all columns together at most 2π, but for
+    /// rounding.
+    pub column_step: f32,
+    /// Number of rows, at least 1.
+    pub rows: u32,
+    /// Number of columns, at least 1.
+    pub columns: u32,
+}
+
+impl Source {
+    /// Number of texels, rows × columns.
+    pub fn texels(&self) -> usize {
+        self.rows as usize * self.columns as usize
+    }
+
+    /// Direction of the middle of the grid; unit.
+    pub fn direction(&self) -> [f32; 3] {
+        let theta = self.theta + 0.5 * (self.rows as f32 - 1.0) * self.row_step;
+        let phi = self.phi + 0.5 * (self.columns as f32 - 1.0) * self.column_step;
+        let ((sin_theta, cos_theta), (sin_phi, cos_phi)) = (theta.sin_cos(), phi.sin_cos());
+        [sin_theta * sin_phi, cos_theta, -sin_theta * cos_phi]
+    }
+
+    /// Angles that the grid spans along a column and along its middle row, radians.
+    pub fn extent(&self) -> [f32; 2] {
+        let height = self.rows as f32 * self.row_step;
+        let middle = self.theta + 0.5 * (height - self.row_step);
+        [
+            height,
+            self.columns as f32 * self.column_step * middle.sin(),
+        ]
+    }
+}
+
+/// Rounding of the last row or column of a source, in steps.
+const SOURCE_TOLERANCE: f32 = 0.01;
+
 /// A decoded environment asset.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Environment {
@@ -78,8 +140,13 @@ pub struct Environment {
     pub report: EnvironmentReport,
     /// The lobes, brightest energy first.
     pub lobes: Vec<Lobe>,
-    /// The image for sharp reflections; may be empty.
+    /// The image without its sources, for sharp reflections; may be empty.
     pub prefiltered: Prefiltered,
+    /// Suns, lamps and windows, at most [`MAX_SOURCES`], the one that matters most first. The
+    /// lobes do not have their light.
+    pub sources: Vec<Source>,
+    /// Linear Rec.709 radiance of all sources' texels, source by source, row by row.
+    pub source_texels: Vec<[f32; 3]>,
 }
 
 /// Decodes and validates an environment.
@@ -88,11 +155,15 @@ pub fn read_environment(bytes: &[u8], limits: &Limits) -> Result<Environment, Er
     let report: EnvironmentReport = reader.metadata()?;
     let lobes: Vec<Lobe> = reader.pod(SectionKind::Lobes)?;
     let texels = reader.pod(SectionKind::Prefiltered)?;
+    let sources = reader.pod(SectionKind::Sources)?;
+    let source_texels = reader.pod(SectionKind::SourceTexels)?;
     reader.finish()?;
     let environment = Environment {
         report,
         lobes,
         prefiltered: Prefiltered { texels },
+        sources,
+        source_texels,
     };
     validate(&environment)?;
     Ok(environment)
@@ -105,6 +176,8 @@ pub fn write_environment(environment: &Environment) -> Result<Vec<u8>, Error> {
     writer.metadata(&environment.report)?;
     writer.section(SectionKind::Lobes, &environment.lobes)?;
     writer.section(SectionKind::Prefiltered, &environment.prefiltered.texels)?;
+    writer.section(SectionKind::Sources, &environment.sources)?;
+    writer.section(SectionKind::SourceTexels, &environment.source_texels)?;
     Ok(writer.finish())
 }
 
@@ -113,6 +186,8 @@ fn validate(environment: &Environment) -> Result<(), Error> {
         report,
         lobes,
         prefiltered,
+        sources,
+        source_texels,
     } = environment;
     if prefiltered.levels().is_none() {
         return Err(Error::section(
@@ -146,6 +221,57 @@ fn validate(environment: &Environment) -> Result<(), Error> {
                 format_args!("lobe {index}: {lobe:?}"),
             ));
         }
+    }
+    validate_sources(sources, source_texels)
+}
+
+fn validate_sources(sources: &[Source], texels: &[[f32; 3]]) -> Result<(), Error> {
+    if sources.len() > MAX_SOURCES {
+        return Err(Error::section(
+            Issue::BadLength,
+            SectionKind::Sources,
+            format_args!("at most {MAX_SOURCES} sources"),
+            sources.len(),
+        ));
+    }
+    for (index, source) in sources.iter().enumerate() {
+        let steps = |count: u32| count as f32 - SOURCE_TOLERANCE;
+        let valid = (0.0..=PI).contains(&source.theta)
+            && (-TAU..=TAU).contains(&source.phi)
+            && source.row_step > 0.0
+            && source.row_step <= PI
+            && source.column_step > 0.0
+            && source.column_step <= TAU
+            && (1..=MAX_SOURCE_TEXELS as u64)
+                .contains(&(u64::from(source.rows) * u64::from(source.columns)))
+            && source.theta + (steps(source.rows) - 1.0) * source.row_step <= PI
+            && steps(source.columns) * source.column_step <= TAU;
+        if !valid {
+            return Err(Error::section(
+                Issue::ValueOutOfRange,
+                SectionKind::Sources,
+                "a grid of 1 to 16384 texels on the sphere",
+                format_args!("source {index}: {source:?}"),
+            ));
+        }
+    }
+    let expected: usize = sources.iter().map(Source::texels).sum();
+    if texels.len() != expected {
+        return Err(Error::section(
+            Issue::BadLength,
+            SectionKind::SourceTexels,
+            format_args!("{expected} texels"),
+            texels.len(),
+        ));
+    }
+    let valid = |texel: &[f32; 3]| texel.iter().all(|value| value.is_finite() && *value >= 0.0);
+    if let Some(index) = texels.iter().position(|texel| !valid(texel)) {
+        return Err(Error::section(
+            Issue::ValueOutOfRange,
+            SectionKind::SourceTexels,
+            "finite radiance >= 0",
+            format_args!("texel {index}: {:?}", texels[index]),
+        ));
     }
     Ok(())
 }

@@ -21,8 +21,8 @@ mod scene;
 
 pub use container::{Kind, Limits, MAGIC, SectionInfo, SectionKind, VERSION, inspect, write_file};
 pub use environment::{
-    Environment, EnvironmentReport, Lobe, MAX_PREFILTERED_LEVELS, Prefiltered, read_environment,
-    write_environment,
+    Environment, EnvironmentReport, Lobe, MAX_PREFILTERED_LEVELS, MAX_SOURCE_TEXELS, MAX_SOURCES,
+    Prefiltered, Source, read_environment, write_environment,
 };
 pub use error::{Error, Issue};
 pub use material::{

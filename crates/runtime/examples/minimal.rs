@@ -3,7 +3,7 @@
 //!     cargo run --release -p relight-runtime --example minimal SCENE.relight ENV.relight
 
 use relight_format::{Limits, read_environment, read_scene};
-use relight_runtime::{Frame, Options, Renderer, wgpu};
+use relight_runtime::{Frame, Options, Renderer, Sources, wgpu};
 
 const SIZE: [u32; 2] = [400, 300];
 
@@ -40,7 +40,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let uploaded = renderer.upload(&scene)?;
     let lights: Vec<_> = environment.lobes.iter().map(Into::into).collect();
     let camera = scene.camera.ok_or("the scene has no camera")?;
+    let sources = Sources::new(&environment);
     let frame = Frame {
+        sources: sources.as_ref(),
         rotation: glam::Quat::from_rotation_y(0.5),
         ..Frame::new(camera, &lights)
     };

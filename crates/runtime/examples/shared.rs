@@ -5,7 +5,7 @@
 
 use relight_format::{Limits, read_environment, read_scene};
 use relight_runtime::offscreen::Gpu;
-use relight_runtime::{Frame, Prefiltered, wgpu};
+use relight_runtime::{Frame, Prefiltered, Sources, wgpu};
 
 /// The app's own rendering: a sky, and a picture over it where the picture covers.
 const SHADER: &str = "
@@ -35,6 +35,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let lights: Vec<_> = environment.lobes.iter().map(Into::into).collect();
     let camera = scene.camera.ok_or("the scene has no camera")?;
     let image = Prefiltered::new(&environment.prefiltered, &lights);
+    let sources = Sources::new(&environment);
 
     let mut gpu = Gpu::new(&wgpu::Limits::default())?;
     let uploaded = gpu.upload(&scene)?;
@@ -42,6 +43,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     for (number, size) in [[480, 320], [320, 400]].into_iter().enumerate() {
         let frame = Frame {
             reflections: image.as_ref(),
+            sources: sources.as_ref(),
             rotation: glam::Quat::from_rotation_y(0.7 * number as f32),
             ..Frame::new(camera, &lights)
         };

@@ -8,6 +8,7 @@ use relight_shading::local_light::LocalLight;
 use relight_shading::polar::PolarOptions;
 use relight_shading::prefiltered::Prefiltered;
 use relight_shading::shade::Method;
+use relight_shading::sources::Sources;
 use relight_shading::spherical_gaussian::SphericalGaussian;
 
 /// Camera, light and look of one frame.
@@ -21,7 +22,10 @@ pub struct Frame<'a> {
     /// without it, surfaces see the lights alone. Sharp reflections show it where the lights say
     /// that the environment is visible.
     pub reflections: Option<&'a Prefiltered>,
-    /// Turns the lights and the image, world space.
+    /// The environment's suns, lamps and windows, which its lobes and its image do not have:
+    /// [`Sources::new`]. Rays against the scene shadow them.
+    pub sources: Option<&'a Sources>,
+    /// Turns the lights, the image and the sources, world space.
     pub rotation: Quat,
     /// Lights inside the scene, at most [`MAX_LOCAL_LIGHTS`](relight_shading::gpu::MAX_LOCAL_LIGHTS).
     pub local_lights: &'a [LocalLight],
@@ -38,6 +42,7 @@ impl<'a> Frame<'a> {
             camera,
             lights,
             reflections: None,
+            sources: None,
             rotation: Quat::IDENTITY,
             local_lights: &[],
             method: Method::Polar(PolarOptions::STANDARD),
@@ -52,6 +57,12 @@ impl<'a> Frame<'a> {
             .iter()
             .map(|light| light.rotate(&rotation))
             .collect()
+    }
+
+    /// The sources after rotation.
+    pub fn rotated_sources(&self) -> Option<Sources> {
+        let rotation = Mat3::from_quat(self.rotation);
+        self.sources.map(|sources| sources.turned(&rotation))
     }
 
     pub(crate) fn packed_local_lights(&self) -> Vec<gpu::LocalLight> {
@@ -117,6 +128,7 @@ mod tests {
             lights: &[light],
             rotation: Quat::from_rotation_y(std::f32::consts::FRAC_PI_2),
             reflections: None,
+            sources: None,
             local_lights: &[],
             method: Method::Ambient,
             exposure: 1.0,

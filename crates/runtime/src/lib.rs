@@ -7,16 +7,18 @@
 //! #     device: &wgpu::Device, queue: &wgpu::Queue, target: &wgpu::TextureView,
 //! #     scene: &relight_format::Scene, environment: &relight_format::Environment,
 //! # ) -> Result<(), relight_runtime::Error> {
-//! use relight_runtime::{Frame, Method, Options, Prefiltered, Renderer, wgpu};
+//! use relight_runtime::{Frame, Method, Options, Prefiltered, Renderer, Sources, wgpu};
 //!
 //! let mut renderer = Renderer::new(device, queue, Options::default())?;
 //! let uploaded = renderer.upload(scene)?;
 //! let lights: Vec<_> = environment.lobes.iter().map(Into::into).collect();
 //! let image = Prefiltered::new(&environment.prefiltered, &lights);
+//! let sources = Sources::new(environment);
 //! let frame = Frame {
 //!     camera: scene.camera.expect("this scene brings a camera"),
 //!     lights: &lights,
 //!     reflections: image.as_ref(),
+//!     sources: sources.as_ref(),
 //!     local_lights: &[],
 //!     rotation: glam::Quat::from_rotation_y(0.5),
 //!     method: Method::Polar(Default::default()),
@@ -40,6 +42,7 @@ mod error;
 mod frame;
 #[cfg(any(feature = "offscreen", feature = "twin"))]
 mod image;
+mod occluders;
 #[cfg(feature = "offscreen")]
 pub mod offscreen;
 mod pass_times;
@@ -60,6 +63,7 @@ pub use relight_shading::local_light::{LocalLight, Spot};
 pub use relight_shading::polar::PolarOptions;
 pub use relight_shading::prefiltered::Prefiltered;
 pub use relight_shading::shade::Method;
+pub use relight_shading::sources::Sources;
 pub use relight_shading::spherical_gaussian::SphericalGaussian;
 pub use renderer::{Options, Renderer};
 pub use upload::GpuScene;

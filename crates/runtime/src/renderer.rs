@@ -6,6 +6,7 @@ use relight_format::Scene;
 use relight_shading::gpu::{self, LimitError};
 use relight_shading::prefiltered::{self, Prefiltered};
 use relight_shading::shade::{self, Method};
+use relight_shading::sources;
 use relight_shading::wgsl::{Entry, source};
 use wgpu::util::DeviceExt as _;
 
@@ -55,11 +56,15 @@ pub struct Renderer {
     frame_layout: wgpu::BindGroupLayout,
     scene_layout: wgpu::BindGroupLayout,
     image_layout: wgpu::BindGroupLayout,
+    /// Groups 0, 1 and 2 of the pass for sources.
+    source_layouts: [wgpu::BindGroupLayout; 3],
     tonemap_layout: wgpu::BindGroupLayout,
     visibility_pipeline: wgpu::RenderPipeline,
     shade_pipeline: wgpu::ComputePipeline,
     /// Made when first asked for: few ask.
     cells_pipeline: std::sync::OnceLock<wgpu::ComputePipeline>,
+    /// Made when first needed.
+    source_pipeline: std::sync::OnceLock<wgpu::ComputePipeline>,
     tonemap_pipeline: wgpu::RenderPipeline,
     tables: wgpu::Buffer,
     /// The reflected image of the last frame, or one texel.
@@ -78,6 +83,8 @@ struct Images {
     radiance: wgpu::Texture,
     radiance_view: wgpu::TextureView,
     bind_group: wgpu::BindGroup,
+    /// Group 2 of the pass for sources, if there was one.
+    sources: Option<wgpu::BindGroup>,
 }
 
 impl Renderer {
@@ -106,6 +113,12 @@ impl Renderer {
                 Entry::Shade,
             ),
             cells_pipeline: std::sync::OnceLock::new(),
+            source_pipeline: std::sync::OnceLock::new(),
+            source_layouts: [
+                source_frame_layout(device),
+                source_scene_layout(device),
+                source_image_layout(device),
+            ],
             tonemap_pipeline: tonemap_pipeline(device, &tonemap_layout, options.target_format),
             tables,
             prefiltered: (None, prefiltered_texture(device, queue, &[0])),
@@ -125,7 +138,8 @@ impl Renderer {
     /// one that [`relight_format::read_scene`] returned or
     /// [`relight_format::write_scene`] accepts.
     pub fn upload(&self, scene: &Scene) -> Result<GpuScene, Error> {
-        GpuScene::new(&self.device, &self.queue, &self.scene_layout, scene)
+        let layouts = [&self.scene_layout, &self.source_layouts[1]];
+        GpuScene::new(&self.device, &self.queue, layouts, scene)
     }
 
     /// Records one frame into `target`, a view of `width` × `height` pixels in the format
@@ -149,16 +163,13 @@ impl Renderer {
         let buffers = self.frame_buffers(scene, frame, [width, height], band)?;
         self.upload_reflections(frame)?;
         let frame_group = self.frame_group(&buffers);
-        if self
-            .images
-            .as_ref()
-            .is_none_or(|images| images.size != [width, height])
-        {
-            self.images = Some(Images::new(
-                &self.device,
-                &self.image_layout,
-                [width, height],
-            ));
+        let sources = self.source_group(frame, scene, &buffers[0])?;
+        if self.images.as_ref().is_none_or(|images| {
+            images.size != [width, height] || sources.is_some() && images.sources.is_none()
+        }) {
+            let layouts = [&self.image_layout, &self.source_layouts[2]];
+            let size = [width, height];
+            self.images = Some(Images::new(&self.device, layouts, size, sources.is_some()));
         }
         let images = self.images.as_ref().expect("just made");
 
@@ -197,17 +208,28 @@ impl Renderer {
                 timestamp_writes: (self.timestamps.as_ref())
                     .map(|timestamps| timestamps.compute(Pass::Shade)),
             });
-            pass.set_pipeline(match frame.method {
+            let mut dispatch = |pipeline: &wgpu::ComputePipeline, groups: [&wgpu::BindGroup; 3]| {
+                pass.set_pipeline(pipeline);
+                pass.set_bind_group(1, groups[1], &[]);
+                pass.set_bind_group(2, groups[2], &[]);
+                for index in 0..bands {
+                    let rows = band.min(height - index * band);
+                    pass.set_bind_group(0, groups[0], &[index * UNIFORM_STRIDE as u32]);
+                    let [x, y] = [width, rows].map(|side| side.div_ceil(WORKGROUP));
+                    pass.dispatch_workgroups(x, y, 1);
+                }
+            };
+            if let (Some((frame, scene)), Some(images)) = (&sources, &images.sources) {
+                dispatch(self.source_pipeline(), [frame, scene, images]);
+            }
+            let pipeline = match frame.method {
                 Method::Cells(_) => self.cells_pipeline(),
                 Method::Ambient | Method::Polar(_) => &self.shade_pipeline,
-            });
-            pass.set_bind_group(1, &scene.bind_group, &[]);
-            pass.set_bind_group(2, &images.bind_group, &[]);
-            for index in 0..bands {
-                let rows = band.min(height - index * band);
-                pass.set_bind_group(0, &frame_group, &[index * UNIFORM_STRIDE as u32]);
-                pass.dispatch_workgroups(width.div_ceil(WORKGROUP), rows.div_ceil(WORKGROUP), 1);
-            }
+            };
+            dispatch(
+                pipeline,
+                [&frame_group, &scene.bind_group, &images.bind_group],
+            );
         }
         self.tonemap(encoder, &images.radiance_view, frame.exposure, target)?;
         if let Some(timestamps) = &self.timestamps {
@@ -261,6 +283,57 @@ impl Renderer {
             .get_or_init(|| shade_pipeline(&self.device, &layouts, Entry::ShadeCells))
     }
 
+    fn source_pipeline(&self) -> &wgpu::ComputePipeline {
+        let layouts = self.source_layouts.each_ref();
+        (self.source_pipeline).get_or_init(|| {
+            compute_pipeline(&self.device, &layouts, Entry::Sources, "sources_main")
+        })
+    }
+
+    /// Groups 0 and 1 of the pass for sources; `None` where the frame has none.
+    fn source_group<'a>(
+        &self,
+        frame: &Frame,
+        scene: &'a GpuScene,
+        uniforms: &wgpu::Buffer,
+    ) -> Result<Option<(wgpu::BindGroup, &'a wgpu::BindGroup)>, Error> {
+        let Some(sources) = frame.rotated_sources() else {
+            return Ok(None);
+        };
+        let scene_group = (scene.sources.as_ref()).map_err(|error| Error::Scene(error.clone()))?;
+        let points: Vec<gpu::SourcePoint> = (sources.points().iter())
+            .map(|point| gpu::SourcePoint {
+                ray_offset: scene.ray_offset,
+                ..*point
+            })
+            .collect();
+        let mut scales: Vec<[f32; 4]> = (sources.scales().iter().flatten())
+            .map(|scale| scale.extend(0.0).into())
+            .collect();
+        scales.resize(2 * sources::MAX_SOURCES as usize, [0.0; 4]);
+        let buffer = |label, contents, usage| filled_buffer(&self.device, label, contents, usage);
+        let points = bytemuck::cast_slice(&points);
+        let points = buffer("relight sources", points, wgpu::BufferUsages::STORAGE)?;
+        let scales = bytemuck::cast_slice(&scales);
+        let scales = buffer("relight source scales", scales, wgpu::BufferUsages::UNIFORM)?;
+        let frame_group = self.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("relight sources"),
+            layout: &self.source_layouts[0],
+            entries: &[
+                frame_uniform_entry(uniforms),
+                wgpu::BindGroupEntry {
+                    binding: 5,
+                    resource: points.as_entire_binding(),
+                },
+                wgpu::BindGroupEntry {
+                    binding: 6,
+                    resource: scales.as_entire_binding(),
+                },
+            ],
+        });
+        Ok(Some((frame_group, scene_group)))
+    }
+
     /// Copies the reflected image to the GPU unless the last frame had the same.
     fn upload_reflections(&mut self, frame: &Frame) -> Result<(), Error> {
         let Some(image) = frame.reflections else {
@@ -312,6 +385,7 @@ impl Renderer {
             }
         }
         uniform.light_count = frame.lights.len() as u32;
+        uniform.source_count = frame.sources.map_or(0, |sources| sources.count() as u32);
         uniform.local_light_count = frame.local_lights.len() as u32;
         uniform.prefiltered_levels = frame.reflections.map_or(0, Prefiltered::levels);
         uniform.environment_rotation = frame
@@ -358,14 +432,7 @@ impl Renderer {
             label: Some("relight frame"),
             layout: &self.frame_layout,
             entries: &[
-                wgpu::BindGroupEntry {
-                    binding: 0,
-                    resource: wgpu::BindingResource::Buffer(wgpu::BufferBinding {
-                        buffer: uniforms,
-                        offset: 0,
-                        size: std::num::NonZeroU64::new(size_of::<gpu::Frame>() as u64),
-                    }),
-                },
+                frame_uniform_entry(uniforms),
                 wgpu::BindGroupEntry {
                     binding: 1,
                     resource: lights.as_entire_binding(),
@@ -440,13 +507,18 @@ impl Renderer {
 }
 
 impl Images {
-    fn new(device: &wgpu::Device, layout: &wgpu::BindGroupLayout, size: [u32; 2]) -> Self {
-        let texture = |label, format, usage| {
+    fn new(
+        device: &wgpu::Device,
+        [layout, source_layout]: [&wgpu::BindGroupLayout; 2],
+        size: [u32; 2],
+        with_sources: bool,
+    ) -> Self {
+        let sized = |label, format, usage, [width, height]: [u32; 2]| {
             device.create_texture(&wgpu::TextureDescriptor {
                 label: Some(label),
                 size: wgpu::Extent3d {
-                    width: size[0],
-                    height: size[1],
+                    width,
+                    height,
                     depth_or_array_layers: 1,
                 },
                 mip_level_count: 1,
@@ -457,6 +529,7 @@ impl Images {
                 view_formats: &[],
             })
         };
+        let texture = |label, format, usage| sized(label, format, usage, size);
         let drawn = wgpu::TextureUsages::RENDER_ATTACHMENT;
         let read = wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_SRC;
         let written = wgpu::TextureUsages::STORAGE_BINDING;
@@ -467,6 +540,30 @@ impl Images {
             |texture: &wgpu::Texture| texture.create_view(&wgpu::TextureViewDescriptor::default());
         let visibility_view = view(&visibility);
         let radiance_view = view(&radiance);
+        let source_size = if with_sources { size } else { [1; 2] };
+        let source_radiance = sized(
+            "relight source radiance",
+            RADIANCE_FORMAT,
+            written | wgpu::TextureUsages::TEXTURE_BINDING,
+            source_size,
+        );
+        let source_view = view(&source_radiance);
+        let sources = with_sources.then(|| {
+            device.create_bind_group(&wgpu::BindGroupDescriptor {
+                label: Some("relight source images"),
+                layout: source_layout,
+                entries: &[
+                    wgpu::BindGroupEntry {
+                        binding: 0,
+                        resource: wgpu::BindingResource::TextureView(&visibility_view),
+                    },
+                    wgpu::BindGroupEntry {
+                        binding: 1,
+                        resource: wgpu::BindingResource::TextureView(&source_view),
+                    },
+                ],
+            })
+        });
         let bind_group = device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("relight images"),
             layout,
@@ -479,9 +576,14 @@ impl Images {
                     binding: 1,
                     resource: wgpu::BindingResource::TextureView(&radiance_view),
                 },
+                wgpu::BindGroupEntry {
+                    binding: 2,
+                    resource: wgpu::BindingResource::TextureView(&source_view),
+                },
             ],
         });
         Self {
+            sources,
             size,
             visibility,
             visibility_view,
@@ -631,10 +733,63 @@ fn scene_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
     })
 }
 
+fn frame_uniform_entry(uniforms: &wgpu::Buffer) -> wgpu::BindGroupEntry<'_> {
+    wgpu::BindGroupEntry {
+        binding: 0,
+        resource: wgpu::BindingResource::Buffer(wgpu::BufferBinding {
+            buffer: uniforms,
+            offset: 0,
+            size: std::num::NonZeroU64::new(size_of::<gpu::Frame>() as u64),
+        }),
+    }
+}
+
+/// Group 0 of bindings.wgsl as sources need it.
+fn source_frame_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    let uniform = |has_dynamic_offset| wgpu::BindingType::Buffer {
+        ty: wgpu::BufferBindingType::Uniform,
+        has_dynamic_offset,
+        min_binding_size: None,
+    };
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("relight sources"),
+        entries: &[
+            layout_entry(0, wgpu::ShaderStages::COMPUTE, uniform(true)),
+            layout_entry(5, wgpu::ShaderStages::COMPUTE, STORAGE),
+            layout_entry(6, wgpu::ShaderStages::COMPUTE, uniform(false)),
+        ],
+    })
+}
+
+/// Group 1 of bindings.wgsl as sources need it.
+fn source_scene_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    let entry = |binding| layout_entry(binding, wgpu::ShaderStages::COMPUTE, STORAGE);
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("relight occluders"),
+        entries: &[0, 1, 4, 5, 8, 9].map(entry),
+    })
+}
+
+/// Group 2 of bindings.wgsl as sources need it.
+fn source_image_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    let [visibility, radiance, _] = image_entries();
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("relight source images"),
+        entries: &[visibility, radiance],
+    })
+}
+
 /// Group 2 of bindings.wgsl.
 fn image_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
-    let visibility = wgpu::BindingType::Texture {
-        sample_type: wgpu::TextureSampleType::Uint,
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("relight images"),
+        entries: &image_entries(),
+    })
+}
+
+fn image_entries() -> [wgpu::BindGroupLayoutEntry; 3] {
+    let texture = |sample_type| wgpu::BindingType::Texture {
+        sample_type,
         view_dimension: wgpu::TextureViewDimension::D2,
         multisampled: false,
     };
@@ -643,13 +798,13 @@ fn image_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
         format: RADIANCE_FORMAT,
         view_dimension: wgpu::TextureViewDimension::D2,
     };
-    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-        label: Some("relight images"),
-        entries: &[
-            layout_entry(0, wgpu::ShaderStages::COMPUTE, visibility),
-            layout_entry(1, wgpu::ShaderStages::COMPUTE, radiance),
-        ],
-    })
+    let sources = wgpu::TextureSampleType::Float { filterable: false };
+    let compute = wgpu::ShaderStages::COMPUTE;
+    [
+        layout_entry(0, compute, texture(wgpu::TextureSampleType::Uint)),
+        layout_entry(1, compute, radiance),
+        layout_entry(2, compute, texture(sources)),
+    ]
 }
 
 /// Group 0 of tonemap.wgsl.
@@ -737,11 +892,20 @@ fn shade_pipeline(
     groups: &[&wgpu::BindGroupLayout],
     entry: Entry,
 ) -> wgpu::ComputePipeline {
+    compute_pipeline(device, groups, entry, "shade_main")
+}
+
+fn compute_pipeline(
+    device: &wgpu::Device,
+    groups: &[&wgpu::BindGroupLayout],
+    entry: Entry,
+    entry_point: &str,
+) -> wgpu::ComputePipeline {
     device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
         label: Some("relight shade"),
         layout: Some(&pipeline_layout(device, groups)),
         module: &shader(device, entry),
-        entry_point: Some("shade_main"),
+        entry_point: Some(entry_point),
         compilation_options: wgpu::PipelineCompilationOptions::default(),
         cache: None,
     })

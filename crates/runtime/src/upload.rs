@@ -5,14 +5,17 @@ use relight_format::{Material, Scene};
 use relight_shading::gpu::{self, AtlasLayout, LimitError, PackedTexture, pack_scene};
 use wgpu::util::{DeviceExt as _, TextureDataOrder};
 
-use crate::Error;
 use crate::frame::near_plane;
 use crate::transfer::filled_buffer;
+use crate::{Error, occluders};
 
 /// A scene on the GPU. Dropping it frees its memory.
 #[derive(Debug)]
 pub struct GpuScene {
     pub(crate) bind_group: wgpu::BindGroup,
+    /// What sources need, or what it exceeds.
+    pub(crate) sources: Result<wgpu::BindGroup, LimitError>,
+    pub(crate) ray_offset: f32,
     pub(crate) triangle_count: u32,
     pub(crate) atlas: AtlasLayout,
     pub(crate) distance_clamp: f32,
@@ -29,7 +32,7 @@ impl GpuScene {
     pub(crate) fn new(
         device: &wgpu::Device,
         queue: &wgpu::Queue,
-        layout: &wgpu::BindGroupLayout,
+        [layout, source_layout]: [&wgpu::BindGroupLayout; 2],
         scene: &Scene,
     ) -> Result<Self, Error> {
         for material in &scene.materials {
@@ -123,8 +126,12 @@ impl GpuScene {
             layout,
             entries: &entries,
         });
+        let shared = [&vertices, &triangles, &materials, &texels];
+        let sources = source_group(device, source_layout, shared, scene)?;
         Ok(Self {
             bind_group,
+            sources,
+            ray_offset: scene.visibility.ray_offset,
             triangle_count: packed.triangles.len() as u32,
             atlas,
             distance_clamp: packed.distance_clamp,
@@ -152,6 +159,37 @@ impl GpuScene {
             .write_buffer(&self.materials, offset, bytemuck::bytes_of(&packed));
         Ok(())
     }
+}
+
+/// Group 1 of the pass for sources: vertices, triangles, materials and texels, and what blocks
+/// rays.
+fn source_group(
+    device: &wgpu::Device,
+    layout: &wgpu::BindGroupLayout,
+    shared: [&wgpu::Buffer; 4],
+    scene: &Scene,
+) -> Result<Result<wgpu::BindGroup, LimitError>, Error> {
+    let occluders = occluders::build(scene);
+    let largest = size_of_val(occluders.nodes()).max(size_of_val(occluders.triangles()));
+    if let Err(error) = check_storage(device, largest as u64) {
+        // A scene that is drawn without sources needs none of it.
+        return Ok(Err(error));
+    }
+    let nodes = storage(device, "occluder nodes", occluders.nodes())?;
+    let triangles = storage(device, "occluder triangles", occluders.triangles())?;
+    let buffers = shared.into_iter().chain([&nodes, &triangles]);
+    let entries: Vec<_> = buffers
+        .zip([0, 1, 4, 5, 8, 9])
+        .map(|(buffer, binding)| wgpu::BindGroupEntry {
+            binding,
+            resource: buffer.as_entire_binding(),
+        })
+        .collect();
+    Ok(Ok(device.create_bind_group(&wgpu::BindGroupDescriptor {
+        label: Some("relight occluders"),
+        layout,
+        entries: &entries,
+    })))
 }
 
 fn check_textures(material: &Material, count: usize) -> Result<(), Error> {

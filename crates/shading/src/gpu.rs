@@ -67,8 +67,10 @@ pub struct Frame {
     pub lobe_error: f32,
     /// Cells: rows and columns of the uniform partition, or zero.
     pub cells: [u32; 2],
+    /// Number of sources.
+    pub source_count: u32,
     /// Zero.
-    pub reserved: [u32; 2],
+    pub reserved: u32,
 }
 
 /// Most local lights of a frame.
@@ -104,6 +106,54 @@ pub struct Light {
     pub amplitude: [f32; 3],
     /// Zero.
     pub reserved: f32,
+}
+
+/// A direction that a source's light comes from (32 bytes).
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct SourcePoint {
+    /// Unit vector, world space.
+    pub direction: [f32; 3],
+    /// Distance that rays start from the surface, the same for all; metres.
+    pub ray_offset: f32,
+    /// Its share of the source's light: ∫ radiance dω, linear Rec.709.
+    pub light: [f32; 3],
+    /// Zero.
+    pub reserved: f32,
+}
+
+/// A box of the hierarchy of what blocks rays (32 bytes).
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct OccluderNode {
+    /// Lowest corner, world space.
+    pub low: [f32; 3],
+    /// The first node that does not lie within this one.
+    pub next: u32,
+    /// Highest corner.
+    pub high: [f32; 3],
+    /// Number of triangles, 0 of an inner node, in the lowest [`Self::COUNT_BITS`]; above, the
+    /// first.
+    pub triangles: u32,
+}
+
+impl OccluderNode {
+    /// Bits of the number of triangles.
+    pub const COUNT_BITS: u32 = 3;
+    /// Most triangles of a node.
+    pub const MAX_TRIANGLES: u32 = (1 << Self::COUNT_BITS) - 1;
+}
+
+/// A triangle that blocks rays (48 bytes).
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct OccluderTriangle {
+    /// Its first corner, world space.
+    pub corner: [f32; 3],
+    /// Zero.
+    pub reserved: f32,
+    /// From there to the others; w is zero.
+    pub edges: [[f32; 4]; 2],
 }
 
 /// A vertex (48 bytes).
@@ -479,7 +529,8 @@ impl Frame {
             boundary_error: 0.0,
             lobe_error: 0.0,
             cells: [0; 2],
-            reserved: [0; 2],
+            source_count: 0,
+            reserved: 0,
         }
     }
 }
@@ -640,7 +691,34 @@ mod tests {
                 boundary_error,
                 lobe_error,
                 cells,
+                source_count,
                 reserved,
+            }
+        );
+        check_layout!(
+            module,
+            SourcePoint {
+                direction,
+                ray_offset,
+                light,
+                reserved
+            }
+        );
+        check_layout!(
+            module,
+            OccluderNode {
+                low,
+                next,
+                high,
+                triangles
+            }
+        );
+        check_layout!(
+            module,
+            OccluderTriangle {
+                corner,
+                reserved,
+                edges
             }
         );
         check_layout!(

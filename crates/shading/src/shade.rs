@@ -14,7 +14,7 @@ use crate::spherical_gaussian::SphericalGaussian;
 use crate::ssdf::SignedDistance;
 use crate::surface::SurfacePoint;
 use crate::tables::Tables;
-use crate::{ambient, cells, polar};
+use crate::{ambient, cells, polar, sources};
 
 /// A product lobe whose whole energy is below this fraction of the radiance gathered so
 /// far, in every channel, is not integrated.
@@ -44,6 +44,8 @@ pub struct Lighting<'a> {
     /// What there is in the distance beside `lights`; those say how much of it specular
     /// reflections see.
     pub reflections: Option<Reflections<'a>>,
+    /// Suns, lamps and windows of the distance, not among `lights`.
+    pub sources: Option<sources::Lit<'a>>,
 }
 
 /// A prefiltered image, turned.
@@ -122,6 +124,12 @@ pub fn shade_counting(
     integrals: &mut u64,
 ) -> Vec3 {
     let mut radiance = Vec3::ZERO;
+    // First, so that lobes that add nothing to it are left out.
+    if let Some(sources) = &lighting.sources
+        && point.normal.dot(point.view) > 0.0
+    {
+        radiance = sources.radiance(point, &mut 0);
+    }
     if let Method::Cells(options) = method {
         cell_groups(point, lighting, |about, lobes| {
             *integrals += 1;

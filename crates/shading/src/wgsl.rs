@@ -4,8 +4,8 @@ use std::fmt::Write as _;
 
 use crate::surface::{Join, Model};
 use crate::{
-    brdf, cells, glossy, gpu, local_light, polar, prefiltered, shade, spherical_gaussian, surface,
-    tables, tonemap,
+    brdf, cells, glossy, gpu, local_light, occluders, polar, prefiltered, shade, sources,
+    spherical_gaussian, surface, tables, tonemap,
 };
 
 /// What a shader module is for.
@@ -17,6 +17,9 @@ pub enum Entry {
     Shade,
     /// The same by cells; a module of its own, so that its registers cost the others nothing.
     ShadeCells,
+    /// Visibility buffer to what sources add to the radiance: `sources_main`, workgroups of 8 × 8
+    /// pixels.
+    Sources,
     /// Linear radiance to display colour: `tonemap_vertex`, `tonemap_fragment`.
     Tonemap,
     /// Functions and bindings without an entry point, to append kernels to.
@@ -25,10 +28,11 @@ pub enum Entry {
 
 impl Entry {
     /// All of them.
-    pub const ALL: [Self; 5] = [
+    pub const ALL: [Self; 6] = [
         Self::VisibilityBuffer,
         Self::Shade,
         Self::ShadeCells,
+        Self::Sources,
         Self::Tonemap,
         Self::Library,
     ];
@@ -69,6 +73,12 @@ pub fn source(entry: Entry) -> String {
             source += include_str!("wgsl/shade.wgsl");
             source += include_str!("wgsl/cells.wgsl");
             source += include_str!("wgsl/shade_cells.wgsl");
+        }
+        Entry::Sources => {
+            source.extend(LIBRARY.iter().copied());
+            source += include_str!("wgsl/reference.wgsl");
+            source += include_str!("wgsl/occluders.wgsl");
+            source += include_str!("wgsl/sources.wgsl");
         }
         Entry::Tonemap => source += include_str!("wgsl/tonemap.wgsl"),
         Entry::Library => source.extend(LIBRARY.iter().copied()),
@@ -114,6 +124,8 @@ fn constants() -> String {
     text += &brdf::wgsl_constants();
     text += &glossy::wgsl_constants();
     text += &shade::wgsl_constants();
+    text += &occluders::wgsl_constants();
+    text += &sources::wgsl_constants();
     text += &tonemap::wgsl_constants();
     text
 }

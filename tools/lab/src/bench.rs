@@ -2,9 +2,8 @@
 
 use std::time::{Duration, Instant};
 
-use relight_format::{Camera, Scene};
+use relight_format::Scene;
 use relight_runtime::{CellsOptions, Frame, Method, PassTimes, PolarOptions, twin};
-use relight_shading::spherical_gaussian::SphericalGaussian;
 use serde::Serialize;
 
 use crate::compare::compare;
@@ -31,6 +30,8 @@ pub struct Row {
     pub samples: f64,
     /// Interpolated texels of four basis images per covered pixel.
     pub fetches: f64,
+    /// Rays towards sources per covered pixel.
+    pub rays: f64,
     /// Relative RMSE against truth, its noise removed.
     pub relative_rmse: f64,
     /// The same over that of `ambient`.
@@ -62,15 +63,14 @@ const METHODS: [(&str, Method); 5] = [
 /// Measures all of them.
 pub fn run(
     scene: &Scene,
-    camera: Camera,
-    lights: &[SphericalGaussian],
+    frame: &Frame,
     renderer: &mut Renderer,
     settings: &Settings,
 ) -> anyhow::Result<Vec<Row>> {
     let [width, height] = settings.size;
     let truth = lobes::of_frame(
         scene,
-        &Frame::new(camera, lights),
+        frame,
         settings.size,
         &Options::centers(settings.samples),
         Visibility::Exact,
@@ -80,7 +80,7 @@ pub fn run(
     for (name, method) in METHODS {
         let frame = Frame {
             method,
-            ..Frame::new(camera, lights)
+            ..frame.clone()
         };
         let Timed {
             image,
@@ -101,6 +101,7 @@ pub fn run(
             integrals: work.integrals as f64 / pixels,
             samples: work.samples as f64 / pixels,
             fetches: work.fetches as f64 / pixels,
+            rays: work.rays as f64 / pixels,
             relative_rmse,
             error_over_ambient: first.map_or(1.0, |first| relative_rmse / first.relative_rmse),
             mean_flip: found.mean_flip,

@@ -19,9 +19,11 @@ use relight_shading::camera::View;
 use relight_shading::cells::CellsOptions;
 use relight_shading::gpu;
 use relight_shading::local_light::LocalLight;
+use relight_shading::occluders::Occluders;
 use relight_shading::polar::PolarOptions;
 use relight_shading::prefiltered::Prefiltered;
 use relight_shading::shade::{Lighting, Method};
+use relight_shading::sources::{Lit, Sources};
 use relight_shading::spherical_gaussian::SphericalGaussian;
 use serde_json::{Value, json};
 
@@ -398,7 +400,11 @@ fn print_plain(report: &Value) {
 
 fn run_render(arguments: &Render) -> anyhow::Result<Value> {
     let scene = read_scene(&arguments.scene)?;
-    let (lights, prefiltered) = read_environment(&arguments.environment)?;
+    let Distant {
+        lights,
+        prefiltered,
+        sources,
+    } = read_environment(&arguments.environment)?;
     let picture = &arguments.picture;
     let local_lights = read_local_lights(picture.lights.as_deref())?;
     let reflections = match arguments.reflections {
@@ -436,6 +442,7 @@ fn run_render(arguments: &Render) -> anyhow::Result<Value> {
     let camera = choose_camera(&picture.camera, scene.camera, &scene)?;
     let frame = relight_runtime::Frame {
         reflections: reflections.as_ref(),
+        sources: sources.as_ref(),
         rotation: glam::Quat::from_rotation_y(picture.rotate.to_radians()),
         local_lights: &local_lights,
         method,
@@ -465,7 +472,9 @@ fn run_render(arguments: &Render) -> anyhow::Result<Value> {
 
 fn run_bench(arguments: &Bench, json: bool) -> anyhow::Result<Value> {
     let scene = read_scene(&arguments.scene)?;
-    let (lights, _) = read_environment(&arguments.environment)?;
+    let Distant {
+        lights, sources, ..
+    } = read_environment(&arguments.environment)?;
     let camera = choose_camera(&arguments.camera, scene.camera, &scene)?;
     let mut renderer = render::Renderer::open(arguments.device.into()).map_err(NoGpu)?;
     let settings = bench::Settings {
@@ -473,20 +482,25 @@ fn run_bench(arguments: &Bench, json: bool) -> anyhow::Result<Value> {
         samples: arguments.samples,
         repetitions: arguments.repetitions,
     };
-    let rows = bench::run(&scene, camera, &lights, &mut renderer, &settings)?;
+    let frame = relight_runtime::Frame {
+        sources: sources.as_ref(),
+        ..relight_runtime::Frame::new(camera, &lights)
+    };
+    let rows = bench::run(&scene, &frame, &mut renderer, &settings)?;
     if !json {
         println!(
-            "{:<16}{:>10}{:>10}{:>10}{:>10}{:>10}{:>10}",
-            "", "seconds", "/ambient", "samples", "fetches", "error", "/ambient"
+            "{:<16}{:>10}{:>10}{:>10}{:>10}{:>10}{:>10}{:>10}",
+            "", "seconds", "/ambient", "samples", "fetches", "rays", "error", "/ambient"
         );
         for row in &rows {
             println!(
-                "{:<16}{:>10.4}{:>10.2}{:>10.0}{:>10.0}{:>9.2}%{:>10.2}",
+                "{:<16}{:>10.4}{:>10.2}{:>10.0}{:>10.0}{:>10.1}{:>9.2}%{:>10.2}",
                 row.method,
                 row.seconds,
                 row.time_over_ambient,
                 row.samples,
                 row.fetches,
+                row.rays,
                 100.0 * row.relative_rmse,
                 row.error_over_ambient
             );
@@ -531,18 +545,25 @@ fn run_truth(arguments: &Truth) -> anyhow::Result<Value> {
                 .as_deref()
                 .context("--environment: expected a baked environment, found none")?;
             let turn = glam::Mat3::from_rotation_y(rotation);
-            let lights: Vec<_> = read_environment(environment)?
-                .0
-                .iter()
+            let distant = read_environment(environment)?;
+            let lights: Vec<_> = (distant.lights.iter())
                 .map(|light| light.rotate(&turn))
                 .collect();
+            let sources = distant.sources.map(|sources| sources.turned(&turn));
             let camera = choose_camera(&picture.camera, scene.camera, &scene)?;
             start = Instant::now();
             let geometry = Geometry::new(&scene, View::new(&camera, width, height, 1.0));
+            // Rays are cast by `geometry`.
+            let occluders = Occluders::default();
             let lighting = Lighting {
                 lights: &lights,
                 local: &local,
-                reflections: None,
+                sources: sources.as_ref().map(|sources| Lit {
+                    sources,
+                    occluders: &occluders,
+                    ray_offset: 0.0,
+                }),
+                ..Lighting::default()
             };
             let visibility = arguments.visibility.into();
             lobes::render(
@@ -754,7 +775,7 @@ fn run_compression(
         }
     }
     let lights = match &arguments.environment {
-        Some(path) => read_environment(path)?.0,
+        Some(path) => read_environment(path)?.lights,
         None => experiments::fit_light(&arguments.data, "grace", 16, monitor)?,
     };
     let settings = experiments::compression::Settings {
@@ -796,14 +817,23 @@ fn read_scene(path: &Path) -> anyhow::Result<Scene> {
         .with_context(|| path.display().to_string())
 }
 
-/// An environment's lobes and, if it has one, its prefiltered image.
-fn read_environment(path: &Path) -> anyhow::Result<(Vec<SphericalGaussian>, Option<Prefiltered>)> {
+/// An environment, ready to light frames.
+struct Distant {
+    lights: Vec<SphericalGaussian>,
+    prefiltered: Option<Prefiltered>,
+    sources: Option<Sources>,
+}
+
+fn read_environment(path: &Path) -> anyhow::Result<Distant> {
     let bytes = read(path)?;
     let environment: Environment = relight_format::read_environment(&bytes, &Limits::default())
         .with_context(|| path.display().to_string())?;
-    let lobes: Vec<_> = environment.lobes.iter().map(Into::into).collect();
-    let image = Prefiltered::new(&environment.prefiltered, &lobes);
-    Ok((lobes, image))
+    let lights: Vec<_> = environment.lobes.iter().map(Into::into).collect();
+    Ok(Distant {
+        prefiltered: Prefiltered::new(&environment.prefiltered, &lights),
+        sources: Sources::new(&environment),
+        lights,
+    })
 }
 
 /// The `[[lights]]` of a scene file.

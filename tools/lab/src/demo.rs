@@ -19,6 +19,7 @@ use relight_format::{
 use relight_runtime::Frame;
 use relight_shading::polar::PolarOptions;
 use relight_shading::shade::Method;
+use relight_shading::sources::Sources;
 use relight_shading::spherical_gaussian::SphericalGaussian;
 use serde::Serialize;
 
@@ -95,21 +96,26 @@ pub fn run(options: &Options, monitor: Monitor) -> anyhow::Result<Report> {
     let image = sky(512, 256);
     let fit = environment::FitOptions {
         lobes: options.lobes,
-        max_error: None,
+        ..environment::FitOptions::default()
     };
     let fitted = environment::fit(&image, &fit, monitor)?.environment;
     let environment_path = options.folder.join("demo-environment.relight");
     format::write_file(&environment_path, &format::write_environment(&fitted)?)?;
     let environment = format::read_environment(&read(&environment_path)?, &Limits::default())?;
     let lights: Vec<SphericalGaussian> = environment.lobes.iter().map(Into::into).collect();
+    let sources = Sources::new(&environment);
     lap("bake environment");
 
     let mut renderer = Renderer::open(options.device)?;
     let camera = scene.camera.context("the demo scene has a camera")?;
+    let frame = Frame {
+        sources: sources.as_ref(),
+        ..Frame::new(camera, &lights)
+    };
     let mut render = |method| {
         let frame = Frame {
             method,
-            ..Frame::new(camera, &lights)
+            ..frame.clone()
         };
         renderer.render(&scene, &frame, options.size)
     };
@@ -128,7 +134,7 @@ pub fn run(options: &Options, monitor: Monitor) -> anyhow::Result<Report> {
     };
     let truth = lobes::of_frame(
         &scene,
-        &Frame::new(camera, &lights),
+        &frame,
         options.size,
         &truth::Options::centers(options.samples),
         Visibility::Exact,

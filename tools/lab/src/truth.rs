@@ -13,6 +13,7 @@
 pub mod full;
 pub mod lobes;
 mod random;
+mod sources;
 
 use glam::Vec3;
 use rayon::prelude::*;

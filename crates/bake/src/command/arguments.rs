@@ -340,6 +340,11 @@ pub struct EnvironmentArguments {
     /// too many.
     #[arg(long, value_name = "E", value_parser = positive, allow_negative_numbers = true)]
     max_error: Option<f32>,
+    /// Suns, lamps and windows to take out of the image at most, as sources that rays shadow; the
+    /// lobes fit the rest. 0 leaves all light to the lobes.
+    #[arg(long, value_name = "N", default_value_t = environment::MAX_SOURCES as u8,
+          value_parser = clap::value_parser!(u8).range(..=environment::MAX_SOURCES as i64))]
+    sources: u8,
     /// Also write the original, the fit and their difference (PNG) and the error over the number
     /// of lobes (CSV, SVG) into this folder.
     #[arg(long, value_name = "DIR")]
@@ -390,6 +395,7 @@ impl EnvironmentArguments {
                 None => environment::FitOptions::default().lobes,
             }),
             max_error: self.max_error,
+            sources: usize::from(self.sources),
         }
     }
 }

@@ -214,9 +214,12 @@ fn bake_environment(arguments: &EnvironmentArguments, monitor: Monitor) -> anyho
         ));
     }
     let options = arguments.options();
-    let environment::Fitted { environment, curve } =
-        environment::bake(&arguments.input, &image, &options, monitor)
-            .with_context(|| arguments.input.display().to_string())?;
+    let environment::Fitted {
+        environment,
+        curve,
+        source_light,
+    } = environment::bake(&arguments.input, &image, &options, monitor)
+        .with_context(|| arguments.input.display().to_string())?;
     let irradiance_error = curve.last().map_or(0.0, |last| last.irradiance_error);
     let bytes = format::write_environment(&environment)?;
     outputs.check(&files)?;
@@ -225,7 +228,7 @@ fn bake_environment(arguments: &EnvironmentArguments, monitor: Monitor) -> anyho
         read.map(|read| read == environment)
     })?;
     if let Some(folder) = &arguments.report {
-        let pictures = environment::report::pictures(&image, &environment.lobes)?;
+        let pictures = environment::report::pictures(&image, &environment)?;
         let contents = [
             Some(pictures.original),
             Some(pictures.fit),
@@ -249,12 +252,14 @@ fn bake_environment(arguments: &EnvironmentArguments, monitor: Monitor) -> anyho
     let seconds = start.elapsed().as_secs_f64();
     Ok(Summary {
         text: format!(
-            "{}: {} lobes, {} bytes\n\
-             relative L2 error {:.4}, energy error {:.4?}, irradiance error {irradiance_error:.4}\n\
-             {seconds:.1} s\n",
+            "{}: {} sources, {} lobes, {} bytes\n{}\
+             of the rest: relative L2 error {:.4}, energy error {:.4?}, irradiance error \
+             {irradiance_error:.4}\n{seconds:.1} s\n",
             arguments.output.display(),
+            environment.sources.len(),
             environment.lobes.len(),
             bytes.len(),
+            sources_text(&environment.sources, &source_light),
             report.relative_l2,
             report.energy_error,
         ),
@@ -262,6 +267,7 @@ fn bake_environment(arguments: &EnvironmentArguments, monitor: Monitor) -> anyho
             "output": lossy(&arguments.output),
             "bytes": bytes.len(),
             "lobes": environment.lobes.len(),
+            "sources": sources_json(&environment.sources, &source_light),
             "relative_l2": report.relative_l2,
             "energy_error": report.energy_error,
             "irradiance_error": irradiance_error,
@@ -269,6 +275,32 @@ fn bake_environment(arguments: &EnvironmentArguments, monitor: Monitor) -> anyho
             "seconds": seconds,
         }),
     })
+}
+
+/// A line for every source.
+fn sources_text(sources: &[format::Source], light: &[f32]) -> String {
+    let line = |(source, light): (&format::Source, &f32)| {
+        let ([x, y, z], [height, width]) = (source.direction(), source.extent());
+        format!(
+            "source at ({x:.3}, {y:.3}, {z:.3}), {width:.4} x {height:.4} rad: {:.1} % of the light\n",
+            100.0 * light
+        )
+    };
+    sources.iter().zip(light).map(line).collect()
+}
+
+fn sources_json(sources: &[format::Source], light: &[f32]) -> Vec<Value> {
+    let object = |(source, light): (&format::Source, &f32)| {
+        let [height, width] = source.extent();
+        json!({
+            "direction": source.direction(),
+            "width": width,
+            "height": height,
+            "texels": [source.columns, source.rows],
+            "part_of_light": light,
+        })
+    };
+    sources.iter().zip(light).map(object).collect()
 }
 
 fn bake_material(arguments: &MaterialArguments, monitor: Monitor) -> anyhow::Result<Summary> {
@@ -481,8 +513,9 @@ fn inspect(path: &Path) -> anyhow::Result<Summary> {
         }
         Asset::Environment(environment) => {
             text += &format!(
-                "environment, format version {}\n{} lobes fitted to {} ({}x{}), relative L2 {:.4}, energy error {:?}\n",
+                "environment, format version {}\n{} sources, {} lobes fitted to {} ({}x{}), relative L2 {:.4}, energy error {:?}\n",
                 format::VERSION,
+                environment.sources.len(),
                 environment.lobes.len(),
                 environment.report.source,
                 environment.report.source_size[0],
@@ -495,7 +528,18 @@ fn inspect(path: &Path) -> anyhow::Result<Summary> {
                     |l| json!({"axis": l.axis, "sharpness": l.sharpness, "amplitude": l.amplitude}),
                 )
                 .collect();
-            json!({ "kind": "environment", "report": environment.report, "lobes": lobes })
+            let sources: Vec<Value> = (environment.sources.iter())
+                .map(|source| {
+                    let [height, width] = source.extent();
+                    json!({"direction": source.direction(), "width": width, "height": height})
+                })
+                .collect();
+            json!({
+                "kind": "environment",
+                "report": environment.report,
+                "sources": sources,
+                "lobes": lobes,
+            })
         }
         Asset::Material(asset) => json!({
             "kind": "material",

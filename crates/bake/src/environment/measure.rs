@@ -4,7 +4,7 @@ use std::f64::consts::{PI, TAU};
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
-use relight_format::Lobe;
+use relight_format::{Environment, Lobe, Source};
 
 use super::level::Level;
 use super::lobe::Shape;
@@ -48,6 +48,81 @@ pub fn render(lobes: &[Lobe], width: u32, height: u32) -> LatLong {
         })
         .collect();
     LatLong { pixels, ..size }
+}
+
+/// The radiance of lobes and sources at the pixel centres of a lat-long image; sources keep their
+/// light.
+pub fn render_all(environment: &Environment, width: u32, height: u32) -> LatLong {
+    let mut image = render(&environment.lobes, width, height);
+    let mut first = 0;
+    for source in &environment.sources {
+        let texels = &environment.source_texels[first..][..source.texels()];
+        first += texels.len();
+        render_source(source, texels, &mut image);
+    }
+    image
+}
+
+/// Adds a source: every pixel as bright as texels make its centre, then all in proportion.
+fn render_source(source: &Source, texels: &[[f32; 3]], image: &mut LatLong) {
+    let (rows, columns) = (source.rows as i64, source.columns as i64);
+    let light = |row: i64| {
+        let theta = source.theta + row as f32 * source.row_step;
+        f64::from(source.column_step * 2.0 * theta.sin() * (0.5 * source.row_step).sin())
+    };
+    let mut wanted = [0.0; 3];
+    for (row, texels) in (0..).zip(texels.chunks_exact(columns as usize)) {
+        for (channel, wanted) in wanted.iter_mut().enumerate() {
+            let sum: f64 = texels.iter().map(|texel| f64::from(texel[channel])).sum();
+            *wanted += light(row) * sum;
+        }
+    }
+    let mut found = [0.0; 3];
+    let mut added: Vec<(usize, [f32; 3])> = Vec::new();
+    for row in 0..image.height {
+        let theta = PI * (f64::from(row) + 0.5) / f64::from(image.height);
+        let y = ((theta - f64::from(source.theta)) / f64::from(source.row_step)) as f32;
+        if y <= -1.0 || y >= rows as f32 {
+            continue;
+        }
+        for column in 0..image.width {
+            let phi = TAU * (f64::from(column) + 0.5) / f64::from(image.width);
+            let from_first = phi - f64::from(source.phi) + f64::from(source.column_step);
+            let x = (from_first.rem_euclid(TAU) / f64::from(source.column_step)) as f32 - 1.0;
+            if x >= columns as f32 {
+                continue;
+            }
+            let texel = |row: i64, column: i64| {
+                let inside = (0..rows).contains(&row) && (0..columns).contains(&column);
+                inside.then(|| Vec3::from(texels[(row * columns + column) as usize]))
+            };
+            let mut radiance = Vec3::ZERO;
+            for (row, part) in [
+                (y.floor(), 1.0 - y + y.floor()),
+                (y.floor() + 1.0, y - y.floor()),
+            ] {
+                for (column, share) in [
+                    (x.floor(), 1.0 - x + x.floor()),
+                    (x.floor() + 1.0, x - x.floor()),
+                ] {
+                    let texel = texel(row as i64, column as i64).unwrap_or(Vec3::ZERO);
+                    radiance += part * share * texel;
+                }
+            }
+            let solid_angle = image.solid_angle(row);
+            for (found, channel) in found.iter_mut().zip(radiance.to_array()) {
+                *found += solid_angle * f64::from(channel);
+            }
+            added.push(((row * image.width + column) as usize, radiance.to_array()));
+        }
+    }
+    for (index, radiance) in added {
+        for (channel, pixel) in image.pixels[index].iter_mut().enumerate() {
+            if found[channel] > 0.0 {
+                *pixel += (f64::from(radiance[channel]) * wanted[channel] / found[channel]) as f32;
+            }
+        }
+    }
 }
 
 /// Solid-angle-weighted ‖fit − image‖₂ / ‖image‖₂ over all channels, at the image's own

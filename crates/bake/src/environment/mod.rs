@@ -1,4 +1,4 @@
-//! An HDR environment as a sum of spherical Gaussians.
+//! An HDR environment as a few compact sources and a sum of spherical Gaussians for the rest.
 //!
 //! Solid-angle-weighted least squares, non-linear in axes and sharpnesses (Tsai & Shih
 //! 2006), with the amplitudes eliminated, non-negative, and of exactly the image's energy
@@ -14,15 +14,17 @@ mod primaries;
 pub mod report;
 mod seed;
 mod solve;
+pub mod sources;
 
 use std::path::Path;
 
+pub use relight_format::MAX_SOURCES;
 use relight_format::{Environment, EnvironmentReport, Lobe};
 
 use crate::monitor::{Interrupted, Monitor};
 use hdr::LatLong;
 use lobe::Shape;
-pub use measure::{energy_error, irradiance_error, relative_l2, render};
+pub use measure::{energy_error, irradiance_error, relative_l2, render, render_all};
 pub use prefilter::prefilter;
 use solve::{Fit, GLOSS_WEIGHT, Problem, Resolution};
 
@@ -37,6 +39,9 @@ pub struct FitOptions {
     /// Stop at the first number of lobes, among those of the curve, with at most this
     /// relative L2 error; then `lobes` is the most to try.
     pub max_error: Option<f32>,
+    /// Most sources to take out of the image first, up to [`MAX_SOURCES`]; 0 leaves all light
+    /// to the lobes.
+    pub sources: usize,
 }
 
 impl Default for FitOptions {
@@ -44,6 +49,7 @@ impl Default for FitOptions {
         Self {
             lobes: 64,
             max_error: None,
+            sources: MAX_SOURCES,
         }
     }
 }
@@ -95,8 +101,10 @@ pub struct Rung {
 pub struct Fitted {
     /// The last of the curve.
     pub environment: Environment,
-    /// Numbers of lobes, ascending; empty for a black image.
+    /// Numbers of lobes, ascending; empty where the sources leave nothing.
     pub curve: Vec<Rung>,
+    /// Of every source, its part of the image's light, over all channels.
+    pub source_light: Vec<f32>,
 }
 
 /// Fits an image that was loaded from `input`, whose name the report has.
@@ -115,7 +123,7 @@ pub fn bake(
     Ok(fitted)
 }
 
-/// Fits an image. The same image and options give the same lobes on any number of threads.
+/// Takes the sources out of an image and fits the rest. The same image and options give the same lobes on any number of threads.
 /// A black image has no lobes.
 pub fn fit(image: &LatLong, options: &FitOptions, monitor: Monitor) -> Result<Fitted, Error> {
     if !(1..=MAX_LOBES).contains(&options.lobes) {
@@ -126,8 +134,9 @@ pub fn fit(image: &LatLong, options: &FitOptions, monitor: Monitor) -> Result<Fi
     {
         return Err(Error::MaxError(error));
     }
-    let curve = match Problem::new(image) {
-        Some(problem) => climb(problem, image, options, monitor)?,
+    let split = sources::split(image, options.sources);
+    let curve = match Problem::new(&split.rest) {
+        Some(problem) => climb(problem, &split.rest, options, monitor)?,
         None => Vec::new(),
     };
     let (lobes, relative_l2, energy_error) = match curve.last() {
@@ -153,10 +162,13 @@ pub fn fit(image: &LatLong, options: &FitOptions, monitor: Monitor) -> Result<Fi
     Ok(Fitted {
         environment: Environment {
             report,
-            prefiltered: prefilter(image),
+            prefiltered: prefilter(&split.rest),
             lobes,
+            sources: split.sources,
+            source_texels: split.texels,
         },
         curve,
+        source_light: split.light,
     })
 }
 
@@ -402,6 +414,7 @@ mod tests {
         let options = FitOptions {
             lobes,
             max_error: None,
+            sources: 0,
         };
         fit(image, &options, SILENT).unwrap().environment
     }
@@ -555,7 +568,7 @@ mod tests {
         let image = patches();
         let options = FitOptions {
             lobes: 4,
-            max_error: None,
+            ..FitOptions::default()
         };
         fit(
             &image,
@@ -586,7 +599,7 @@ mod tests {
                 &image,
                 &FitOptions {
                     lobes: 0,
-                    max_error: None
+                    ..FitOptions::default()
                 },
                 SILENT
             ),

@@ -3,10 +3,10 @@
 
 use std::fmt::Write as _;
 
-use relight_format::Lobe;
+use relight_format::Environment;
 
 use super::Rung;
-use super::measure::render;
+use super::measure::render_all;
 use crate::environment::hdr::LatLong;
 use crate::report::picture::png;
 use crate::report::plot::{self, Curve};
@@ -16,16 +16,16 @@ use crate::report::plot::{self, Curve};
 pub struct Pictures {
     /// The image.
     pub original: Vec<u8>,
-    /// The lobes' radiance.
+    /// The radiance of lobes and sources.
     pub fit: Vec<u8>,
     /// |fit − original|.
     pub difference: Vec<u8>,
 }
 
-/// Exposes image and lobes alike, the image's mean radiance to a quarter of white, and
+/// Exposes image and fit alike, the image's mean radiance to a quarter of white, and
 /// compresses highlights (Reinhard et al. 2002, on each channel).
-pub fn pictures(image: &LatLong, lobes: &[Lobe]) -> Result<Pictures, image::ImageError> {
-    let fit = render(lobes, image.width, image.height);
+pub fn pictures(image: &LatLong, environment: &Environment) -> Result<Pictures, image::ImageError> {
+    let fit = render_all(environment, image.width, image.height);
     let mean = image.total_power().iter().sum::<f64>() / (12.0 * std::f64::consts::PI);
     let exposure = if mean > 0.0 {
         (1.0 / (3.0 * mean)) as f32
@@ -86,6 +86,7 @@ pub fn curve_svg(curve: &[Rung]) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use relight_format::Lobe;
 
     #[test]
     fn the_curve_names_every_rung() {
@@ -116,8 +117,12 @@ mod tests {
             amplitude: [1.0, 0.5, 0.2],
             reserved: 0.0,
         };
-        let image = render(&[lobe], 32, 16);
-        let pictures = pictures(&image, &[lobe]).unwrap();
+        let environment = Environment {
+            lobes: vec![lobe],
+            ..Environment::default()
+        };
+        let image = render_all(&environment, 32, 16);
+        let pictures = pictures(&image, &environment).unwrap();
         assert_eq!(pictures.original, pictures.fit);
         let decode = |bytes: &[u8]| image::load_from_memory(bytes).unwrap().into_rgb8();
         let (original, difference) = (decode(&pictures.original), decode(&pictures.difference));

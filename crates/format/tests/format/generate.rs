@@ -3,8 +3,8 @@
 use relight_format::{
     BakeReport, Blend, Camera, Cluster, Environment, EnvironmentReport, FieldOfView, FittedLobe,
     Layer, Lobe, MAX_FITTED_LOBES, MAX_LAYERS, Material, MaterialAsset, MaterialReport,
-    Prefiltered, Representation, Scene, Specular, Surface, Texture, TextureEncoding, TextureSlot,
-    Triangle, Vertex, VisibilityErrors, VisibilityParameters,
+    Prefiltered, Representation, Scene, Source, Specular, Surface, Texture, TextureEncoding,
+    TextureSlot, Triangle, Vertex, VisibilityErrors, VisibilityParameters,
 };
 
 /// SplitMix64 (Steele, Lea & Flood 2014): small, seeded, the same everywhere.
@@ -76,7 +76,20 @@ pub fn environment(random: &mut Random) -> Environment {
             }
         })
         .collect();
+    let sources: Vec<Source> = (0..random.below(3))
+        .map(|_| Source {
+            theta: random.unit(),
+            phi: 6.0 * random.unit(),
+            row_step: 0.01 + 0.1 * random.unit(),
+            column_step: 0.01 + 0.1 * random.unit(),
+            rows: 1 + random.below(5) as u32,
+            columns: 1 + random.below(5) as u32,
+        })
+        .collect();
+    let texels = sources.iter().map(Source::texels).sum();
     Environment {
+        source_texels: (0..texels).map(|_| random.color()).collect(),
+        sources,
         report: EnvironmentReport {
             source: random.name(),
             source_size: [random.bits() as u32, random.bits() as u32],

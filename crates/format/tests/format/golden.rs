@@ -8,8 +8,8 @@ use std::path::PathBuf;
 use relight_format::{
     BakeReport, Blend, Camera, Cluster, Environment, EnvironmentReport, FieldOfView, FittedLobe,
     Layer, Limits, Lobe, Material, MaterialAsset, MaterialReport, Prefiltered, Representation,
-    Scene, Specular, Surface, Texture, TextureEncoding, TextureSlot, Triangle, VERSION, Vertex,
-    VisibilityErrors, VisibilityParameters, read_environment, read_material, read_scene,
+    Scene, Source, Specular, Surface, Texture, TextureEncoding, TextureSlot, Triangle, VERSION,
+    Vertex, VisibilityErrors, VisibilityParameters, read_environment, read_material, read_scene,
     write_environment, write_material, write_scene,
 };
 
@@ -178,6 +178,15 @@ fn environment() -> Environment {
         prefiltered: Prefiltered {
             texels: (0..20).map(|index| 0x7fa3_9b21 ^ (index << 14)).collect(),
         },
+        sources: vec![Source {
+            theta: 0.75,
+            phi: -0.5,
+            row_step: 0.125,
+            column_step: 0.0625,
+            rows: 1,
+            columns: 2,
+        }],
+        source_texels: vec![[1e5, 5e4, 0.0], [0.25, 0.5, 1.0]],
     }
 }
 

@@ -105,7 +105,7 @@ fn changed_environments_are_rejected_or_valid() {
         let file = File::parse(&bytes.unwrap());
         let mut random = Random::new(seed);
         for _ in 0..400 {
-            let bytes = file.with_raw(random.below(2), |raw| {
+            let bytes = file.with_raw(random.below(5), |raw| {
                 if !raw.is_empty() {
                     let at = random.below(raw.len());
                     raw[at] = random.bits() as u8;

@@ -3,7 +3,7 @@
 
 use relight_format::{
     Blend, Camera, Environment, FieldOfView, FittedLobe, Issue, Layer, Limits, Lobe,
-    MAX_FITTED_LOBES, MAX_LAYERS, Scene, SectionKind, Specular, Surface, TextureSlot,
+    MAX_FITTED_LOBES, MAX_LAYERS, Scene, SectionKind, Source, Specular, Surface, TextureSlot,
     read_environment, read_scene, write_environment, write_scene,
 };
 
@@ -334,6 +334,112 @@ fn lobes() {
     let mut environment = environment(&mut Random::new(1));
     environment.report.relative_l2 = f32::NAN;
     assert!(write_environment(&environment).is_err());
+}
+
+#[test]
+fn sources() {
+    let valid = Source {
+        theta: 0.5,
+        phi: 6.0,
+        row_step: 0.1,
+        column_step: 0.2,
+        rows: 2,
+        columns: 3,
+    };
+    let make = |source: Source, texel: [f32; 3]| Environment {
+        sources: vec![valid, source],
+        source_texels: [vec![[1.0; 3]; 6], vec![texel; source.texels().min(1 << 15)]].concat(),
+        ..Environment::default()
+    };
+    write_environment(&make(valid, [0.0; 3])).expect("a valid environment");
+    // All around the image, and to the lower pole.
+    let around = Source {
+        theta: 3.1,
+        column_step: std::f32::consts::TAU / 64.0,
+        rows: 1,
+        columns: 64,
+        ..valid
+    };
+    write_environment(&make(around, [0.0; 3])).expect("a valid environment");
+    for source in [
+        Source {
+            theta: -0.1,
+            ..valid
+        },
+        Source {
+            theta: f32::NAN,
+            ..valid
+        },
+        Source {
+            phi: f32::INFINITY,
+            ..valid
+        },
+        Source {
+            row_step: 0.0,
+            ..valid
+        },
+        Source {
+            row_step: f32::INFINITY,
+            rows: 1,
+            ..valid
+        },
+        Source {
+            column_step: -0.1,
+            ..valid
+        },
+        Source { rows: 0, ..valid },
+        Source {
+            columns: 0,
+            ..valid
+        },
+        // Below the lower pole, more than once around, and more than there may be.
+        Source { rows: 40, ..valid },
+        Source {
+            columns: 40,
+            ..valid
+        },
+        Source {
+            row_step: 1e-4,
+            column_step: 1e-4,
+            rows: 200,
+            columns: 200,
+            ..valid
+        },
+        Source {
+            row_step: 1e-30,
+            column_step: 1e-30,
+            rows: u32::MAX,
+            columns: u32::MAX,
+            ..valid
+        },
+    ] {
+        let error = write_environment(&make(source, [0.0; 3])).expect_err("an invalid source");
+        assert_eq!(error.issue(), Some(Issue::ValueOutOfRange), "{source:?}");
+        assert!(error.to_string().contains("source 1"), "{error}");
+    }
+    for texel in [
+        [-1.0, 0.0, 0.0],
+        [0.0, f32::NAN, 0.0],
+        [0.0, 0.0, f32::INFINITY],
+    ] {
+        let error = write_environment(&make(valid, texel)).expect_err("an invalid texel");
+        assert!(error.to_string().contains("texel 6"), "{error}");
+    }
+    let mut missing = make(valid, [0.0; 3]);
+    missing.source_texels.pop();
+    let error = write_environment(&missing).expect_err("a texel less");
+    assert_eq!(error.issue(), Some(Issue::BadLength));
+    let many = Environment {
+        sources: vec![valid; 9],
+        source_texels: vec![[0.0; 3]; 54],
+        ..Environment::default()
+    };
+    let error = write_environment(&many).expect_err("nine sources");
+    assert_eq!(error.issue(), Some(Issue::BadLength));
+    // The same as bytes: the rows of the first source.
+    let file = File::parse(&write_environment(&make(valid, [0.0; 3])).unwrap());
+    let bytes = file.with_raw(3, |raw| raw[19] = 0x7f);
+    assert!(read_environment(&bytes, &Limits::default()).is_err());
 }
 
 /// The same rules hold for what arrives as bytes.

@@ -7,14 +7,16 @@ use std::cell::Cell;
 use glam::Vec3;
 use rayon::prelude::*;
 use relight_format::Scene;
+use relight_shading::occluders::Occluders;
 use relight_shading::shade::{self, Lighting, Reflections};
+use relight_shading::sources::Lit;
 use relight_shading::ssdf::{Basis, SignedDistance, Ssdf};
 use relight_shading::surface::{SurfacePoint, surface_point};
 
 pub use visibility_buffer::visibility_buffer;
 
 use crate::frame::{check_local_lights, near_plane};
-use crate::{Error, Frame, Image};
+use crate::{Error, Frame, Image, occluders};
 
 /// The linear radiance of one frame, not exposed. The scene is one that
 /// [`relight_format::read_scene`] returned or [`relight_format::write_scene`] accepts.
@@ -42,6 +44,8 @@ pub struct Work {
     pub samples: u64,
     /// Texels of four basis images that were interpolated for it.
     pub fetches: u64,
+    /// Rays cast towards sources.
+    pub rays: u64,
 }
 
 /// Counts what [`render`] does.
@@ -54,7 +58,13 @@ pub fn work(scene: &Scene, frame: &Frame, width: u32, height: u32) -> Result<Wor
         let mut integrals = 0;
         shade::shade_counting(point, lighting, &counted, &frame.method, &mut integrals);
         let samples = counted.samples.get();
-        [1, integrals, samples, samples * field.tiles() as u64]
+        let mut rays = 0;
+        if let Some(sources) = &lighting.sources
+            && point.normal.dot(point.view) > 0.0
+        {
+            sources.radiance(point, &mut rays);
+        }
+        [1, integrals, samples, samples * field.tiles() as u64, rays]
     })?;
     let sum = |index: usize| counts.iter().map(|counts| counts[index]).sum();
     Ok(Work {
@@ -62,6 +72,7 @@ pub fn work(scene: &Scene, frame: &Frame, width: u32, height: u32) -> Result<Wor
         integrals: sum(1),
         samples: sum(2),
         fetches: sum(3),
+        rays: sum(4),
     })
 }
 
@@ -97,7 +108,17 @@ pub fn map_pixels<T: Default + Send>(
     let lights = frame.rotated_lights();
     let local = frame.packed_local_lights();
     check_local_lights(local.len()).map_err(Error::Frame)?;
+    let sources = frame.rotated_sources();
+    let occluders = match sources {
+        Some(_) => occluders::build(scene),
+        None => Occluders::default(),
+    };
     let lighting = Lighting {
+        sources: sources.as_ref().map(|sources| Lit {
+            sources,
+            occluders: &occluders,
+            ray_offset: scene.visibility.ray_offset,
+        }),
         lights: &lights,
         local: &local,
         reflections: frame.reflections.map(|image| Reflections {

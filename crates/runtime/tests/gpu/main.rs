@@ -10,11 +10,11 @@ use std::sync::{Mutex, PoisonError};
 
 use glam::{Quat, Vec3};
 use libtest_mimic::{Completion, Failed, Trial};
-use relight_format::{Camera, FieldOfView, Material, Surface};
+use relight_format::{Camera, Environment, FieldOfView, Material, Surface};
 use relight_runtime::offscreen::{Gpu, Picture};
 use relight_runtime::{
     CellsOptions, Error, Frame, Image, LocalLight, MAX_LOCAL_LIGHTS, Method, Options, PolarOptions,
-    Prefiltered, Renderer, SphericalGaussian, Spot, twin, wgpu,
+    Prefiltered, Renderer, Sources, SphericalGaussian, Spot, twin, wgpu,
 };
 use relight_shading::camera::View;
 use relight_shading::prefiltered::encode;
@@ -80,6 +80,7 @@ fn main() -> ExitCode {
             "local_lights_and_reflections_match_twins",
             local_lights_and_reflections_match_twins,
         ),
+        with_gpu("sources_match_twins", sources_match_twins),
         with_gpu("cells_match_twin", cells_match_twin),
         with_gpu("tonemap_matches_twin", tonemap_matches_twin),
         with_gpu("bands_do_not_show", bands_do_not_show),
@@ -125,6 +126,7 @@ fn frame(lights: &[SphericalGaussian], method: Method) -> Frame<'_> {
         lights,
         rotation: Quat::from_rotation_y(0.4),
         reflections: None,
+        sources: None,
         local_lights: &[],
         method,
         exposure: 0.8,
@@ -302,6 +304,71 @@ fn stripes() -> Prefiltered {
     });
     let texels = texels.collect();
     Prefiltered::new(&relight_format::Prefiltered { texels }, &[]).expect("whole levels")
+}
+
+/// A small sun and a window beside it.
+fn sources() -> Sources {
+    let grid = |theta, phi, row_step, column_step, rows, columns| relight_format::Source {
+        theta,
+        phi,
+        row_step,
+        column_step,
+        rows,
+        columns,
+    };
+    let environment = Environment {
+        sources: vec![
+            grid(0.9, 1.9, 0.01, 0.01, 1, 1),
+            grid(1.0, 4.0, 0.05, 0.1, 8, 6),
+        ],
+        source_texels: (0..49)
+            .map(|index| match index {
+                0 => [9e3, 8e3, 7e3],
+                index => [3.0, 4.0 + 0.1 * index as f32, 6.0],
+            })
+            .collect(),
+        ..Environment::default()
+    };
+    Sources::new(&environment).expect("two sources")
+}
+
+/// Pixels, as a fraction, where rounding may send a ray to the other side of an edge, or a
+/// pixel's first rays to another conclusion.
+const OTHER_RAYS: f32 = 2e-3;
+
+fn sources_match_twins(gpu: &mut Gpu) -> Outcome {
+    let (width, height) = (160, 120);
+    let (lights, sources) = (lights(), sources());
+    let scene = scenes::sphere_over_plane();
+    let uploaded = gpu.upload(&scene)?;
+    for method in [POLAR, Method::Cells(CellsOptions::default())] {
+        let without = frame(&lights, method);
+        let with = Frame {
+            sources: Some(&sources),
+            ..without.clone()
+        };
+        let found = gpu.render(&uploaded, &with, width, height)?.linear;
+        let expected = twin::render(&scene, &with, width, height)?;
+        // Sources come and go: the picture's images are made anew, or stay.
+        let dark = gpu.render(&uploaded, &without, width, height)?.linear;
+        assert!(relative_rmse(&dark, &twin::render(&scene, &without, width, height)?) < 1e-2);
+        let mut different = 0;
+        let mut shadowed = 0;
+        for ((found, expected), dark) in found.pixels.iter().zip(&expected.pixels).zip(&dark.pixels)
+        {
+            let far = |a: &[f32; 4], b: &[f32; 4], most: f32| {
+                (0..3).any(|channel| (a[channel] - b[channel]).abs() > most * (1e-3 + b[channel]))
+            };
+            different += usize::from(far(found, expected, 5.0 * CELLS_RELATIVE_RMSE));
+            shadowed += usize::from(found[3] == 1.0 && !far(expected, dark, 1e-3));
+        }
+        println!("{method:?}: {different} pixels differ, {shadowed} are in full shadow");
+        assert!(different as f32 <= OTHER_RAYS * (width * height) as f32);
+        assert!(shadowed > 50, "no shadow");
+        let again = gpu.render(&uploaded, &with, width, height)?.linear;
+        assert!(again == found);
+    }
+    Ok(())
 }
 
 fn local_lights_and_reflections_match_twins(gpu: &mut Gpu) -> Outcome {

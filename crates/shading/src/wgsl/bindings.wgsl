@@ -34,7 +34,8 @@ struct Frame {
     lobe_error: f32,
     // cells: rows and columns of the uniform partition, or zero.
     cells: vec2<u32>,
-    reserved: vec2<u32>,
+    source_count: u32,
+    reserved: u32,
 }
 
 // A sphere that emits.
@@ -54,6 +55,34 @@ struct Light {
     sharpness: f32,
     amplitude: vec3<f32>,
     reserved: f32,
+}
+
+// A direction that a source's light comes from.
+struct SourcePoint {
+    direction: vec3<f32>,
+    // Distance that rays start from the surface, the same for all.
+    ray_offset: f32,
+    // Its share of the source's light.
+    light: vec3<f32>,
+    reserved: f32,
+}
+
+// A box of the hierarchy of what blocks rays.
+struct OccluderNode {
+    low: vec3<f32>,
+    // The first node that does not lie within this one.
+    next: u32,
+    high: vec3<f32>,
+    // First triangle << OCCLUDERS_COUNT_BITS | number of triangles.
+    triangles: u32,
+}
+
+// A triangle that blocks rays.
+struct OccluderTriangle {
+    corner: vec3<f32>,
+    reserved: f32,
+    // From there to the other corners.
+    edges: array<vec4<f32>, 2>,
 }
 
 struct Vertex {
@@ -149,6 +178,11 @@ struct Material {
 // Texels of format::Prefiltered in order, PREFILTERED_TEXTURE_WIDTH per row.
 @group(0) @binding(4) var prefiltered: texture_2d<u32>;
 
+// Sources alone: SOURCE_PROBES directions and SOURCE_POINTS points of each; and by source and
+// level, two of each, what a point's light is multiplied by.
+@group(0) @binding(5) var<storage, read> source_points: array<SourcePoint>;
+@group(0) @binding(6) var<uniform> source_scales: array<vec4<f32>, 2 * MAX_SOURCES>;
+
 @group(1) @binding(0) var<storage, read> vertices: array<Vertex>;
 // Three vertices, then material | cluster << 16.
 @group(1) @binding(1) var<storage, read> triangles: array<vec4<u32>>;
@@ -160,8 +194,13 @@ struct Material {
 // rgba8snorm tiles, each with a one-texel gutter that continues the octahedral map.
 @group(1) @binding(6) var basis_atlas: texture_2d_array<f32>;
 @group(1) @binding(7) var basis_sampler: sampler;
+// Sources alone.
+@group(1) @binding(8) var<storage, read> occluder_nodes: array<OccluderNode>;
+@group(1) @binding(9) var<storage, read> occluder_triangles: array<OccluderTriangle>;
 
 // Triangle index + 1; 0 is background.
 @group(2) @binding(0) var visibility_buffer: texture_2d<u32>;
 // Linear radiance; alpha is 1 where a surface was shaded and 0 on the background.
 @group(2) @binding(1) var radiance: texture_storage_2d<rgba32float, write>;
+// What sources add to the radiance, if frame.source_count is not 0.
+@group(2) @binding(2) var source_radiance: texture_2d<f32>;

@@ -21,15 +21,20 @@ fn shade_main(@builtin(global_invocation_id) id: vec3<u32>) {
     );
     let point = surface_point(corners, triangle.w & 0xffffu, weights);
     ssdf_load(clusters[triangle.w >> 16u], corners, weights);
-    textureStore(radiance, pixel, vec4(shade(point), 1.0));
+    // First, so that lobes that add nothing to it are left out.
+    var sources = vec3(0.0);
+    if frame.source_count > 0u {
+        sources = textureLoad(source_radiance, pixel, 0).xyz;
+    }
+    textureStore(radiance, pixel, vec4(shade(point, sources), 1.0));
 }
 
-fn shade(point: SurfacePoint) -> vec3<f32> {
-    var sum = vec3(0.0);
+// `sources`: what they add to the radiance.
+fn shade(point: SurfacePoint, sources: vec3<f32>) -> vec3<f32> {
     if dot(point.normal, point.view) <= 0.0 {
-        return sum;
+        return vec3(0.0);
     }
-    sum = shade_lobes(point);
+    var sum = shade_lobes(point, sources);
     if frame.prefiltered_levels > 0u {
         sum += shade_diffused(point);
         for (var k = 0u; k < reflection_count; k++) {

@@ -1,7 +1,7 @@
 // Twin of shade.rs: `cells`, for many lobes at a time.
 
-fn shade_lobes(point: SurfacePoint) -> vec3<f32> {
-    var sum = vec3(0.0);
+fn shade_lobes(point: SurfacePoint, gathered: vec3<f32>) -> vec3<f32> {
+    var sum = gathered;
     let all = frame.light_count + frame.local_light_count;
     cells_point = point;
     cells_diffuse = point.appearance.diffuse / PI;

@@ -1,7 +1,7 @@
 // Twin of shade.rs: lobe by lobe, `ambient` or `polar`.
 
-fn shade_lobes(point: SurfacePoint) -> vec3<f32> {
-    var sum = vec3(0.0);
+fn shade_lobes(point: SurfacePoint, gathered: vec3<f32>) -> vec3<f32> {
+    var sum = gathered;
     let diffuse = point.appearance.diffuse / PI;
     let all = frame.light_count + frame.local_light_count;
     if any(diffuse != vec3(0.0)) {

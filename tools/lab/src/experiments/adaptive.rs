@@ -21,7 +21,7 @@ const SCALES: [f32; 2] = [4.0, 1.0];
 pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result<()> {
     let scene = super::edits::glossy(&*laboratory.scene("duck")?);
     let light = laboratory.light("grace", 16)?;
-    let frame = Frame::new(camera(&scene)?, &light.lobes);
+    let frame = light.frame(camera(&scene)?);
     let truth = laboratory.truth(&scene, &frame)?;
     let mut table = Table::new(
         "adaptive",

@@ -42,7 +42,7 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
     let mut scene = (*laboratory.scene("duck")?).clone();
     super::compression::put_diffuse(&mut scene);
     let light = laboratory.light("grace", 16)?;
-    let frame = Frame::new(camera(&scene)?, &light.lobes);
+    let frame = light.frame(camera(&scene)?);
     let [width, height] = laboratory.settings.size.map(|side| side.div_ceil(3));
     section.text = vec![
         "A diffuse duck under 16 lobes of grace. `Boundaries` has straight boundaries in every \

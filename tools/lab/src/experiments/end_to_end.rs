@@ -1,8 +1,8 @@
 //! The whole way, from environment image and reflection model to pixel, against a ray tracer
 //! that knows of no lobes, and what each step of the way costs.
 
-use relight_bake::environment;
 use relight_bake::environment::hdr::LatLong;
+use relight_bake::environment::{self, MAX_SOURCES};
 use relight_bake::measured;
 use relight_format::Scene;
 use relight_runtime::{Frame, twin};
@@ -70,13 +70,13 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
         let input = laboratory.input(scene_name)?;
         let tables = full::tables(&input)?;
         let scene = laboratory.scene(scene_name)?;
-        let light = laboratory.light(light_name, LOBES)?;
+        let light = laboratory.light_with_sources(light_name, LOBES, MAX_SOURCES)?;
         let (width, height) = (light.image.width, light.image.height);
-        let fitted = environment::render(&light.environment.lobes, width, height);
+        let fitted = environment::render_all(&light.environment, width, height);
         // With random numbers of their own, so that the noise of two differs.
         let truth = full_truth(laboratory, &scene, &tables, &light.image, SEED)?;
         let under_lobes = full_truth(laboratory, &scene, &tables, &fitted, SEED + 1)?;
-        let alone = Frame::new(camera(&scene)?, &light.lobes);
+        let alone = light.frame(camera(&scene)?);
         let frame = Frame {
             reflections: light.beyond.as_ref(),
             ..alone.clone()

@@ -27,7 +27,7 @@ use relight_bake::monitor::Monitor;
 use relight_bake::scene::load::SceneInput;
 use relight_bake::scene::{self, load};
 use relight_format::{self as format, Camera, Environment, Limits, Scene};
-use relight_runtime::{CellsOptions, Frame, Method, PolarOptions, Prefiltered};
+use relight_runtime::{CellsOptions, Frame, Method, PolarOptions, Prefiltered, Sources};
 use relight_shading::spherical_gaussian::SphericalGaussian;
 
 use self::report::Figure;
@@ -335,21 +335,29 @@ pub fn scene_file(name: &str, folder: &Path, data: &Path) -> anyhow::Result<Path
     Ok(path)
 }
 
-/// An environment as image and as lobes.
+/// An environment as image, and as sources and lobes.
 struct Light {
     image: LatLong,
     environment: Environment,
     lobes: Vec<SphericalGaussian>,
     /// What the image has beyond the lobes.
     beyond: Option<Prefiltered>,
+    sources: Option<Sources>,
 }
 
 impl Light {
     /// One of [`ENVIRONMENTS`].
-    fn new(data: &Path, name: &str, lobes: usize, monitor: Monitor) -> anyhow::Result<Self> {
+    fn new(
+        data: &Path,
+        name: &str,
+        lobes: usize,
+        sources: usize,
+        monitor: Monitor,
+    ) -> anyhow::Result<Self> {
         let image = hdr::load(&data.join(known(&ENVIRONMENTS, name)?))?;
         let options = FitOptions {
             lobes,
+            sources,
             max_error: None,
         };
         let environment = environment::fit(&image, &options, monitor)?.environment;
@@ -357,9 +365,18 @@ impl Light {
         Ok(Self {
             beyond: Prefiltered::new(&environment.prefiltered, &lobes),
             lobes,
+            sources: Sources::new(&environment),
             image,
             environment,
         })
+    }
+
+    /// A frame under its light alone.
+    fn frame(&self, camera: Camera) -> Frame<'_> {
+        Frame {
+            sources: self.sources.as_ref(),
+            ..Frame::new(camera, &self.lobes)
+        }
     }
 }
 
@@ -370,7 +387,7 @@ pub fn fit_light(
     lobes: usize,
     monitor: Monitor,
 ) -> anyhow::Result<Vec<SphericalGaussian>> {
-    Ok(Light::new(data, name, lobes, monitor)?.lobes)
+    Ok(Light::new(data, name, lobes, 0, monitor)?.lobes)
 }
 
 /// The three that are always compared; the baseline first.
@@ -389,7 +406,7 @@ pub struct Laboratory<'a> {
     renderer: Renderer,
     monitor: Monitor<'a>,
     scenes: BTreeMap<String, Rc<Scene>>,
-    environments: BTreeMap<(String, usize), Rc<Light>>,
+    environments: BTreeMap<(String, usize, usize), Rc<Light>>,
 }
 
 impl<'a> Laboratory<'a> {
@@ -455,13 +472,24 @@ impl<'a> Laboratory<'a> {
         Ok(format::read_scene(&bytes, &Limits::default())?)
     }
 
-    /// One of [`ENVIRONMENTS`].
+    /// One of [`ENVIRONMENTS`], by lobes alone.
     fn light(&mut self, name: &str, lobes: usize) -> anyhow::Result<Rc<Light>> {
-        let key = (name.to_owned(), lobes);
+        self.light_with_sources(name, lobes, 0)
+    }
+
+    /// One of [`ENVIRONMENTS`], by lobes and at most so many sources.
+    fn light_with_sources(
+        &mut self,
+        name: &str,
+        lobes: usize,
+        sources: usize,
+    ) -> anyhow::Result<Rc<Light>> {
+        let key = (name.to_owned(), lobes, sources);
         if let Some(light) = self.environments.get(&key) {
             return Ok(light.clone());
         }
-        let light = Rc::new(Light::new(&self.settings.data, name, lobes, self.monitor)?);
+        let data = &self.settings.data;
+        let light = Rc::new(Light::new(data, name, lobes, sources, self.monitor)?);
         self.environments.insert(key, light.clone());
         Ok(light)
     }

@@ -34,7 +34,7 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
         let scene = laboratory.scene(scene_name)?;
         for light_name in ["grace", "stpeters"] {
             let light = laboratory.light(light_name, 16)?;
-            let frame = Frame::new(camera(&scene)?, &light.lobes);
+            let frame = light.frame(camera(&scene)?);
             let truth = laboratory.truth(&scene, &frame)?;
             let mut images = Vec::new();
             for (name, method) in METHODS {

@@ -47,7 +47,7 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
     ];
     let scene = laboratory.scene("spot")?;
     let light = laboratory.light("grace", 16)?;
-    let frame = Frame::new(camera(&scene)?, &light.lobes);
+    let frame = light.frame(camera(&scene)?);
     let truth = laboratory.truth(&scene, &frame)?;
     let columns = ["method", "setting", "seconds", "relative RMSE, %"];
     let mut readings = Table::new(

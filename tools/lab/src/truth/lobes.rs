@@ -8,14 +8,16 @@ use relight_format::Scene;
 use relight_runtime::Frame;
 use relight_shading::camera::View;
 use relight_shading::gpu;
+use relight_shading::occluders::Occluders;
 use relight_shading::octahedral;
 use relight_shading::shade::{Lighting, product_lobes};
+use relight_shading::sources::Lit;
 use relight_shading::spherical_gaussian::{SphericalGaussian, cosine_moment, first_moment};
 use relight_shading::ssdf::{Basis, SignedDistance as _, Ssdf};
 use relight_shading::surface::SurfacePoint;
 
 use super::random::{hash, kronecker_pair, sobol_pair, unit};
-use super::{Estimate, Filter, Geometry, Options, REPLICAS, estimate_image};
+use super::{Estimate, Filter, Geometry, Options, REPLICAS, estimate_image, sources};
 use crate::display::luminance;
 use crate::image_file::Image;
 
@@ -40,16 +42,25 @@ pub fn of_frame(
 ) -> Image {
     let geometry = Geometry::new(scene, View::new(&frame.camera, width, height, 1.0));
     let local: Vec<gpu::LocalLight> = frame.local_lights.iter().map(Into::into).collect();
+    let sources = frame.rotated_sources();
+    // Rays are cast by `geometry`.
+    let occluders = Occluders::default();
     let lighting = Lighting {
         lights: &frame.rotated_lights(),
         local: &local,
+        sources: sources.as_ref().map(|sources| Lit {
+            sources,
+            occluders: &occluders,
+            ray_offset: 0.0,
+        }),
         reflections: None,
     };
     let size = [width, height];
     render(&geometry, &lighting, visibility, size, options, row_done)
 }
 
-/// Estimates the image. Local lights are seen as the runtime has them: as lobes, blocked by
+/// Estimates the image. Rays shadow sources, whatever `visibility` says, and the exact models reflect
+/// them, as many samples for each as for all lobes. Local lights are seen as the runtime has them: as lobes, blocked by
 /// what lies behind them as well. A sample is one ray; with [`Filter::Box`] a replica's rays share
 /// one point of the pixel.
 pub fn render(
@@ -86,7 +97,12 @@ pub fn render(
                     Some(field) => field.distance(direction) > 0.0,
                     None => geometry.visible(&mixture.point, direction),
                 };
-                mixture.trace(visible, rays, seed)
+                let mut gathered = mixture.trace(visible, rays, seed);
+                if let Some(lit) = &lighting.sources {
+                    gathered.sources =
+                        sources::reflected(geometry, &mixture.point, lit.sources, rays, seed);
+                }
+                gathered
             })
         });
         combine(&replicas)
@@ -117,6 +133,8 @@ struct Gathered {
     unoccluded: Vec3,
     /// The radiance if nothing were blocked.
     expected: Vec3,
+    /// Estimate of what sources add to the radiance.
+    sources: Vec3,
 }
 
 /// Radiance of every replica. How far its unoccluded estimate is off is known, and what
@@ -136,7 +154,7 @@ fn combine(replicas: &[Option<Gathered>; REPLICAS as usize]) -> [Estimate; REPLI
         }
         let share = visible / unoccluded.max(Vec3::splat(f32::MIN_POSITIVE));
         (
-            gathered.visible + share * (gathered.expected - gathered.unoccluded),
+            gathered.visible + share * (gathered.expected - gathered.unoccluded) + gathered.sources,
             1.0,
         )
     })

@@ -1,0 +1,244 @@
+//! What blocks rays: the scene's triangles in a bounding volume hierarchy that is walked without
+//! a stack.
+//!
+//! Nodes lie in depth-first order: behind a node come those within it, and where its box is missed
+//! the walk goes on behind those (Smits 1998, "Efficiency Issues for Ray Tracing").
+
+use glam::Vec3;
+
+use crate::gpu;
+
+/// Smallest component of a direction that is divided by.
+const LEAST_COMPONENT: f32 = 1e-20;
+
+/// Triangles that block, from both sides.
+#[derive(Clone, Debug, Default)]
+pub struct Occluders {
+    nodes: Vec<gpu::OccluderNode>,
+    triangles: Vec<gpu::OccluderTriangle>,
+}
+
+/// A node of any binary hierarchy.
+#[derive(Clone, Copy, Debug)]
+pub struct Node {
+    /// Lowest corner of a box around everything within.
+    pub low: Vec3,
+    /// Its highest corner.
+    pub high: Vec3,
+    /// Inner nodes: the first of two children, the second one following. Leaves: the first of
+    /// `count` triangles.
+    pub first: u32,
+    /// 0: inner node.
+    pub count: u32,
+}
+
+impl Occluders {
+    /// Lays out a hierarchy: `nodes` with the root first, and triangles in the order in which its
+    /// leaves name them.
+    pub fn new(nodes: &[Node], triangles: &[[Vec3; 3]]) -> Self {
+        let mut laid_out = Self {
+            nodes: Vec::with_capacity(nodes.len()),
+            triangles: Vec::with_capacity(triangles.len()),
+        };
+        /// What is left to do, the next thing last.
+        enum Task {
+            Visit(u32),
+            /// All within the node laid out at this place has been.
+            End(usize),
+        }
+        let mut tasks = Vec::new();
+        if !nodes.is_empty() {
+            tasks.push(Task::Visit(0));
+        }
+        while let Some(task) = tasks.pop() {
+            match task {
+                Task::End(place) => laid_out.nodes[place].next = laid_out.nodes.len() as u32,
+                Task::Visit(index) => {
+                    let node = nodes[index as usize];
+                    let place = laid_out.nodes.len();
+                    laid_out.nodes.push(gpu::OccluderNode {
+                        low: node.low.into(),
+                        next: place as u32 + 1,
+                        high: node.high.into(),
+                        triangles: 0,
+                    });
+                    if node.count == 0 {
+                        let area = |child: u32| {
+                            let node = &nodes[child as usize];
+                            let side = node.high - node.low;
+                            side.dot(Vec3::new(side.y, side.z, side.x))
+                        };
+                        // The larger one first: it more likely ends the walk.
+                        let (a, b) = (node.first, node.first + 1);
+                        let (next, last) = if area(a) >= area(b) { (a, b) } else { (b, a) };
+                        tasks.extend([Task::End(place), Task::Visit(last), Task::Visit(next)]);
+                    } else {
+                        laid_out.leaf(&triangles[node.first as usize..][..node.count as usize]);
+                    }
+                }
+            }
+        }
+        laid_out
+    }
+
+    /// Makes the node laid out last a leaf, and further leaves in the same box where it has more
+    /// triangles than one can name.
+    fn leaf(&mut self, triangles: &[[Vec3; 3]]) {
+        const MOST: usize = gpu::OccluderNode::MAX_TRIANGLES as usize;
+        let mut node = self.nodes.pop().expect("the caller's");
+        for triangles in triangles.chunks(MOST) {
+            let first = self.triangles.len() as u32;
+            node.triangles = (first << gpu::OccluderNode::COUNT_BITS) | triangles.len() as u32;
+            node.next = self.nodes.len() as u32 + 1;
+            self.nodes.push(node);
+            self.triangles
+                .extend(triangles.iter().map(|[a, b, c]| gpu::OccluderTriangle {
+                    corner: (*a).into(),
+                    reserved: 0.0,
+                    edges: [(*b - *a).extend(0.0).into(), (*c - *a).extend(0.0).into()],
+                }));
+        }
+    }
+
+    /// The nodes, as the GPU has them.
+    pub fn nodes(&self) -> &[gpu::OccluderNode] {
+        &self.nodes
+    }
+
+    /// The triangles, as the GPU has them.
+    pub fn triangles(&self) -> &[gpu::OccluderTriangle] {
+        &self.triangles
+    }
+
+    /// Whether anything lies on the ray in front of its origin.
+    pub fn block(&self, origin: Vec3, direction: Vec3) -> bool {
+        let safe = |x: f32| {
+            if x.abs() < LEAST_COMPONENT {
+                LEAST_COMPONENT
+            } else {
+                x
+            }
+        };
+        let inverse = Vec3::from(direction.to_array().map(|x| 1.0 / safe(x)));
+        let mut place = 0;
+        while let Some(node) = self.nodes.get(place as usize) {
+            let a = (Vec3::from(node.low) - origin) * inverse;
+            let b = (Vec3::from(node.high) - origin) * inverse;
+            let enter = a.min(b).max_element().max(0.0);
+            if enter > a.max(b).min_element() {
+                place = node.next;
+                continue;
+            }
+            let count = node.triangles & gpu::OccluderNode::MAX_TRIANGLES;
+            let first = node.triangles >> gpu::OccluderNode::COUNT_BITS;
+            for triangle in &self.triangles[first as usize..][..count as usize] {
+                if triangle.meets(origin, direction) {
+                    return true;
+                }
+            }
+            place += 1;
+        }
+        false
+    }
+}
+
+impl gpu::OccluderTriangle {
+    /// Möller & Trumbore 1997.
+    fn meets(&self, origin: Vec3, direction: Vec3) -> bool {
+        let [ab, ac] = self.edges.map(|[x, y, z, _]| Vec3::new(x, y, z));
+        let from_a = origin - Vec3::from(self.corner);
+        let p = direction.cross(ac);
+        let q = from_a.cross(ab);
+        let determinant = ab.dot(p);
+        let v = from_a.dot(p) / determinant;
+        let w = direction.dot(q) / determinant;
+        let t = ac.dot(q) / determinant;
+        // False for a determinant of zero: NaN and infinity compare so.
+        v >= 0.0 && w >= 0.0 && v + w <= 1.0 && t > 0.0
+    }
+}
+
+/// The constants of this module, as WGSL.
+pub fn wgsl_constants() -> String {
+    format!(
+        "const OCCLUDERS_LEAST_COMPONENT: f32 = {LEAST_COMPONENT:e};\n\
+         const OCCLUDERS_COUNT_BITS: u32 = {}u;\n\
+         const OCCLUDERS_MAX_TRIANGLES: u32 = {}u;\n",
+        gpu::OccluderNode::COUNT_BITS,
+        gpu::OccluderNode::MAX_TRIANGLES,
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Pseudorandom numbers in [0, 1).
+    fn uniform(index: u32) -> f32 {
+        let mut x = index.wrapping_mul(0x9e37_79b9) ^ 0x85eb_ca6b;
+        x = (x ^ x >> 16).wrapping_mul(0x21f0_aaad);
+        x = (x ^ x >> 15).wrapping_mul(0x735a_2d97);
+        (x ^ x >> 15) as f32 / 4_294_967_296.0
+    }
+
+    fn vector(index: u32) -> Vec3 {
+        Vec3::from([0, 1, 2].map(|i| 2.0 * uniform(3 * index + i) - 1.0))
+    }
+
+    /// Splits in the middle down to leaves of up to nine triangles, more than a node can name.
+    fn split(nodes: &mut Vec<Node>, place: usize, triangles: &[[Vec3; 3]], first: u32) {
+        let corners = triangles.iter().flatten();
+        let (low, high) = corners.fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), &p| {
+            (low.min(p), high.max(p))
+        });
+        let leaf = triangles.len() < 10;
+        nodes[place] = Node {
+            low,
+            high,
+            first: if leaf { first } else { nodes.len() as u32 },
+            count: if leaf { triangles.len() as u32 } else { 0 },
+        };
+        if !leaf {
+            let children = nodes.len();
+            nodes.extend([nodes[place]; 2]);
+            let (left, right) = triangles.split_at(triangles.len() / 2);
+            split(nodes, children, left, first);
+            split(nodes, children + 1, right, first + left.len() as u32);
+        }
+    }
+
+    #[test]
+    fn the_walk_finds_what_trying_all_finds() {
+        let triangles: Vec<[Vec3; 3]> = (0..200)
+            .map(|index| {
+                let middle = vector(index);
+                [1, 2, 3].map(|corner| middle + 0.1 * vector(1000 * corner + index))
+            })
+            .collect();
+        let mut nodes = vec![
+            Node {
+                low: Vec3::ZERO,
+                high: Vec3::ZERO,
+                first: 0,
+                count: 0
+            };
+            1
+        ];
+        split(&mut nodes, 0, &triangles, 0);
+        let occluders = Occluders::new(&nodes, &triangles);
+        assert_eq!(occluders.triangles().len(), 200);
+        let mut hits = 0;
+        for ray in 0..2000 {
+            let (origin, mut direction) = (1.2 * vector(5000 + ray), vector(9000 + ray));
+            if ray % 3 == 0 {
+                direction.y = 0.0;
+            }
+            let found = occluders.block(origin, direction);
+            let expected = (occluders.triangles().iter()).any(|t| t.meets(origin, direction));
+            assert_eq!(found, expected, "{origin} {direction}");
+            hits += u32::from(found);
+        }
+        assert!((50..1800).contains(&hits), "{hits}");
+        assert!(!Occluders::default().block(Vec3::ZERO, Vec3::Y));
+    }
+}

@@ -1,4 +1,5 @@
-//! Ray-traced truth, direct light only, in two kinds that are never mixed.
+//! Ray-traced truth in two kinds that are never mixed, of direct light or with light that
+//! bounces.
 //!
 //! [`lobes`] has the runtime's own lights and reflection lobes under exact visibility: the
 //! difference to a rendering is the error of visibility and integration alone. [`full`]
@@ -12,6 +13,7 @@
 
 pub mod full;
 pub mod lobes;
+pub mod path;
 mod random;
 
 use glam::Vec3;
@@ -48,6 +50,9 @@ pub struct Options {
     pub filter: Filter,
     /// Selects the random numbers.
     pub seed: u32,
+    /// Reflections that light may take before it meets the surface that is seen; 0: direct
+    /// light only.
+    pub bounces: u32,
 }
 
 impl Options {
@@ -57,6 +62,7 @@ impl Options {
             samples,
             filter: Filter::Center,
             seed: SEED,
+            bounces: 0,
         }
     }
 }

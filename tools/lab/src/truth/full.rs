@@ -1,6 +1,5 @@
 //! Truth of the whole method: the original environment image and the original reflection
-//! models, by multiple importance sampling (Veach & Guibas 1995, balance heuristic) of
-//! both.
+//! models, by multiple importance sampling of both ([`super::path`]).
 
 use std::f32::consts::PI;
 
@@ -12,10 +11,10 @@ use relight_format::{
     BakeReport, Representation, Scene, Surface, Triangle, Vertex, VisibilityParameters,
 };
 use relight_shading::gpu;
-use relight_shading::reference;
 use relight_shading::surface::SurfacePoint;
 
-use super::random::{hash, sobol_pair};
+use super::path::{DistantLight, Draws, Part, Paths, Reflector};
+use super::random::hash;
 use super::{Estimate, Filter, Geometry, Options, REPLICAS, Seen, estimate_image};
 use crate::display::luminance;
 use crate::image_file::Image;
@@ -68,9 +67,10 @@ pub fn tables(input: &SceneInput) -> Result<Vec<Option<Table>>, measured::Error>
 }
 
 /// Estimates the image. `measured[m]` is the table of the scene's material m, if it has
-/// one. A sample is a pair of rays, one drawn from the environment and one from the
-/// reflection, and another pair for each local light, a sphere that only what lies before it
-/// blocks; with [`Filter::Box`] every sample has its own point of the pixel.
+/// one. A sample is a path: at every surface that it meets a pair of rays, one drawn from the
+/// environment and one from the reflection, and another pair for each local light, a sphere
+/// that only what lies before it blocks; with [`Filter::Box`] every sample has its own point of
+/// the pixel.
 pub fn render(
     geometry: &Geometry,
     measured: &[Option<Table>],
@@ -81,40 +81,36 @@ pub fn render(
     row_done: &(dyn Fn() + Sync),
 ) -> Image {
     let samples = options.samples.div_ceil(REPLICAS);
+    let paths = Paths {
+        geometry,
+        measured,
+        distant: environment,
+        local,
+        bounces: options.bounces,
+    };
     estimate_image(size, row_done, |x, y| {
         let seed = hash(hash(options.seed, x), y);
         let at = |[u, v]: [f32; 2]| -> Option<Reflector> {
             let Seen {
                 point, triangle, ..
             } = geometry.seen(x as f32 + u, y as f32 + v)?;
-            let material = geometry.scene.triangles[triangle].material as usize;
-            let table = measured.get(material).and_then(Option::as_ref);
-            Some(Reflector {
-                point: exact_frame(&point, geometry.scene, triangle),
-                table,
-            })
+            Some(paths.reflector(point, triangle))
         };
         let center = (options.filter == Filter::Center).then(|| at([0.5; 2]));
         std::array::from_fn(|replica| -> Estimate {
             let seed = hash(seed, replica as u32);
             let (mut radiance, mut coverage) = (Vec3::ZERO, 0.0);
             for sample in 0..samples {
-                let pair = |dimension| sobol_pair(sample, hash(seed, dimension));
+                let draws = Draws { sample, seed };
                 let boxed;
                 let reflector = if let Some(center) = &center {
                     center
                 } else {
-                    boxed = at(pair(0));
+                    boxed = at(draws.pair(0));
                     &boxed
                 };
                 if let Some(reflector) = reflector {
-                    let [choice, _] = pair(3);
-                    let [u, v] = pair(2);
-                    let uniform = [choice, u, v];
-                    radiance += reflector.estimate(geometry, environment, pair(1), uniform);
-                    for (light, dimension) in local.iter().zip(4..) {
-                        radiance += reflector.local(geometry, light, pair(dimension), uniform);
-                    }
+                    radiance += paths.radiance(reflector, Part::Whole, draws);
                     coverage += 1.0;
                 }
             }
@@ -126,7 +122,7 @@ pub fn render(
 /// The frame in which `point` is anisotropic. glTF says that it is interpolated from the
 /// vertices; for other materials it is the triangle's own: x where the texture coordinate u
 /// grows.
-fn exact_frame(point: &SurfacePoint, scene: &Scene, triangle: usize) -> SurfacePoint {
+pub(super) fn exact_frame(point: &SurfacePoint, scene: &Scene, triangle: usize) -> SurfacePoint {
     let triangle = &scene.triangles[triangle];
     let material = &scene.materials[triangle.material as usize];
     let isotropic = point
@@ -154,113 +150,6 @@ fn exact_frame(point: &SurfacePoint, scene: &Scene, triangle: usize) -> SurfaceP
         tangent,
         bitangent: point.normal.cross(tangent),
         ..*point
-    }
-}
-
-/// A surface point and the exact way it reflects.
-struct Reflector<'a> {
-    point: SurfacePoint,
-    table: Option<&'a Table>,
-}
-
-impl Reflector<'_> {
-    /// One sample of the reflected radiance.
-    fn estimate(
-        &self,
-        geometry: &Geometry,
-        environment: &EnvironmentSampler,
-        light_uniform: [f32; 2],
-        reflection_uniform: [f32; 3],
-    ) -> Vec3 {
-        let view = self.point.to_local(self.point.view);
-        if view.z <= 0.0 {
-            return Vec3::ZERO;
-        }
-        let contribution = |direction: Vec3| -> Vec3 {
-            let light = self.point.to_local(direction);
-            if light.z <= 0.0 {
-                return Vec3::ZERO;
-            }
-            let (radiance, light_density) = environment.lookup(direction);
-            let density = light_density + self.density(light, view);
-            let value = self.evaluate(light, view) * radiance * (light.z / density);
-            let counts = density > 0.0 && value != Vec3::ZERO;
-            if counts && geometry.visible(&self.point, direction) {
-                value
-            } else {
-                Vec3::ZERO
-            }
-        };
-        let reflected = self.sample(view, reflection_uniform);
-        contribution(environment.sample(light_uniform))
-            + reflected.map_or(Vec3::ZERO, |light| contribution(self.point.to_world(light)))
-    }
-
-    /// One sample of what a local light has reflected: a direction within the cone of its
-    /// sphere, and one of the reflection, weighted as above.
-    fn local(
-        &self,
-        geometry: &Geometry,
-        source: &gpu::LocalLight,
-        light_uniform: [f32; 2],
-        reflection_uniform: [f32; 3],
-    ) -> Vec3 {
-        let view = self.point.to_local(self.point.view);
-        let offset = Vec3::from(source.position) - self.point.position;
-        let (squared, radius_squared) = (offset.length_squared(), source.radius.powi(2));
-        let axis = offset.normalize_or_zero();
-        let radiance = Vec3::from(source.radiance) * source.spot(axis);
-        if view.z <= 0.0 || squared <= radius_squared || radiance == Vec3::ZERO {
-            return Vec3::ZERO;
-        }
-        let cap = source.cap(squared);
-        let contribution = |direction: Vec3| -> Vec3 {
-            let light = self.point.to_local(direction);
-            if light.z <= 0.0 {
-                return Vec3::ZERO;
-            }
-            let density = 1.0 / (2.0 * PI * cap) + self.density(light, view);
-            let value = self.evaluate(light, view) * radiance * (light.z / density);
-            let along = direction.dot(offset);
-            let aside = (offset - along * direction).length_squared();
-            let distance = along - (radius_squared - aside).max(0.0).sqrt();
-            if value != Vec3::ZERO && geometry.visible_at(&self.point, direction, distance) {
-                value
-            } else {
-                Vec3::ZERO
-            }
-        };
-        let [u, v] = light_uniform;
-        let (height, azimuth) = (u * cap, 2.0 * PI * v);
-        let (x, y) = axis.any_orthonormal_pair();
-        let aside = x * azimuth.cos() + y * azimuth.sin();
-        let toward = axis * (1.0 - height) + aside * (height * (2.0 - height)).sqrt();
-        let reflected = self
-            .sample(view, reflection_uniform)
-            .map(|light| self.point.to_world(light))
-            .filter(|direction| 0.5 * direction.distance_squared(axis) < cap);
-        contribution(toward) + reflected.map_or(Vec3::ZERO, contribution)
-    }
-
-    fn evaluate(&self, light: Vec3, view: Vec3) -> Vec3 {
-        match self.table {
-            Some(table) => table.evaluate(light, view),
-            None => reference::evaluate(&self.point.appearance, light, view),
-        }
-    }
-
-    fn density(&self, light: Vec3, view: Vec3) -> f32 {
-        match self.table {
-            Some(table) => table.pdf(light, view),
-            None => reference::pdf(&self.point.appearance, light, view),
-        }
-    }
-
-    fn sample(&self, view: Vec3, uniform: [f32; 3]) -> Option<Vec3> {
-        match self.table {
-            Some(table) => table.sample(view, uniform),
-            None => reference::sample(&self.point.appearance, view, uniform),
-        }
     }
 }
 
@@ -316,8 +205,9 @@ impl<'a> EnvironmentSampler<'a> {
             columns,
         }
     }
+}
 
-    /// A direction from two uniform numbers.
+impl DistantLight for EnvironmentSampler<'_> {
     fn sample(&self, [u, v]: [f32; 2]) -> Vec3 {
         let (row, v) = draw(&self.rows, f64::from(v));
         let width = self.image.width as usize;
@@ -330,7 +220,6 @@ impl<'a> EnvironmentSampler<'a> {
         self.rotation.transpose() * LatLong::direction_at(x, y).as_vec3()
     }
 
-    /// Radiance from a unit direction and the density of [`Self::sample`] there, 1/sr.
     fn lookup(&self, direction: Vec3) -> (Vec3, f32) {
         let direction = self.rotation * direction;
         let (width, height) = (self.image.width as usize, self.image.height as usize);
@@ -538,6 +427,7 @@ mod tests {
                 samples: 64,
                 filter,
                 seed: 1,
+                bounces: 0,
             };
             let albedo = Vec3::new(0.9, 0.5, 0.1);
             let (mean, error) =
@@ -555,6 +445,7 @@ mod tests {
             samples: 128,
             filter: Filter::Center,
             seed: 2,
+            bounces: 0,
         };
         let (mean, error) =
             mean_and_error(&render_patch(lambert([0.5; 3]), &environment, &options));
@@ -641,6 +532,7 @@ mod tests {
                     samples,
                     filter: Filter::Center,
                     seed,
+                    bounces: 0,
                 };
                 mean_and_error(&render_patch(glossy(alpha), &environment, &options))
             };

@@ -13,7 +13,7 @@ use crate::{Error, Issue};
 /// First eight bytes of every asset. The line feed catches text-mode transfers.
 pub const MAGIC: [u8; 8] = *b"RELIGHT\n";
 /// Format version this crate writes.
-pub const VERSION: u32 = 3;
+pub const VERSION: u32 = 4;
 
 const HEADER_LENGTH: usize = 24;
 const ENTRY_LENGTH: usize = 32;
@@ -70,6 +70,8 @@ pub enum SectionKind {
     Lobes = 8,
     /// Texels of a [`crate::Prefiltered`].
     Prefiltered = 9,
+    /// A [`crate::Transfer`]; optional.
+    Transfer = 10,
 }
 
 impl SectionKind {
@@ -84,6 +86,7 @@ impl SectionKind {
             Self::Texels,
             Self::Lobes,
             Self::Prefiltered,
+            Self::Transfer,
         ]
         .into_iter()
         .find(|kind| *kind as u32 == value)
@@ -408,6 +411,12 @@ impl<'a> Reader<'a> {
             ));
         }
         Ok(value)
+    }
+
+    /// Whether the next section is of `kind`.
+    pub(crate) fn has(&self, kind: SectionKind) -> bool {
+        let next = self.sections.as_slice().first();
+        next.is_some_and(|info| info.kind == kind)
     }
 
     fn next(&mut self, kind: SectionKind) -> Result<SectionInfo, Error> {

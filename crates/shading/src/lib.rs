@@ -18,4 +18,5 @@ pub mod ssdf;
 pub mod surface;
 pub mod tables;
 pub mod tonemap;
+pub mod transfer;
 pub mod wgsl;

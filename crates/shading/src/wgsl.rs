@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use crate::surface::{Join, Model};
 use crate::{
     brdf, cells, gpu, local_light, polar, prefiltered, shade, spherical_gaussian, surface, tables,
-    tonemap,
+    tonemap, transfer,
 };
 
 /// What a shader module is for.
@@ -48,6 +48,7 @@ const LIBRARY: &[&str] = &[
     include_str!("wgsl/ambient.wgsl"),
     include_str!("wgsl/surface.wgsl"),
     include_str!("wgsl/brdf.wgsl"),
+    include_str!("wgsl/transfer.wgsl"),
 ];
 
 /// The complete WGSL of one module.
@@ -113,6 +114,7 @@ fn constants() -> String {
     text += &brdf::wgsl_constants();
     text += &shade::wgsl_constants();
     text += &tonemap::wgsl_constants();
+    text += &transfer::wgsl_constants();
     text
 }
 

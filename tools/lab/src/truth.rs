@@ -38,6 +38,9 @@ pub enum Filter {
     Box,
 }
 
+/// As good as all: paths end by chance long before.
+pub const ALL_BOUNCES: u32 = 64;
+
 /// Random numbers of everything that asks for no others.
 pub const SEED: u32 = 0;
 
@@ -56,6 +59,15 @@ pub struct Options {
 }
 
 impl Options {
+    /// With all bounces where the asset has any.
+    #[must_use]
+    pub fn of(self, scene: &Scene) -> Self {
+        Self {
+            bounces: scene.transfer.as_ref().map_or(0, |_| ALL_BOUNCES),
+            ..self
+        }
+    }
+
     /// At pixel centres, as the runtime shades.
     pub fn centers(samples: u32) -> Self {
         Self {
@@ -227,6 +239,8 @@ pub(crate) mod test_scene {
                 normal_texture: None,
                 normal_scale: 1.0,
                 anisotropy_texture: None,
+                emission: [0.0; 3],
+                emission_texture: None,
             }],
             textures: Vec::new(),
             report: BakeReport::default(),
@@ -241,6 +255,7 @@ pub(crate) mod test_scene {
             clusters: Vec::new(),
             coefficients: Vec::new(),
             basis: Vec::new(),
+            transfer: None,
         }
     }
 

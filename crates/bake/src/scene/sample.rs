@@ -7,12 +7,14 @@ use glam::Vec3;
 use nalgebra::DMatrix;
 use rayon::prelude::*;
 
+use super::bounce::mirrors;
 use super::options::Options;
 use super::statistics::{Counters, add_time, load};
 use crate::compress::{Normal, Samples, Weighting};
 use crate::mesh::{Mesh, cluster};
 use crate::monitor::{Interrupted, Monitor};
 use crate::ssdf::{Sampled, Sampler};
+use crate::transfer::radiosity::Radiosity;
 use crate::visibility::contour::ContourMesh;
 use crate::visibility::{self, Bitmap};
 
@@ -39,7 +41,11 @@ pub(super) struct Prepared<'a> {
     pub(super) chunks: Vec<Vec<u32>>,
     /// Where visibility is sampled, one point per vertex.
     pub(super) origins: Vec<Vec3>,
-    contours: ContourMesh,
+    pub(super) contours: ContourMesh,
+    /// Light after its bounces, if it is to bounce.
+    pub(super) radiosity: Option<Radiosity>,
+    /// Whether each material shows what is about it.
+    pub(super) mirrors: Vec<bool>,
     pub(super) sampler: Sampler,
     pub(super) weighting: Weighting,
     /// Whether every point is also sampled by one ray per texel.
@@ -51,7 +57,7 @@ impl<'a> Prepared<'a> {
     pub(super) fn new(
         mut mesh: Mesh,
         chunks: Vec<Vec<u32>>,
-        contours: ContourMesh,
+        (contours, radiosity): (ContourMesh, Option<Radiosity>),
         options: &Options,
         ray_offset: f32,
         monitor: Monitor<'a>,
@@ -60,6 +66,7 @@ impl<'a> Prepared<'a> {
             Some(_) => NORMAL_MAP_TILT,
             None => 0.0,
         };
+        let mirrors = mesh.materials.iter().map(mirrors).collect();
         let tilts = mesh.materials.drain(..).map(tilt).collect();
         let triangles = mesh.indices();
         Self {
@@ -71,6 +78,8 @@ impl<'a> Prepared<'a> {
             triangles,
             chunks,
             contours,
+            radiosity,
+            mirrors,
             sampler: Sampler::new(
                 options.sample_resolution,
                 options.basis_resolution,

@@ -21,7 +21,10 @@ fn shade_main(@builtin(global_invocation_id) id: vec3<u32>) {
     );
     let point = surface_point(corners, triangle.w & 0xffffu, weights);
     ssdf_load(clusters[triangle.w >> 16u], corners, weights);
-    textureStore(radiance, pixel, vec4(shade(point), 1.0));
+    let direct = shade(point);
+    let bounced = transfer_reflected(point, corners, weights);
+    let emitted = surface_emission(corners, triangle.w & 0xffffu, weights);
+    textureStore(radiance, pixel, vec4(direct + bounced + emitted, 1.0));
 }
 
 fn shade(point: SurfacePoint) -> vec3<f32> {

@@ -15,7 +15,7 @@ use relight_shading::surface::SurfacePoint;
 
 use super::path::{DistantLight, Draws, Part, Paths, Reflector};
 use super::random::hash;
-use super::{Estimate, Filter, Geometry, Options, REPLICAS, Seen, estimate_image};
+use super::{Estimate, Filter, Geometry, Options, REPLICAS, estimate_image};
 use crate::display::luminance;
 use crate::image_file::Image;
 
@@ -54,6 +54,7 @@ pub fn unbaked(input: &SceneInput) -> Scene {
         clusters: Vec::new(),
         coefficients: Vec::new(),
         basis: Vec::new(),
+        transfer: None,
     }
 }
 
@@ -91,10 +92,8 @@ pub fn render(
     estimate_image(size, row_done, |x, y| {
         let seed = hash(hash(options.seed, x), y);
         let at = |[u, v]: [f32; 2]| -> Option<Reflector> {
-            let Seen {
-                point, triangle, ..
-            } = geometry.seen(x as f32 + u, y as f32 + v)?;
-            Some(paths.reflector(point, triangle))
+            let seen = geometry.seen(x as f32 + u, y as f32 + v)?;
+            Some(paths.reflector(seen.point, seen.triangle, seen.barycentrics))
         };
         let center = (options.filter == Filter::Center).then(|| at([0.5; 2]));
         std::array::from_fn(|replica| -> Estimate {
@@ -278,9 +277,11 @@ fn tent(u: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::test_scene;
+    use super::super::random::sobol_pair;
+    use super::super::{Seen, test_scene};
     use super::*;
     use relight_format::Specular;
+    use relight_shading::gpu;
 
     fn image(width: u32, height: u32, radiance: impl Fn(u32) -> [f32; 3]) -> LatLong {
         LatLong::repair(width, height, (0..width * height).map(radiance).collect())
@@ -398,7 +399,11 @@ mod tests {
             ]];
             let scene = test_scene::scene([0.5; 3], &[&test_scene::plane()[..], &lid].concat());
             let geometry = Geometry::new(&scene, test_scene::view(8));
-            let reflector = Reflector { point, table: None };
+            let reflector = Reflector {
+                point,
+                table: None,
+                emission: Vec3::ZERO,
+            };
             let count = 4096;
             let sum: Vec3 = (0..count)
                 .map(|i| {

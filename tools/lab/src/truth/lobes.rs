@@ -83,7 +83,7 @@ pub fn render(
             let field = (basis.as_ref()).map(|basis| {
                 Ssdf::interpolate(geometry.scene, basis, seen.triangle, seen.barycentrics)
             });
-            let reflector = paths.reflector(seen.point, seen.triangle);
+            let reflector = paths.reflector(seen.point, seen.triangle, seen.barycentrics);
             Some((Mixture::new(&seen.point, lighting), field, reflector))
         };
         let center = (options.filter == Filter::Center).then(|| at([0.5; 2]));
@@ -102,8 +102,9 @@ pub fn render(
                     None => geometry.visible(&mixture.point, direction),
                 };
                 let mut gathered = mixture.trace(visible, rays, seed);
+                gathered.bounced = reflector.emission;
                 if options.bounces > 0 {
-                    gathered.bounced = bounced(reflector, seed);
+                    gathered.bounced += bounced(reflector, seed);
                 }
                 gathered
             })
@@ -136,7 +137,8 @@ struct Gathered {
     unoccluded: Vec3,
     /// The radiance if nothing were blocked.
     expected: Vec3,
-    /// Estimate, from rays of its own, of the radiance that other surfaces are the cause of.
+    /// What the surface emits, and an estimate, from rays of its own, of the radiance that other
+    /// surfaces are the cause of.
     bounced: Vec3,
 }
 

@@ -12,7 +12,7 @@ use glam::Vec3;
 use relight_bake::measured::Table;
 use relight_shading::gpu;
 use relight_shading::reference;
-use relight_shading::surface::{SurfacePoint, surface_point};
+use relight_shading::surface::{SurfacePoint, emission, surface_point};
 
 use super::random::{hash, sobol_pair};
 use super::{Geometry, full::exact_frame};
@@ -74,13 +74,19 @@ impl Draws {
 }
 
 impl<'a, L: DistantLight> Paths<'a, L> {
-    /// The point and its material's exact reflection.
-    pub fn reflector(&self, point: SurfacePoint, triangle: usize) -> Reflector<'a> {
+    /// The point and its material's exact reflection and emission.
+    pub fn reflector(
+        &self,
+        point: SurfacePoint,
+        triangle: usize,
+        barycentrics: Vec3,
+    ) -> Reflector<'a> {
         let scene = self.geometry.scene;
         let material = scene.triangles[triangle].material as usize;
         Reflector {
             point: exact_frame(&point, scene, triangle),
             table: self.measured.get(material).and_then(Option::as_ref),
+            emission: emission(scene, triangle, barycentrics),
         }
     }
 
@@ -91,6 +97,9 @@ impl<'a, L: DistantLight> Paths<'a, L> {
         let mut reflector = Reflector { ..*first };
         for bounce in 0..=self.bounces {
             let pair = |dimension| draws.pair(bounce * stride + dimension);
+            if bounce > 0 || part == Part::Whole {
+                radiance += throughput * reflector.emission;
+            }
             let view = reflector.point.to_local(reflector.point.view);
             if view.z <= 0.0 {
                 break;
@@ -120,7 +129,7 @@ impl<'a, L: DistantLight> Paths<'a, L> {
             if !(density > 0.0 && value != Vec3::ZERO) {
                 break;
             }
-            let Some((point, triangle)) = self.next(&reflector.point, direction) else {
+            let Some(next) = self.next(&reflector.point, direction) else {
                 if counts {
                     let (sky, sky_density) = self.distant.lookup(direction);
                     radiance += throughput * value * sky / (density + sky_density);
@@ -135,7 +144,7 @@ impl<'a, L: DistantLight> Paths<'a, L> {
                 }
                 throughput /= survival;
             }
-            reflector = self.reflector(point, triangle);
+            reflector = next;
         }
         radiance
     }
@@ -158,18 +167,23 @@ impl<'a, L: DistantLight> Paths<'a, L> {
         }
     }
 
-    /// The surface that a ray meets, as seen from where the ray begins, and its triangle.
-    fn next(&self, from: &SurfacePoint, direction: Vec3) -> Option<(SurfacePoint, usize)> {
+    /// The surface that a ray meets, as seen from where the ray begins. Backs emit nothing.
+    fn next(&self, from: &SurfacePoint, direction: Vec3) -> Option<Reflector<'a>> {
         let geometry = self.geometry;
         let origin = geometry.origin(from);
         let hit = geometry.occluders.closest_hit(origin, direction)?;
         let mut point = surface_point(geometry.scene, hit.triangle, hit.barycentrics, origin);
-        if point.geometric_normal.dot(direction) > 0.0 {
+        let behind = point.geometric_normal.dot(direction) > 0.0;
+        if behind {
             point.geometric_normal = -point.geometric_normal;
             point.normal = -point.normal;
             point.bitangent = -point.bitangent;
         }
-        Some((point, hit.triangle))
+        let mut next = self.reflector(point, hit.triangle, hit.barycentrics);
+        if behind {
+            next.emission = Vec3::ZERO;
+        }
+        Some(next)
     }
 }
 
@@ -180,6 +194,8 @@ pub struct Reflector<'a> {
     pub point: SurfacePoint,
     /// The measured table, where there is one.
     pub table: Option<&'a Table>,
+    /// Radiance that the surface emits.
+    pub emission: Vec3,
 }
 
 impl Reflector<'_> {

@@ -11,7 +11,7 @@ use relight_bake::files::{Access, Files};
 use relight_bake::measured::Table;
 use relight_bake::scene::load;
 use relight_lab::compare::compare;
-use relight_lab::image_file::read_exr;
+use relight_lab::image_file::{Image, read_exr};
 use relight_lab::truth::{Filter, Geometry, Options, full};
 use relight_shading::camera::View;
 
@@ -33,6 +33,16 @@ pub fn trials() -> Vec<Trial> {
     ] {
         trials.push(with_data(format!("truth::full::{name}"), move |data| {
             full_agrees(data, name, material)
+        }));
+    }
+    for name in [
+        "spot_ground_grace",
+        "suzi_gold_studio",
+        "cornell_lobby",
+        "gallery_park",
+    ] {
+        trials.push(with_data(format!("truth::paths::{name}"), move |data| {
+            paths_agree(data, name)
         }));
     }
     trials
@@ -125,6 +135,7 @@ fn full_agrees(data: &Path, name: &str, material: &str) -> Outcome {
             samples: 16,
             filter: Filter::Box,
             seed: 0,
+            bounces: 0,
         },
         &|| (),
     );
@@ -143,4 +154,123 @@ fn full_agrees(data: &Path, name: &str, material: &str) -> Outcome {
     );
     assert!(result.coverage_mismatch < COVERAGE_TOLERANCE, "{result:?}");
     Ok(())
+}
+
+/// Root mean square over blocks of 8 × 8 pixels of their means' differences, without what the
+/// noise of both explains, over the picture's mean: paths of the same length, other numbers.
+const BLOCK_TOLERANCE: f64 = 0.015;
+/// Pixels per side of a block.
+const BLOCK: u32 = 8;
+
+/// Light that bounces, against Mitsuba's path tracer: nine segments from eye to light, the last to the light, are seven bounces.
+fn paths_agree(data: &Path, name: &str) -> Outcome {
+    let folder = data.join("reference/mitsuba3_path");
+    let scenes: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(folder.join("path_scenes.json"))?)?;
+    let description = &scenes[name];
+    let path = |key: &str| -> Result<std::path::PathBuf, &str> {
+        Ok(data.join(description[key].as_str().ok_or("a path")?))
+    };
+    let material = |bsdf: &serde_json::Value| match bsdf["b"]["type"].as_str() {
+        Some("diffuse") => format!(
+            "model = \"diffuse\"\ndiffuse = {}\n",
+            bsdf["b"]["reflectance"]["value"]
+        ),
+        _ => format!(
+            "model = \"ggx\"\nf0 = {}\nalpha = {}\n",
+            bsdf["b"]["specular_reflectance"]["value"], bsdf["b"]["alpha"]
+        ),
+    };
+    let mut text = format!(
+        "mesh = \"{}\"\n[materials.default]\n{}[camera]\nposition = {}\ntarget = {}\n\
+         fov_y_degrees = {}\n",
+        path("mesh")?.display(),
+        material(&description["bsdf"]),
+        description["origin"],
+        description["target"],
+        description["fov_y_deg"],
+    );
+    if description["ground"].is_object() {
+        text += &format!(
+            "[ground]\nsize = {}\nheight = {}\n[ground.material]\n{}",
+            description["ground_size"],
+            description["ground_height"],
+            material(&description["ground"]),
+        );
+    }
+    let temporary = tempfile::tempdir()?;
+    let scene_path = temporary.path().join("scene.toml");
+    std::fs::write(&scene_path, text)?;
+    let input = load::load(&scene_path)?;
+    let environment = hdr::load(&path("env")?)?;
+    let scene = full::unbaked(&input);
+    let tables = full::tables(&input)?;
+    for (suffix, key, bounces) in [("one_bounce", "one_bounce", 1), ("all", "all", 7)] {
+        let reference = read_exr(&folder.join(format!("{name}_{suffix}.exr")))?;
+        let size = [reference.width, reference.height];
+        let view = View::new(&scene.camera.ok_or("a camera")?, size[0], size[1], 1.0);
+        let image = full::render(
+            &Geometry::new(&scene, view),
+            &tables,
+            &full::EnvironmentSampler::new(&environment, 0.0),
+            &[],
+            size,
+            &Options {
+                samples: 64,
+                filter: Filter::Box,
+                seed: 0,
+                bounces,
+            },
+            &|| (),
+        );
+        let result = compare(&image, &reference)?;
+        assert!(
+            (result.energy_ratio - 1.0).abs() < ENERGY_TOLERANCE,
+            "{suffix}: {result:?}"
+        );
+        let stated = description[key]["noise"].as_f64().ok_or("a noise")?;
+        let error = block_error(&image, &reference, stated);
+        println!("{name} {suffix}: blocks differ by {error}");
+        assert!(error < BLOCK_TOLERANCE, "{suffix}: {error}");
+    }
+    Ok(())
+}
+
+/// See [`BLOCK_TOLERANCE`]; `noise` is that of a pixel of the reference over its mean. Blocks
+/// that the scene covers in part count as they are: premultiplied.
+fn block_error(image: &Image, reference: &Image, noise: f64) -> f64 {
+    let variance = image.variance.as_ref().expect("an estimate has a variance");
+    let (mut squares, mut sum, mut covered) = (0.0, 0.0, 0.0);
+    for index in 0..reference.pixels.len() {
+        let pixel = reference.pixels[index];
+        sum += pixel[..3].iter().map(|&x| f64::from(x)).sum::<f64>();
+        covered += 3.0 * f64::from(pixel[3]);
+    }
+    let mean = sum / covered;
+    let mut count = 0.0;
+    let blocks = |length: u32| (0..length / BLOCK).map(|block| block * BLOCK);
+    for (top, left) in
+        blocks(reference.height).flat_map(|y| blocks(reference.width).map(move |x| (y, x)))
+    {
+        let indices = || {
+            (top..top + BLOCK).flat_map(move |y| {
+                (left..left + BLOCK).map(move |x| (y * reference.width + x) as usize)
+            })
+        };
+        let coverage: f64 = indices().map(|i| f64::from(reference.pixels[i][3])).sum();
+        let area = f64::from(BLOCK * BLOCK);
+        for channel in 0..3 {
+            let of = |image: &Image| -> f64 {
+                indices()
+                    .map(|i| f64::from(image.pixels[i][channel]))
+                    .sum::<f64>()
+                    / area
+            };
+            let own: f64 = indices().map(|i| f64::from(variance[i][channel])).sum();
+            let expected = own / (area * area) + coverage * (noise * mean / area).powi(2);
+            squares += (of(image) - of(reference)).powi(2) - expected;
+        }
+        count += 3.0 * coverage / area;
+    }
+    (squares / count).max(0.0).sqrt() / mean
 }

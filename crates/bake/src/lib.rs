@@ -11,4 +11,5 @@ pub mod report;
 pub mod scene;
 mod solve;
 pub mod ssdf;
+pub mod transfer;
 pub mod visibility;

@@ -74,6 +74,8 @@ pub enum SectionKind {
     Sources = 10,
     /// Texels of all sources, concatenated.
     SourceTexels = 11,
+    /// A [`crate::Transfer`]; optional.
+    Transfer = 12,
 }
 
 impl SectionKind {
@@ -90,6 +92,7 @@ impl SectionKind {
             Self::Prefiltered,
             Self::Sources,
             Self::SourceTexels,
+            Self::Transfer,
         ]
         .into_iter()
         .find(|kind| *kind as u32 == value)
@@ -414,6 +417,12 @@ impl<'a> Reader<'a> {
             ));
         }
         Ok(value)
+    }
+
+    /// Whether the next section is of `kind`.
+    pub(crate) fn has(&self, kind: SectionKind) -> bool {
+        let next = self.sections.as_slice().first();
+        next.is_some_and(|info| info.kind == kind)
     }
 
     fn next(&mut self, kind: SectionKind) -> Result<SectionInfo, Error> {

@@ -18,6 +18,7 @@ mod material;
 mod material_asset;
 mod prediction;
 mod scene;
+mod transfer;
 
 pub use container::{Kind, Limits, MAGIC, SectionInfo, SectionKind, VERSION, inspect, write_file};
 pub use environment::{
@@ -33,4 +34,7 @@ pub use material_asset::{MaterialAsset, MaterialReport, read_material, write_mat
 pub use scene::{
     BakeReport, CHANNELS_PER_TILE, Cluster, MAX_TILES_PER_CLUSTER, Representation, Scene, Triangle,
     Vertex, VisibilityErrors, VisibilityParameters, read_scene, write_scene,
+};
+pub use transfer::{
+    MAX_TRANSFER_ORDER, MAX_TRANSFER_RANK, TRANSFER_OUTPUTS, Transfer, TransferGroup,
 };

@@ -207,6 +207,10 @@ pub struct Material {
     /// `KHR_materials_anisotropy`: RG is the direction in [-1, 1], B the strength. Of layers
     /// RG alone: it turns the tangent.
     pub anisotropy_texture: Option<TextureSlot>,
+    /// Linear Rec.709 radiance that the surface emits, the same in all directions.
+    pub emission: [f32; 3],
+    /// Multiplies `emission`.
+    pub emission_texture: Option<TextureSlot>,
 }
 
 impl Specular {
@@ -297,6 +301,7 @@ impl Material {
             &mut self.metallic_roughness_texture,
             &mut self.normal_texture,
             &mut self.anisotropy_texture,
+            &mut self.emission_texture,
         ]
         .into_iter()
         .chain(layers.iter_mut().flat_map(|layer| {
@@ -316,6 +321,7 @@ impl Material {
             &self.metallic_roughness_texture,
             &self.normal_texture,
             &self.anisotropy_texture,
+            &self.emission_texture,
         ];
         if let Surface::Layers { layers } = &self.surface {
             for layer in layers {
@@ -356,7 +362,8 @@ impl Material {
                 );
             }
         }
-        if !self.surface.is_valid() || !self.normal_scale.is_finite() {
+        let numbers = is_color(&self.emission) && self.normal_scale.is_finite();
+        if !self.surface.is_valid() || !numbers {
             return metadata(
                 Issue::ValueOutOfRange,
                 "finite material parameters in their documented ranges",

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use crate::container::{Kind, Limits, Reader, SectionKind, Writer};
 use crate::geometry::{self, Places};
 use crate::prediction;
+use crate::transfer::Transfer;
 use crate::{Camera, Error, Issue, Material, Texture, TextureEncoding};
 
 /// Basis images per tile: one per channel of an RGBA texel.
@@ -143,6 +144,8 @@ pub struct Scene {
     pub coefficients: Vec<i16>,
     /// Basis tiles: `basis_resolution²` RGBA texels each, row 0 first, no gutter.
     pub basis: Vec<i8>,
+    /// Light that bounces, where the bake has it.
+    pub transfer: Option<Transfer>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -168,6 +171,11 @@ pub fn read_scene(bytes: &[u8], limits: &Limits) -> Result<Scene, Error> {
         metadata.visibility.basis_resolution,
     );
     let texels: Vec<u8> = reader.pod(SectionKind::Texels)?;
+    let transfer: Option<Vec<u8>> = if reader.has(SectionKind::Transfer) {
+        Some(reader.pod(SectionKind::Transfer)?)
+    } else {
+        None
+    };
     reader.finish()?;
     let length = |section, expected: &str, found: usize| {
         let found = format_args!("{found} bytes");
@@ -190,6 +198,9 @@ pub fn read_scene(bytes: &[u8], limits: &Limits) -> Result<Scene, Error> {
             let expected = "2 bytes per image of the clusters and coefficient of their places";
             length(SectionKind::Coefficients, expected, coefficients.len())
         })?;
+    let transfer = transfer
+        .map(|bytes| Transfer::decode(&bytes, &clusters))
+        .transpose()?;
     let scene = Scene {
         name: metadata.name,
         visibility: metadata.visibility,
@@ -202,6 +213,7 @@ pub fn read_scene(bytes: &[u8], limits: &Limits) -> Result<Scene, Error> {
         clusters,
         coefficients,
         basis,
+        transfer,
     };
     validate(&scene)?;
     Ok(scene)
@@ -240,6 +252,9 @@ pub fn write_scene(scene: &Scene) -> Result<Vec<u8>, Error> {
     let differences = prediction::differences(&scene.basis, resolution);
     writer.section(SectionKind::Basis, &differences)?;
     writer.section(SectionKind::Texels, &concatenate_texels(&scene.textures))?;
+    if let Some(transfer) = &scene.transfer {
+        writer.section(SectionKind::Transfer, &transfer.encode(&scene.clusters))?;
+    }
     Ok(writer.finish())
 }
 
@@ -312,6 +327,9 @@ fn validate(scene: &Scene) -> Result<(), Error> {
         }
     }
     validate_clusters(scene)?;
+    if let Some(transfer) = &scene.transfer {
+        transfer.validate(&scene.clusters)?;
+    }
     for (index, triangle) in scene.triangles.iter().enumerate() {
         let cluster = scene.clusters.get(triangle.cluster as usize);
         let inside = cluster.is_some_and(|cluster| {

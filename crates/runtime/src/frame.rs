@@ -65,6 +65,15 @@ impl<'a> Frame<'a> {
         self.sources.map(|sources| sources.turned(&rotation))
     }
 
+    /// Distant light as surfaces pass it on to others: the lights, and the sources point by point.
+    pub(crate) fn bouncing_lights(&self) -> Vec<SphericalGaussian> {
+        let mut lights = self.rotated_lights();
+        if let Some(sources) = self.rotated_sources() {
+            lights.extend(sources.lobes());
+        }
+        lights
+    }
+
     pub(crate) fn packed_local_lights(&self) -> Vec<gpu::LocalLight> {
         self.local_lights.iter().map(Into::into).collect()
     }

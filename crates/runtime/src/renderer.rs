@@ -162,7 +162,9 @@ impl Renderer {
         let bands = height.div_ceil(band);
         let buffers = self.frame_buffers(scene, frame, [width, height], band)?;
         self.upload_reflections(frame)?;
-        let frame_group = self.frame_group(&buffers);
+        let (lights, local) = (frame.bouncing_lights(), frame.packed_local_lights());
+        let products = scene.products(&self.device, &lights, &local)?;
+        let frame_group = self.frame_group(&buffers, &products);
         let sources = self.source_group(frame, scene, &buffers[0])?;
         if self.images.as_ref().is_none_or(|images| {
             images.size != [width, height] || sources.is_some() && images.sources.is_none()
@@ -427,7 +429,11 @@ impl Renderer {
         ])
     }
 
-    fn frame_group(&self, [uniforms, lights, local_lights]: &[wgpu::Buffer; 3]) -> wgpu::BindGroup {
+    fn frame_group(
+        &self,
+        [uniforms, lights, local_lights]: &[wgpu::Buffer; 3],
+        products: &wgpu::TextureView,
+    ) -> wgpu::BindGroup {
         self.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("relight frame"),
             layout: &self.frame_layout,
@@ -448,6 +454,10 @@ impl Renderer {
                 wgpu::BindGroupEntry {
                     binding: 4,
                     resource: wgpu::BindingResource::TextureView(&self.prefiltered.1),
+                },
+                wgpu::BindGroupEntry {
+                    binding: 7,
+                    resource: wgpu::BindingResource::TextureView(products),
                 },
             ],
         })
@@ -664,6 +674,12 @@ fn frame_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
         view_dimension: wgpu::TextureViewDimension::D2,
         multisampled: false,
     };
+    let products = wgpu::BindingType::Texture {
+        // 32-bit floats cannot be filtered at default limits, and are not.
+        sample_type: wgpu::TextureSampleType::Float { filterable: false },
+        view_dimension: wgpu::TextureViewDimension::D2,
+        multisampled: false,
+    };
     device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
         label: Some("relight frame"),
         entries: &[
@@ -672,6 +688,7 @@ fn frame_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
             layout_entry(2, wgpu::ShaderStages::COMPUTE, STORAGE),
             layout_entry(3, wgpu::ShaderStages::COMPUTE, local_lights),
             layout_entry(4, wgpu::ShaderStages::COMPUTE, prefiltered),
+            layout_entry(7, wgpu::ShaderStages::COMPUTE, products),
         ],
     })
 }
@@ -718,6 +735,11 @@ fn scene_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
         multisampled: false,
     };
     let sampler = wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering);
+    let words = wgpu::BindingType::Texture {
+        sample_type: wgpu::TextureSampleType::Uint,
+        view_dimension: wgpu::TextureViewDimension::D2,
+        multisampled: false,
+    };
     device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
         label: Some("relight scene"),
         entries: &[
@@ -729,6 +751,7 @@ fn scene_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
             layout_entry(5, compute, STORAGE),
             layout_entry(6, compute, atlas),
             layout_entry(7, compute, sampler),
+            layout_entry(10, compute, words),
         ],
     })
 }

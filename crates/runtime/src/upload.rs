@@ -1,8 +1,12 @@
 //! Asset to GPU buffers and atlas.
 
+use std::sync::{Mutex, PoisonError};
+
 use bytemuck::Pod;
 use relight_format::{Material, Scene};
 use relight_shading::gpu::{self, AtlasLayout, LimitError, PackedTexture, pack_scene};
+use relight_shading::spherical_gaussian::SphericalGaussian;
+use relight_shading::transfer::{self, DistantLight, PackedTransfer};
 use wgpu::util::{DeviceExt as _, TextureDataOrder};
 
 use crate::frame::near_plane;
@@ -24,6 +28,16 @@ pub struct GpuScene {
     materials: wgpu::Buffer,
     material_count: usize,
     textures: Vec<PackedTexture>,
+    bounced: Option<BouncedLight>,
+    /// Where light does not bounce.
+    no_products: wgpu::TextureView,
+}
+
+/// Light that bounces, and what it was last.
+#[derive(Debug)]
+struct BouncedLight {
+    packed: PackedTransfer,
+    last: Mutex<Option<(DistantLight, wgpu::TextureView)>>,
 }
 
 impl GpuScene {
@@ -68,6 +82,15 @@ impl GpuScene {
         let coefficients = storage(device, "coefficients", &packed.coefficients)?;
         let materials = storage(device, "materials", &packed.materials)?;
         let texels = storage(device, "texels", &packed.texels)?;
+        let words = packed
+            .transfer
+            .as_ref()
+            .map_or(&[0][..], PackedTransfer::words);
+        let words = bounced_texture(device, queue, wgpu::TextureFormat::R32Uint, words, 0)
+            .map_err(Error::Scene)?;
+        let colors = wgpu::TextureFormat::Rgba32Float;
+        let no_products =
+            bounced_texture(device, queue, colors, &[[0.0; 4]], [0.0; 4]).map_err(Error::Scene)?;
         let texture = device.create_texture_with_data(
             queue,
             &wgpu::TextureDescriptor {
@@ -121,6 +144,10 @@ impl GpuScene {
             binding: 7,
             resource: wgpu::BindingResource::Sampler(&sampler),
         });
+        entries.push(wgpu::BindGroupEntry {
+            binding: 10,
+            resource: wgpu::BindingResource::TextureView(&words),
+        });
         let bind_group = device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("relight scene"),
             layout,
@@ -140,7 +167,38 @@ impl GpuScene {
             materials,
             material_count: packed.materials.len(),
             textures: packed.textures,
+            bounced: packed.transfer.map(|packed| BouncedLight {
+                packed,
+                last: Mutex::new(None),
+            }),
+            no_products,
         })
+    }
+
+    /// Texture of the colours that groups have under some light; the last one where the light is
+    /// the same.
+    pub(crate) fn products(
+        &self,
+        device: &wgpu::Device,
+        lights: &[SphericalGaussian],
+        local: &[gpu::LocalLight],
+    ) -> Result<wgpu::TextureView, Error> {
+        let Some(BouncedLight { packed, last }) = &self.bounced else {
+            return Ok(self.no_products.clone());
+        };
+        let light = packed.light(lights, local);
+        let mut last = last.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((before, view)) = &*last
+            && *before == light
+        {
+            return Ok(view.clone());
+        }
+        let texels = packed.products(&light);
+        let format = wgpu::TextureFormat::Rgba32Float;
+        let view = bounced_texture(device, &self.queue, format, &texels, [0.0; 4])
+            .map_err(Error::Frame)?;
+        *last = Some((light, view.clone()));
+        Ok(view)
     }
 
     /// Replaces material `index`; takes effect at the next submission. Textures are those
@@ -190,6 +248,42 @@ fn source_group(
         layout,
         entries: &entries,
     })))
+}
+
+/// A texture of texels in order, [`transfer::TEXTURE_WIDTH`] per row.
+fn bounced_texture<T: Pod>(
+    device: &wgpu::Device,
+    queue: &wgpu::Queue,
+    format: wgpu::TextureFormat,
+    texels: &[T],
+    padding: T,
+) -> Result<wgpu::TextureView, LimitError> {
+    let width = transfer::TEXTURE_WIDTH as usize;
+    let rows = texels.len().div_ceil(width).max(1);
+    let allowed = u64::from(device.limits().max_texture_dimension_2d);
+    LimitError::check("max_texture_dimension_2d", rows as u64, allowed)?;
+    let mut padded = texels.to_vec();
+    padded.resize(rows * width, padding);
+    let texture = device.create_texture_with_data(
+        queue,
+        &wgpu::TextureDescriptor {
+            label: Some("relight bounced light"),
+            size: wgpu::Extent3d {
+                width: width as u32,
+                height: rows as u32,
+                depth_or_array_layers: 1,
+            },
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format,
+            usage: wgpu::TextureUsages::TEXTURE_BINDING,
+            view_formats: &[],
+        },
+        TextureDataOrder::LayerMajor,
+        bytemuck::cast_slice(&padded),
+    );
+    Ok(texture.create_view(&wgpu::TextureViewDescriptor::default()))
 }
 
 fn check_textures(material: &Material, count: usize) -> Result<(), Error> {

@@ -8,6 +8,7 @@ use relight_format::{CHANNELS_PER_TILE, MAX_REFLECTIONS, Scene, Surface, Texture
 use crate::camera::View;
 use crate::ssdf::Basis;
 use crate::surface::{LayerParameters, visit_layers};
+use crate::transfer::PackedTransfer;
 
 /// `Material::surface`: base colour, metallic and roughness as in glTF.
 pub const SURFACE_METALLIC_ROUGHNESS: u32 = 0;
@@ -188,8 +189,8 @@ pub struct Cluster {
     pub tile_origin: [f32; 2],
     /// Radians that a coefficient of 32767 stands for.
     pub coefficient_scale: f32,
-    /// Zero.
-    pub reserved: f32,
+    /// Group of bounced light ([`crate::transfer::PackedTransfer`]) + 1; 0: none.
+    pub bounced: u32,
 }
 
 /// A texture as a range of the texel buffer (48 bytes).
@@ -240,7 +241,7 @@ pub struct Layer {
     pub weight_texture: TextureSlot,
 }
 
-/// A material (2,288 bytes).
+/// A material (2,352 bytes).
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct Material {
@@ -270,6 +271,12 @@ pub struct Material {
     pub normal_texture: TextureSlot,
     /// RG is the direction in [−1, 1], B the strength.
     pub anisotropy_texture: TextureSlot,
+    /// Radiance that the surface emits.
+    pub emission: [f32; 3],
+    /// Zero.
+    pub emission_reserved: f32,
+    /// Multiplies `emission`.
+    pub emission_texture: TextureSlot,
     /// The reflections of other surfaces than metallic-roughness.
     pub layers: [Layer; MAX_REFLECTIONS],
 }
@@ -320,6 +327,8 @@ pub struct PackedScene {
     pub basis: Vec<i8>,
     /// Stored signed distances are clamped to ± this angle, radians.
     pub distance_clamp: f32,
+    /// Light that bounces, where the scene has it.
+    pub transfer: Option<PackedTransfer>,
 }
 
 /// Where one texture lies in [`PackedScene::texels`].
@@ -398,7 +407,13 @@ pub fn pack_scene(scene: &Scene) -> Result<PackedScene, LimitError> {
         // A buffer binding must not be empty.
         texels.push(0);
     }
-    let (atlas, clusters) = place_clusters(scene)?;
+    let (atlas, mut clusters) = place_clusters(scene)?;
+    let transfer = PackedTransfer::new(scene);
+    if let Some(transfer) = &transfer {
+        for (index, cluster) in clusters.iter_mut().enumerate() {
+            cluster.bounced = transfer.group(index) + 1;
+        }
+    }
     Ok(PackedScene {
         vertices: scene.vertices.iter().map(pack_vertex).collect(),
         triangles: scene
@@ -433,6 +448,7 @@ pub fn pack_scene(scene: &Scene) -> Result<PackedScene, LimitError> {
         textures,
         atlas,
         distance_clamp: scene.visibility.distance_clamp,
+        transfer,
     })
 }
 
@@ -459,6 +475,8 @@ pub fn pack_material(material: &relight_format::Material, textures: &[PackedText
         metallic_roughness_texture: slot(material.metallic_roughness_texture.as_ref()),
         normal_texture: slot(material.normal_texture.as_ref()),
         anisotropy_texture: slot(material.anisotropy_texture.as_ref()),
+        emission: material.emission,
+        emission_texture: slot(material.emission_texture.as_ref()),
         ..Material::zeroed()
     };
     match material.surface {
@@ -606,7 +624,7 @@ fn place_in_rows(scene: &Scene, stride: u32, width: u32, page: u32) -> (u32, u32
                 layer,
                 tile_origin,
                 coefficient_scale: cluster.coefficient_scale,
-                reserved: 0.0,
+                bounced: 0,
             }
         })
         .collect();
@@ -760,7 +778,7 @@ mod tests {
                 layer,
                 tile_origin,
                 coefficient_scale,
-                reserved,
+                bounced,
             }
         );
         check_layout!(
@@ -807,6 +825,9 @@ mod tests {
                 metallic_roughness_texture,
                 normal_texture,
                 anisotropy_texture,
+                emission,
+                emission_reserved,
+                emission_texture,
                 layers,
             }
         );

@@ -21,4 +21,5 @@ pub mod ssdf;
 pub mod surface;
 pub mod tables;
 pub mod tonemap;
+pub mod transfer;
 pub mod wgsl;

@@ -13,6 +13,7 @@ use relight_format::Environment;
 use crate::gpu;
 use crate::occluders::Occluders;
 use crate::reference;
+use crate::spherical_gaussian::{SphericalGaussian, energy};
 use crate::surface::SurfacePoint;
 
 /// Directions that find out whether a source is partly hidden.
@@ -27,6 +28,9 @@ pub const LEVELS: [u32; 2] = [64, 256];
 
 /// Points of a source.
 pub const POINTS: u32 = LEVELS[1];
+
+/// Sharpness of the lobe that stands for a point where sources are seen blurred.
+const POINT_SHARPNESS: f32 = 1e4;
 
 /// Most sources.
 pub const MAX_SOURCES: u32 = relight_format::MAX_SOURCES as u32;
@@ -96,6 +100,20 @@ impl Sources {
             rotation: *rotation * self.rotation,
             ..self.clone()
         }
+    }
+
+    /// The sources as narrow lobes, for what sees them blurred: light that bounces.
+    pub fn lobes(&self) -> impl Iterator<Item = SphericalGaussian> {
+        let stride = (PROBES + POINTS) as usize;
+        let sources = self.points.chunks_exact(stride).zip(self.scales.iter());
+        sources.flat_map(|(points, scales)| {
+            let points = &points[PROBES as usize..][..LEVELS[0] as usize];
+            points.iter().map(|point| SphericalGaussian {
+                axis: point.direction.into(),
+                sharpness: POINT_SHARPNESS,
+                amplitude: Vec3::from(point.light) * scales[0] / energy(POINT_SHARPNESS),
+            })
+        })
     }
 
     /// A direction of one source, drawn in proportion to luminance by two numbers in [0, 1), and

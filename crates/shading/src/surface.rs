@@ -469,6 +469,24 @@ pub fn surface_point(
     }
 }
 
+/// Radiance that the surface emits at `barycentrics` of triangle `triangle`.
+///
+/// # Panics
+/// If `triangle` is not a triangle of `scene`.
+pub fn emission(scene: &Scene, triangle: usize, barycentrics: Vec3) -> Vec3 {
+    let triangle = &scene.triangles[triangle];
+    let material = &scene.materials[triangle.material as usize];
+    let emission = Vec3::from(material.emission);
+    let Some(slot) = &material.emission_texture else {
+        return emission;
+    };
+    let [a, b, c] = triangle
+        .vertices
+        .map(|vertex| Vec2::from(scene.vertices[vertex as usize].uv));
+    let uv = a * barycentrics.x + b * barycentrics.y + c * barycentrics.z;
+    emission * sample_slot(&scene.textures[slot.texture as usize], slot, uv).xyz()
+}
+
 /// RGBA of a texture slot at a vertex's texture coordinates.
 fn sample_slot(texture: &Texture, slot: &TextureSlot, uv: Vec2) -> Vec4 {
     let [row_u, row_v] = slot.transform.map(Vec3::from);
@@ -570,6 +588,8 @@ mod tests {
             normal_texture: None,
             normal_scale: 1.0,
             anisotropy_texture: None,
+            emission: [0.0; 3],
+            emission_texture: None,
         }
     }
 
@@ -621,6 +641,7 @@ mod tests {
             }],
             coefficients: vec![0; 12],
             basis: vec![0; 64],
+            transfer: None,
         }
     }
 

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use crate::surface::{Join, Model};
 use crate::{
     brdf, cells, glossy, gpu, local_light, occluders, polar, prefiltered, shade, sources,
-    spherical_gaussian, surface, tables, tonemap,
+    spherical_gaussian, surface, tables, tonemap, transfer,
 };
 
 /// What a shader module is for.
@@ -53,6 +53,7 @@ const LIBRARY: &[&str] = &[
     include_str!("wgsl/surface.wgsl"),
     include_str!("wgsl/brdf.wgsl"),
     include_str!("wgsl/glossy.wgsl"),
+    include_str!("wgsl/transfer.wgsl"),
 ];
 
 /// The complete WGSL of one module.
@@ -127,6 +128,7 @@ fn constants() -> String {
     text += &occluders::wgsl_constants();
     text += &sources::wgsl_constants();
     text += &tonemap::wgsl_constants();
+    text += &transfer::wgsl_constants();
     text
 }
 

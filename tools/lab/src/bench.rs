@@ -72,7 +72,7 @@ pub fn run(
         scene,
         frame,
         settings.size,
-        &Options::centers(settings.samples),
+        &Options::centers(settings.samples).of(scene),
         Visibility::Exact,
         &|| (),
     );

@@ -236,6 +236,10 @@ struct Truth {
     /// Selects the random numbers.
     #[arg(long, default_value_t = 0)]
     seed: u32,
+    /// Reflections that light may take off other surfaces before it meets the one that is seen. 0:
+    /// direct light only. From the fifth on paths also end by chance, so that 64 is all of them.
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=256))]
+    bounces: u32,
 }
 
 #[derive(Args)]
@@ -524,6 +528,7 @@ fn run_truth(arguments: &Truth) -> anyhow::Result<Value> {
             FilterName::Box => Filter::Box,
         },
         seed: arguments.seed,
+        bounces: arguments.bounces,
     };
     let rotation = picture.rotate.to_radians();
     let mut local: Vec<gpu::LocalLight> = read_local_lights(picture.lights.as_deref())?
@@ -622,6 +627,7 @@ fn run_truth(arguments: &Truth) -> anyhow::Result<Value> {
         "height": height,
         "kind": if arguments.kind == Kind::Lobes { "lobes" } else { "full" },
         "samples": arguments.samples.next_multiple_of(truth::REPLICAS),
+        "bounces": arguments.bounces,
         "covered_pixels": covered(&image),
         "relative_noise": image.relative_noise(),
         "seconds": seconds,

@@ -184,6 +184,8 @@ fn scene_input() -> anyhow::Result<SceneInput> {
         normal_texture: None,
         normal_scale: 1.0,
         anisotropy_texture: None,
+        emission: [0.0; 3],
+        emission_texture: None,
     };
     mesh.materials = vec![
         material("knot", [0.6, 0.6, 0.62], [0.04; 3], [0.3; 2]),

@@ -1,4 +1,5 @@
-//! Ray-traced truth, direct light only, in two kinds that are never mixed.
+//! Ray-traced truth in two kinds that are never mixed, of direct light or with light that
+//! bounces.
 //!
 //! [`lobes`] has the runtime's own lights and reflection lobes under exact visibility: the
 //! difference to a rendering is the error of visibility and integration alone. [`full`]
@@ -12,6 +13,7 @@
 
 pub mod full;
 pub mod lobes;
+pub mod path;
 mod random;
 mod sources;
 
@@ -37,6 +39,9 @@ pub enum Filter {
     Box,
 }
 
+/// As good as all: paths end by chance long before.
+pub const ALL_BOUNCES: u32 = 64;
+
 /// Random numbers of everything that asks for no others.
 pub const SEED: u32 = 0;
 
@@ -49,15 +54,28 @@ pub struct Options {
     pub filter: Filter,
     /// Selects the random numbers.
     pub seed: u32,
+    /// Reflections that light may take before it meets the surface that is seen; 0: direct
+    /// light only.
+    pub bounces: u32,
 }
 
 impl Options {
+    /// With all bounces where the asset has any.
+    #[must_use]
+    pub fn of(self, scene: &Scene) -> Self {
+        Self {
+            bounces: scene.transfer.as_ref().map_or(0, |_| ALL_BOUNCES),
+            ..self
+        }
+    }
+
     /// At pixel centres, as the runtime shades.
     pub fn centers(samples: u32) -> Self {
         Self {
             samples,
             filter: Filter::Center,
             seed: SEED,
+            bounces: 0,
         }
     }
 }
@@ -222,6 +240,8 @@ pub(crate) mod test_scene {
                 normal_texture: None,
                 normal_scale: 1.0,
                 anisotropy_texture: None,
+                emission: [0.0; 3],
+                emission_texture: None,
             }],
             textures: Vec::new(),
             report: BakeReport::default(),
@@ -236,6 +256,7 @@ pub(crate) mod test_scene {
             clusters: Vec::new(),
             coefficients: Vec::new(),
             basis: Vec::new(),
+            transfer: None,
         }
     }
 

@@ -211,6 +211,10 @@ pub struct SceneArguments {
     /// Refinement stops at this many vertices, at least 1 [default: 1000000].
     #[arg(long, value_name = "N", value_parser = at_least_one)]
     pub max_vertices: Option<usize>,
+    /// Bounces of light to follow: auto (until the next adds less than 0.5 %), a number up to 64,
+    /// or 0 for none. They turn and change with the light, but have the materials of the bake.
+    #[arg(long, value_name = "N|auto", default_value = "auto", value_parser = bounces)]
+    bounces: Bounces,
     /// Texels per side of the visibility samples, 8 to 256, a multiple of the basis images'
     /// [default: 64 for draft, else 128].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(8..=256))]
@@ -268,6 +272,7 @@ impl SceneArguments {
         replace(&mut options.max_vertices, self.max_vertices);
         replace(&mut options.sample_resolution, self.sample_resolution);
         replace(&mut options.basis_resolution, self.basis_resolution);
+        options.transfer.bounces = self.bounces.0;
         let (sample, basis) = (options.sample_resolution, options.basis_resolution);
         if basis > sample || !sample.is_multiple_of(basis) {
             return Err(Usage {
@@ -447,5 +452,22 @@ impl MaterialArguments {
             refuse(&files, "a material file (.toml) with it")?;
         }
         Ok(self.access.access())
+    }
+}
+
+/// What `--bounces` takes at most.
+const MOST_BOUNCES: u32 = 64;
+
+/// How many bounces to follow, if a number is given.
+#[derive(Clone, Copy)]
+struct Bounces(Option<u32>);
+
+fn bounces(text: &str) -> Result<Bounces, String> {
+    match text.parse() {
+        Ok(count) if count <= MOST_BOUNCES => Ok(Bounces(Some(count))),
+        Err(_) if text == "auto" => Ok(Bounces(None)),
+        _ => Err(format!(
+            "expected auto or a number from 0 to {MOST_BOUNCES}"
+        )),
     }
 }

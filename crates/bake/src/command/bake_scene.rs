@@ -234,7 +234,7 @@ fn write(path: &Path, scene: format::Scene) -> anyhow::Result<Summary> {
             bytes.len() as f64 / scene.vertices.len().max(1) as f64,
             describe(&report.errors),
             seams.rms,
-        ),
+        ) + &describe_bounces(scene.transfer.as_ref()),
         json: json!({
             "output": lossy(path),
             "bytes": bytes.len(),
@@ -246,6 +246,12 @@ fn write(path: &Path, scene: format::Scene) -> anyhow::Result<Summary> {
             "seam_rms": seams.rms,
             "seam_largest": seams.largest,
             "warnings": report.warnings,
+            "bounces": scene.transfer.as_ref().map(|transfer| json!({
+                "count": transfer.bounces,
+                "last": transfer.last_bounce,
+                "stored_error": transfer.error,
+                "groups": transfer.groups.len(),
+            })),
         }),
     };
     let meant = fingerprint(&scene);
@@ -266,6 +272,18 @@ pub fn describe(errors: &format::VisibilityErrors) -> String {
     )
 }
 
+/// A further line, where light bounces.
+pub fn describe_bounces(transfer: Option<&format::Transfer>) -> String {
+    transfer.map_or_else(String::new, |transfer| {
+        format!(
+            "\n{} bounces of light, the last adds {:.2} %; stored to {:.1} % of what bounces",
+            transfer.bounces,
+            100.0 * transfer.last_bounce,
+            100.0 * transfer.error,
+        )
+    })
+}
+
 fn fingerprint(scene: &format::Scene) -> u128 {
     let format::Scene {
         name,
@@ -279,9 +297,20 @@ fn fingerprint(scene: &format::Scene) -> u128 {
         clusters,
         coefficients,
         basis,
+        transfer,
     } = scene;
     let mut fingerprint = Fingerprint::default();
-    let small = format!("{:?}", (name, visibility, camera, materials, report));
+    let bounced = transfer.as_ref().map(|transfer| {
+        let numbers = (transfer.order, transfer.emitted, transfer.bounces);
+        (
+            numbers,
+            transfer.last_bounce,
+            transfer.error,
+            &transfer.groups,
+        )
+    });
+    let small = (name, visibility, camera, materials, report, bounced);
+    let small = format!("{small:?}");
     fingerprint.add(small.as_bytes());
     for texture in textures {
         fingerprint.add_texture(texture);
@@ -291,6 +320,11 @@ fn fingerprint(scene: &format::Scene) -> u128 {
     fingerprint.add(bytemuck::cast_slice(clusters));
     fingerprint.add(bytemuck::cast_slice(coefficients));
     fingerprint.add(bytemuck::cast_slice(basis));
+    if let Some(transfer) = transfer {
+        fingerprint.add(bytemuck::cast_slice(&transfer.scales));
+        fingerprint.add(bytemuck::cast_slice(&transfer.basis));
+        fingerprint.add(bytemuck::cast_slice(&transfer.weights));
+    }
     fingerprint.value()
 }
 

@@ -23,17 +23,17 @@ use crate::files::Files;
 use crate::mesh::Mesh;
 
 /// Extensions that change nothing, or only what this product does not show: lights,
-/// emission, alternative materials, metadata.
-const HARMLESS: [&str; 6] = [
+/// alternative materials, metadata.
+const HARMLESS: [&str; 5] = [
     "KHR_lights_punctual",
-    "KHR_materials_emissive_strength",
     "KHR_materials_variants",
     "KHR_xmp",
     "KHR_xmp_json_ld",
     "EXT_structural_metadata",
 ];
 /// Extensions that are read.
-const READ: [&str; 3] = [
+const READ: [&str; 4] = [
+    EMISSIVE_STRENGTH,
     "KHR_materials_anisotropy",
     "KHR_mesh_quantization",
     "KHR_texture_transform",
@@ -882,6 +882,22 @@ struct Anisotropy {
     texture: Option<texture::Info>,
 }
 
+/// `KHR_materials_emissive_strength`.
+#[derive(Deserialize)]
+#[serde(default)]
+struct EmissiveStrength {
+    #[serde(rename = "emissiveStrength")]
+    strength: f32,
+}
+
+impl Default for EmissiveStrength {
+    fn default() -> Self {
+        Self { strength: 1.0 }
+    }
+}
+
+const EMISSIVE_STRENGTH: &str = "KHR_materials_emissive_strength";
+
 impl Materials<'_> {
     /// Converts a material once; gives its index into `list`.
     fn convert(
@@ -913,8 +929,19 @@ impl Materials<'_> {
                 "material {name:?} is transparent; it is baked as opaque"
             ));
         }
-        if source.emissive_factor.0 != [0.0; 3] {
-            builder.warn(format!("material {name:?} emits light, which is left out"));
+        let others = source.extensions.as_ref().map(|e| &e.others);
+        let strength = match extension(others, EMISSIVE_STRENGTH) {
+            Some(value) => {
+                let place = format!("{place}.{EMISSIVE_STRENGTH}");
+                self.parse::<EmissiveStrength>(value, &place)?.strength
+            }
+            None => 1.0,
+        };
+        let emission = source.emissive_factor.0.map(|factor| factor * strength);
+        if !emission.iter().all(|x| x.is_finite() && *x >= 0.0) {
+            let expected = "a finite emission of at least 0";
+            let found = format!("{emission:?}");
+            return Err(self.document.invalid(place, expected, found));
         }
 
         let metallic_roughness = &source.pbr_metallic_roughness;
@@ -998,10 +1025,16 @@ impl Materials<'_> {
                 "anisotropyTexture",
                 TextureEncoding::Linear,
             ),
+            info(
+                &source.emissive_texture,
+                "emissiveTexture",
+                TextureEncoding::Srgb,
+            )
+            .filter(|_| emission != [0.0; 3]),
         ];
         let set = |reference: &Reference| reference.transform.tex_coord.unwrap_or(reference.uv_set);
         let uv_set = references.iter().flatten().next().map_or(0, set);
-        let mut slots = [None; 4];
+        let mut slots = [None; 5];
         for (slot, reference) in slots.iter_mut().zip(references) {
             let Some(reference) = reference else { continue };
             if set(&reference) == uv_set {
@@ -1019,12 +1052,15 @@ impl Materials<'_> {
             metallic_roughness_texture,
             normal_texture,
             anisotropy_texture,
+            emission_texture,
         ] = slots;
         let material = Material {
             base_color_texture,
             metallic_roughness_texture,
             normal_texture,
             anisotropy_texture,
+            emission,
+            emission_texture,
             normal_scale: numbers[0],
             ..plain_material(&name, surface)
         };

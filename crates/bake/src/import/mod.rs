@@ -36,6 +36,8 @@ pub fn plain_material(name: &str, surface: format::Surface) -> format::Material 
         normal_texture: None,
         normal_scale: 1.0,
         anisotropy_texture: None,
+        emission: [0.0; 3],
+        emission_texture: None,
     }
 }
 

@@ -5,6 +5,7 @@ use relight_format as format;
 use super::error::Error;
 use super::surface::ErrorSums;
 use crate::compress::Compressed;
+use crate::transfer::compress::ClusterTransfer;
 
 /// Errors on the surface above this, radians, are warned of: pictures of such bakes are off by
 /// several percent.
@@ -21,6 +22,8 @@ pub struct Cluster {
     pub compressed: Compressed,
     /// How far it is off.
     pub errors: ErrorSums,
+    /// Bounced light of the vertices, where there is any.
+    pub transfer: ClusterTransfer,
 }
 
 /// Lays out the clusters of all chunks, in the chunks' order, behind what
@@ -35,9 +38,14 @@ pub fn assemble<E: From<Error>>(
 ) -> Result<format::Scene, E> {
     let mut scene = head;
     let mut errors = ErrorSums::default();
+    let (mut error, mut whole) = (0.0, 0.0);
     for chunk in chunks {
         for cluster in chunk? {
             errors.add(&cluster.errors);
+            if let Some(group) = &cluster.transfer.group {
+                error += group.squared_error;
+                whole += group.squared;
+            }
             append(&mut scene, cluster)?;
         }
     }
@@ -49,6 +57,9 @@ pub fn assemble<E: From<Error>>(
              is usual at most: shadows will look wrong in places; compare with `lab truth`, and \
              try --preset high, or --refine-error 0.02"
         ));
+    }
+    if let Some(transfer) = &mut scene.transfer {
+        transfer.error = (error / f64::max(whole, f64::MIN_POSITIVE)).sqrt() as f32;
     }
     Ok(scene)
 }
@@ -83,6 +94,19 @@ fn append(scene: &mut format::Scene, cluster: Cluster) -> Result<(), Error> {
         tiles: compressed.tiles,
         coefficient_scale: compressed.coefficient_scale,
     });
+    if let Some(transfer) = &mut scene.transfer {
+        if let Some(group) = cluster.transfer.group {
+            transfer.groups.push(format::TransferGroup {
+                first_cluster: u32::from(number),
+                rank: group.rank,
+                outputs: group.outputs,
+                reserved: 0,
+            });
+            transfer.scales.extend(group.scales);
+            transfer.basis.extend(group.basis);
+        }
+        transfer.weights.extend(cluster.transfer.weights);
+    }
     scene.coefficients.extend(compressed.coefficients);
     scene.basis.extend(compressed.basis);
     scene.vertices.extend(cluster.vertices);

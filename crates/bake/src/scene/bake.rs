@@ -18,6 +18,8 @@ use super::sample::{CHUNK_VERTICES, Placed, Prepared};
 use super::statistics::{Statistics, add_time, load};
 use crate::mesh::{Mesh, cluster, refine};
 use crate::monitor::Monitor;
+use crate::transfer::radiosity::Radiosity;
+use crate::transfer::surfaces::Surfaces;
 use crate::visibility::contour::ContourMesh;
 
 /// Edges up to this part of the object's diagonal are not cut for their error: shadows of
@@ -83,10 +85,22 @@ impl<'a> Bake<'a> {
         let contours = ContourMesh::new(&input.mesh.soup());
         stages.push(("build bvh", clock.elapsed()));
 
+        let ray_offset = RELATIVE_RAY_OFFSET * input.mesh.diagonal();
+        monitor.step("bounces", 0.0)?;
+        let radiosity = Radiosity::new(
+            Surfaces::new(&input.mesh),
+            contours.caster(),
+            &options.transfer,
+            ray_offset,
+            monitor,
+        )?;
+        if let Some(radiosity) = &radiosity {
+            stages.push(("bounces", radiosity.time()));
+        }
+
         let clock = Instant::now();
         monitor.step("refine", 0.0)?;
         let dependencies = Dependencies::new(&input, options);
-        let ray_offset = RELATIVE_RAY_OFFSET * input.mesh.diagonal();
         let mut report = format::BakeReport {
             source_vertices: input.mesh.vertices.len() as u64,
             source_triangles: input.mesh.triangles.len() as u64,
@@ -119,6 +133,7 @@ impl<'a> Bake<'a> {
             clusters: Vec::new(),
             coefficients: Vec::new(),
             basis: Vec::new(),
+            transfer: (radiosity.as_ref()).map(|all| all.head(options.transfer.order)),
         };
         let placed = Placed::new(&mut mesh, &contours, ray_offset);
         let chunks = match options.representation {
@@ -130,7 +145,14 @@ impl<'a> Bake<'a> {
         stages.push(("refine", clock.elapsed()));
 
         let mut bake = Self {
-            prepared: Prepared::new(mesh, placed, chunks, contours, options, monitor),
+            prepared: Prepared::new(
+                mesh,
+                placed,
+                chunks,
+                (contours, radiosity),
+                options,
+                monitor,
+            ),
             head,
             aim: options.aim,
             fingerprint: dependencies.fingerprint(),
@@ -205,12 +227,18 @@ impl<'a> Bake<'a> {
         let every = (prepared.triangles.len() / PROBES).max(LEAST_PROBE_STEP);
         let probes = prepared.probes(triangles, every as u32)?;
         let count = vertices.len() as u64;
+        let bounced = prepared.bounced(triangles)?;
+        let bounced = bounced.as_ref();
         let start = Instant::now();
-        let finished = if prepared.options.representation == Representation::GlobalPca {
-            vec![prepared.whole(triangles, &vertices, &samples, &probes, self.aim)]
+        let part = (triangles, &vertices[..], &samples);
+        let mut finished = if prepared.options.representation == Representation::GlobalPca {
+            vec![prepared.whole(part, &probes, bounced, self.aim)]
         } else {
-            prepared.compress(triangles, &vertices, &samples, &probes, self.aim)?
+            prepared.compress(part, &probes, bounced, self.aim)?
         };
+        if let Some(bounced) = bounced {
+            bounced.open_group(&mut finished);
+        }
         add_time(&prepared.counters.compress_nanoseconds, start);
         (prepared.counters.compressed).fetch_add(count, Ordering::Relaxed);
         prepared.report()?;
@@ -226,6 +254,7 @@ impl<'a> Bake<'a> {
             ..
         } = &self.prepared;
         let mut stages = self.stages;
+        let mut rays = sampler.rays();
         let [visibility, ssdf] = sampler.times();
         let counted = |counter| Duration::from_nanos(load(counter));
         stages.extend([
@@ -233,12 +262,17 @@ impl<'a> Bake<'a> {
             ("ssdf", ssdf),
             ("compress", counted(&counters.compress_nanoseconds)),
         ]);
+        if let Some(radiosity) = &self.prepared.radiosity {
+            let time = counted(&counters.bounce_nanoseconds);
+            stages.push(("bounces at vertices", time));
+            rays += radiosity.rays() + load(&counters.bounce_rays);
+        }
         if *verify {
             stages.push(("verify", counted(&counters.verify_nanoseconds)));
         }
         let statistics = Statistics {
             stages,
-            rays: sampler.rays(),
+            rays,
             sampled_vertices: load(&counters.sampled),
             probes: load(&counters.probes),
             verified_points: load(&counters.verified),

@@ -6,6 +6,7 @@ use rayon::prelude::*;
 use relight_format::{self as format, VisibilityErrors};
 
 use super::assemble::{Cluster, assemble};
+use super::bounce::ChunkLight;
 use super::error::Error;
 use super::sample::Prepared;
 use super::surface::{ErrorSums, Probe};
@@ -41,6 +42,7 @@ struct Trial {
     vertices: Vec<u32>,
     ssdfs: DMatrix<f32>,
     probes: Vec<Probe>,
+    bounced: Option<ChunkLight>,
 }
 
 /// An aim, and what to say of it.
@@ -74,6 +76,11 @@ pub(super) fn choose_aim(prepared: &Prepared, head: &format::Scene) -> Result<Ch
             probes: match size {
                 Some(_) => Vec::new(),
                 None => prepared.probes(&prepared.chunks[chunk], PROBE_STEP)?,
+            },
+            // Only a size that is asked for counts its bytes.
+            bounced: match size {
+                Some(_) => prepared.bounced(&prepared.chunks[chunk])?,
+                None => None,
             },
             vertices,
         });
@@ -141,9 +148,15 @@ fn try_aim(prepared: &Prepared, trials: &[Trial], aim: f32) -> Result<Vec<Vec<Cl
             vertices,
             ssdfs,
             probes,
+            bounced,
         } = trial;
         let samples = prepared.weighed(triangles, vertices, ssdfs.clone());
-        Ok(prepared.compress(triangles, vertices, &samples, probes, aim)?)
+        let part = (&triangles[..], &vertices[..], &samples);
+        let mut clusters = prepared.compress(part, probes, bounced.as_ref(), aim)?;
+        if let Some(bounced) = bounced {
+            bounced.open_group(&mut clusters);
+        }
+        Ok(clusters)
     };
     let mut compressed: Vec<Vec<Cluster>> = Vec::new();
     // As many at a time as the bake itself has at hand.

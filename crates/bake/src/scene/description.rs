@@ -35,6 +35,10 @@ pub struct SceneFile {
     /// `default` replaces every material that no other entry names.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub materials: BTreeMap<String, MaterialOverride>,
+    /// Radiance that materials emit, by their name in the mesh, or `ground`; the same in all
+    /// directions, in place of what the mesh says.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub emission: BTreeMap<String, Color>,
     /// A horizontal plane under the mesh that receives its shadow.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ground: Option<Ground>,

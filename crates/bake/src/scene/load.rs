@@ -102,6 +102,7 @@ pub fn load_from(files: &Files, path: &Path) -> Result<SceneInput, Error> {
         ground::append(&mut mesh, &options.extent(), made.material)
             .map_err(|(place, expected, found)| Error::invalid(path, place, expected, found))?;
     }
+    emit(path, &file, &mut mesh)?;
     // The bake does not need it, but what it is shown under should not turn out to be missing
     // when hours have passed.
     let environment = file.environment.map(|environment| folder.join(environment));
@@ -143,6 +144,35 @@ fn check_environment(files: &Files, path: &Path) -> Result<(), Error> {
             ..
         } => Error::invalid(path, place, expected, found),
     })
+}
+
+/// Gives materials the emission that the scene file has for them.
+fn emit(path: &Path, file: &SceneFile, mesh: &mut Mesh) -> Result<(), Error> {
+    for (name, color) in &file.emission {
+        let place = format!("emission.{name}");
+        let emission = color.rgb();
+        if !emission.iter().all(|x| x.is_finite() && *x >= 0.0) {
+            let found = format!("{emission:?}");
+            let expected = "finite radiance of at least 0";
+            return Err(Error::invalid(path, place, expected, found));
+        }
+        let mut found = false;
+        for material in &mut mesh.materials {
+            if material.name == *name {
+                (material.emission, material.emission_texture) = (emission, None);
+                found = true;
+            }
+        }
+        if !found {
+            let names: Vec<_> = (mesh.materials.iter())
+                .map(|material| format!("{:?}", material.name))
+                .collect();
+            let expected = format!("a material of the scene: {}", names.join(", "));
+            return Err(Error::invalid(path, place, expected, format!("{name:?}")));
+        }
+    }
+    mesh.drop_unused_textures();
+    Ok(())
 }
 
 fn place(mesh: &mut Mesh, transform: &description::Transform) {

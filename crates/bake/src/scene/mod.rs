@@ -6,6 +6,7 @@
 
 mod assemble;
 mod bake;
+mod bounce;
 mod budget;
 pub mod description;
 mod error;

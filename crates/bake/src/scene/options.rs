@@ -4,6 +4,7 @@ use relight_format::{CHANNELS_PER_TILE, MAX_TILES_PER_CLUSTER, Representation};
 use serde::Serialize;
 
 use super::error::Error;
+use crate::transfer;
 
 /// What to trade. Every field has its default in [`Options::standard`].
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -40,6 +41,8 @@ pub struct Options {
     pub refine_error: f32,
     /// Refinement stops here.
     pub max_vertices: usize,
+    /// How light that bounces is gathered.
+    pub transfer: transfer::Options,
 }
 
 impl Options {
@@ -51,6 +54,7 @@ impl Options {
             aim: 0.02,
             max_edge: 0.08,
             refine_error: f32::INFINITY,
+            transfer: transfer::Options::draft(),
             ..Self::standard()
         }
     }
@@ -70,6 +74,7 @@ impl Options {
             max_edge: 0.02,
             refine_error: f32::INFINITY,
             max_vertices: 1_000_000,
+            transfer: transfer::Options::standard(),
         }
     }
 
@@ -80,6 +85,7 @@ impl Options {
             max_tiles: 6,
             max_edge: 0.06,
             refine_error: 0.01,
+            transfer: transfer::Options::high(),
             ..Self::standard()
         }
     }

@@ -33,6 +33,7 @@ use crate::compress::Compressed;
 use crate::files;
 use crate::import;
 use crate::scene::Cluster;
+use crate::transfer::compress::{ClusterTransfer, Group};
 
 const MAGIC: [u8; 8] = *b"RLPARTS\n";
 const VERSION: u32 = 4;
@@ -591,7 +592,9 @@ fn record_checksum(chunk: u32, payload: &[u8]) -> u32 {
 
 /// Clusters to bytes: u32 number of clusters, then each: u32 vertices, triangles and
 /// tiles, f32 coefficient scale, u64 basis bytes, f64 squared error, the sums of errors, then
-/// the arrays.
+/// the arrays; of bounced light u64 weights, u64 scales (0 where no group begins) and u64 basis
+/// bytes, the weights, and where a group begins u32 rank, u32 outputs, f64 squared error, f64
+/// squared light, scales and basis.
 pub fn encode(clusters: &[Cluster]) -> Vec<u8> {
     const { assert!(cfg!(target_endian = "little"), "arrays are little-endian") };
     let mut bytes = (clusters.len() as u32).to_le_bytes().to_vec();
@@ -608,6 +611,22 @@ pub fn encode(clusters: &[Cluster]) -> Vec<u8> {
         bytes.extend(array_bytes(&cluster.triangles));
         bytes.extend(array_bytes(&compressed.coefficients));
         bytes.extend(array_bytes(&compressed.basis));
+        let ClusterTransfer { group, weights } = &cluster.transfer;
+        let lengths = group
+            .as_ref()
+            .map_or([0; 2], |group| [group.scales.len(), group.basis.len()]);
+        for length in [weights.len(), lengths[0], lengths[1]] {
+            bytes.extend((length as u64).to_le_bytes());
+        }
+        bytes.extend(array_bytes(weights));
+        if let Some(group) = group {
+            bytes.extend(group.rank.to_le_bytes());
+            bytes.extend(group.outputs.to_le_bytes());
+            bytes.extend(group.squared_error.to_le_bytes());
+            bytes.extend(group.squared.to_le_bytes());
+            bytes.extend(array_bytes(&group.scales));
+            bytes.extend(array_bytes(&group.basis));
+        }
     }
     bytes
 }
@@ -632,7 +651,7 @@ fn decode(mut bytes: &[u8]) -> Option<Vec<Cluster>> {
             return None;
         }
         let channels = u64::from(tiles) * CHANNELS_PER_TILE as u64;
-        let cluster = Cluster {
+        let mut cluster = Cluster {
             vertices: take_array(bytes, u64::from(vertices))?,
             triangles: take_array(bytes, u64::from(triangles))?,
             compressed: Compressed {
@@ -643,7 +662,22 @@ fn decode(mut bytes: &[u8]) -> Option<Vec<Cluster>> {
                 squared_error,
             },
             errors,
+            transfer: ClusterTransfer::default(),
         };
+        let [weights, scales, basis]: [u64; 3] = take(bytes)?;
+        cluster.transfer.weights = take_array(bytes, weights)?;
+        if scales > 0 {
+            let [rank, outputs]: [u32; 2] = take(bytes)?;
+            let [squared_error, squared]: [f64; 2] = take(bytes)?;
+            cluster.transfer.group = Some(Group {
+                rank,
+                outputs,
+                squared_error,
+                squared,
+                scales: take_array(bytes, scales)?,
+                basis: take_array(bytes, basis)?,
+            });
+        }
         let inside =
             |triangle: &format::Triangle| triangle.vertices.iter().all(|vertex| *vertex < vertices);
         if !cluster.triangles.iter().all(inside) {

@@ -6,11 +6,13 @@ use relight_format as format;
 use relight_format::CHANNELS_PER_TILE;
 
 use super::assemble::Cluster;
+use super::bounce::ChunkLight;
 use super::layout;
 use super::sample::Prepared;
 use super::surface::{ErrorSums, Probe};
 use crate::compress::{self, Compressed, Samples};
 use crate::monitor::Interrupted;
+use crate::transfer::compress::ClusterTransfer;
 
 /// What the error aimed at, squared, is worth in bytes per vertex.
 const BYTES_PER_ERROR: f32 = 20.0;
@@ -30,10 +32,9 @@ impl Prepared<'_> {
     /// Divides a chunk into clusters and compresses them.
     pub(super) fn compress(
         &self,
-        triangles: &[u32],
-        vertices: &[u32],
-        samples: &Samples,
+        (triangles, vertices, samples): (&[u32], &[u32], &Samples),
         probes: &[Probe],
+        bounced: Option<&ChunkLight>,
         aim: f32,
     ) -> Result<Vec<Cluster>, Interrupted> {
         let mut plan = Vec::new();
@@ -56,7 +57,8 @@ impl Prepared<'_> {
             let fitted = samples.fitted();
             let (images, _) = compress::alternate(&fitted, coefficients, ROUNDS);
             let compressed = compress::encode(&fitted, &images, aim);
-            Ok(self.cluster((&triangles, &members, &samples), probes, compressed))
+            let part = (&triangles[..], &members[..], &samples);
+            Ok(self.cluster(part, probes, compressed, bounced))
         };
         plan.into_iter().map(compress).collect()
     }
@@ -136,15 +138,15 @@ impl Prepared<'_> {
     /// options ask for.
     pub(super) fn whole(
         &self,
-        triangles: &[u32],
-        vertices: &[u32],
-        samples: &Samples,
+        part: (&[u32], &[u32], &Samples),
         probes: &[Probe],
+        bounced: Option<&ChunkLight>,
         aim: f32,
     ) -> Cluster {
+        let (_, _, samples) = part;
         let basis = compress::analyse(samples, self.options.global_rank as usize);
         let compressed = compress::encode(&samples.fitted(), &basis.images, aim);
-        self.cluster((triangles, vertices, samples), probes, compressed)
+        self.cluster(part, probes, compressed, bounced)
     }
 
     /// Copies what a cluster needs of the mesh and measures how far it is off. Triangles and
@@ -154,6 +156,7 @@ impl Prepared<'_> {
         (triangles, vertices, samples): (&[u32], &[u32], &Samples),
         probes: &[Probe],
         compressed: Compressed,
+        bounced: Option<&ChunkLight>,
     ) -> Cluster {
         let stored = |column: usize| compressed.decode(column);
         let exact = |column: usize| samples.ssdf(column).to_vec();
@@ -164,11 +167,7 @@ impl Prepared<'_> {
                 errors.add_probe(probe, &columns, &stored, &exact, &self.weighting);
             }
         }
-        let mut used: Vec<u32> = (triangles.iter())
-            .flat_map(|&index| self.mesh.triangles[index as usize].vertices)
-            .collect();
-        used.sort_unstable();
-        used.dedup();
+        let used = self.mesh_vertices_of(triangles);
         let local = |vertex: u32| used.partition_point(|&other| other < vertex) as u32;
         let triangle = |&index: &u32| {
             let source = &self.mesh.triangles[index as usize];
@@ -187,11 +186,21 @@ impl Prepared<'_> {
             vertices.partition_point(|&other| other < place)
         };
         let columns: Vec<usize> = order.iter().map(column).collect();
+        let weights = |bounced: &ChunkLight| -> Vec<i8> {
+            (order.iter())
+                .flat_map(|&vertex| bounced.weights_of(vertex))
+                .copied()
+                .collect()
+        };
         Cluster {
             vertices: order.iter().map(vertex).collect(),
             triangles,
             compressed: compressed.reordered(&columns),
             errors,
+            transfer: ClusterTransfer {
+                group: None,
+                weights: bounced.map(weights).unwrap_or_default(),
+            },
         }
     }
 }

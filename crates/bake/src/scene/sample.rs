@@ -7,12 +7,14 @@ use glam::Vec3;
 use nalgebra::DMatrix;
 use rayon::prelude::*;
 
+use super::bounce::mirrors;
 use super::options::Options;
 use super::statistics::{Counters, add_time, load};
 use crate::compress::{Normal, Samples, Weighting};
 use crate::mesh::{Mesh, cluster};
 use crate::monitor::{Interrupted, Monitor};
 use crate::ssdf::{Sampled, Sampler};
+use crate::transfer::radiosity::Radiosity;
 use crate::visibility::contour::ContourMesh;
 use crate::visibility::places::{Divided, Places};
 use crate::visibility::{self, Bitmap};
@@ -80,6 +82,10 @@ pub(super) struct Prepared<'a> {
     pub(super) contours: ContourMesh,
     /// Distance of samples from the surface, metres.
     pub(super) ray_offset: f32,
+    /// Light after its bounces, if it is to bounce.
+    pub(super) radiosity: Option<Radiosity>,
+    /// Whether each material shows what is about it.
+    pub(super) mirrors: Vec<bool>,
     pub(super) sampler: Sampler,
     pub(super) weighting: Weighting,
     /// Whether every point is also sampled by one ray per texel.
@@ -92,7 +98,7 @@ impl<'a> Prepared<'a> {
         mut mesh: Mesh,
         placed: Placed,
         chunks: Vec<Vec<u32>>,
-        contours: ContourMesh,
+        (contours, radiosity): (ContourMesh, Option<Radiosity>),
         options: &Options,
         monitor: Monitor<'a>,
     ) -> Self {
@@ -100,6 +106,7 @@ impl<'a> Prepared<'a> {
             Some(_) => NORMAL_MAP_TILT,
             None => 0.0,
         };
+        let mirrors = mesh.materials.iter().map(mirrors).collect();
         let tilts = mesh.materials.drain(..).map(tilt).collect();
         Self {
             options: options.clone(),
@@ -112,6 +119,8 @@ impl<'a> Prepared<'a> {
             mesh,
             chunks,
             contours,
+            radiosity,
+            mirrors,
             sampler: Sampler::new(
                 options.sample_resolution,
                 options.basis_resolution,
@@ -145,6 +154,17 @@ impl<'a> Prepared<'a> {
     /// Vertices that some triangles use, ascending.
     pub(super) fn vertices_of(&self, triangles: &[u32]) -> Vec<u32> {
         cluster::vertices_of(triangles, &self.triangles)
+    }
+
+    /// Vertices of the mesh that some triangles use, ascending: at hard edges several of one
+    /// place.
+    pub(super) fn mesh_vertices_of(&self, triangles: &[u32]) -> Vec<u32> {
+        let mut used: Vec<u32> = (triangles.iter())
+            .flat_map(|&index| self.mesh.triangles[index as usize].vertices)
+            .collect();
+        used.sort_unstable();
+        used.dedup();
+        used
     }
 
     /// The vertices that some triangles use, and what they see.

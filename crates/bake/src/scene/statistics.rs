@@ -32,6 +32,8 @@ pub(super) struct Counters {
     pub(super) differing: AtomicU64,
     pub(super) compress_nanoseconds: AtomicU64,
     pub(super) verify_nanoseconds: AtomicU64,
+    pub(super) bounce_nanoseconds: AtomicU64,
+    pub(super) bounce_rays: AtomicU64,
 }
 
 pub(super) fn load(counter: &AtomicU64) -> u64 {

@@ -4,7 +4,7 @@ use relight_format::{
     BakeReport, Blend, Camera, Cluster, Environment, EnvironmentReport, FieldOfView, FittedLobe,
     Layer, Lobe, MAX_FITTED_LOBES, MAX_LAYERS, Material, MaterialAsset, MaterialReport,
     Prefiltered, Representation, Scene, Source, Specular, Surface, Texture, TextureEncoding,
-    TextureSlot, Triangle, Vertex, VisibilityErrors, VisibilityParameters,
+    TextureSlot, Transfer, TransferGroup, Triangle, Vertex, VisibilityErrors, VisibilityParameters,
 };
 
 /// SplitMix64 (Steele, Lea & Flood 2014): small, seeded, the same everywhere.
@@ -172,6 +172,7 @@ pub fn scene(random: &mut Random) -> Scene {
         clusters: Vec::new(),
         coefficients: Vec::new(),
         basis: Vec::new(),
+        transfer: None,
     };
     for cluster in 0..random.below(4) {
         let first_vertex = scene.vertices.len() as u32;
@@ -211,7 +212,41 @@ pub fn scene(random: &mut Random) -> Scene {
                 }));
         }
     }
+    scene.transfer = random.maybe(|random| transfer(random, &scene.clusters));
     scene
+}
+
+fn transfer(random: &mut Random, clusters: &[Cluster]) -> Transfer {
+    let mut transfer = Transfer {
+        order: random.below(3) as u32,
+        emitted: random.chance(),
+        bounces: random.bits() as u32,
+        last_bounce: random.unit(),
+        error: random.unit(),
+        ..Transfer::default()
+    };
+    for (index, cluster) in clusters.iter().enumerate() {
+        if index == 0 || random.chance() {
+            let (rank, outputs) = (random.below(4), if random.chance() { 3 } else { 7 });
+            let rows = (rank + 1) * outputs;
+            transfer.groups.push(TransferGroup {
+                first_cluster: index as u32,
+                rank: rank as u32,
+                outputs: outputs as u32,
+                reserved: 0,
+            });
+            transfer.scales.extend((0..rows).map(|_| random.unit()));
+            let numbers = rows * 3 * transfer.columns();
+            let number = |_| (random.bits() as i8).max(-127);
+            transfer.basis.extend((0..numbers).map(number));
+        }
+        let rank = transfer.groups.last().map_or(0, |group| group.rank);
+        let number = |_| (random.bits() as i8).max(-127);
+        transfer
+            .weights
+            .extend((0..cluster.vertex_count * rank).map(number));
+    }
+    transfer
 }
 
 /// A valid scene with something in every section and vertices in two clusters.
@@ -222,7 +257,9 @@ pub fn full_scene() -> Scene {
             .iter()
             .filter(|cluster| cluster.vertex_count > 0)
             .count();
-        populated > 1 && !scene.triangles.is_empty() && !scene.textures.is_empty()
+        let bounced =
+            (scene.transfer.as_ref()).is_some_and(|transfer| !transfer.weights.is_empty());
+        populated > 1 && !scene.triangles.is_empty() && !scene.textures.is_empty() && bounced
     };
     (0..1000)
         .map(|seed| scene(&mut Random::new(seed)))
@@ -268,6 +305,8 @@ fn material(random: &mut Random, textures: usize) -> Material {
         metallic_roughness_texture: slot(random),
         normal_texture: slot(random),
         anisotropy_texture: slot(random),
+        emission: random.color(),
+        emission_texture: slot(random),
         normal_scale: random.signed(),
         name: random.name(),
         surface: surface(random, &slot),

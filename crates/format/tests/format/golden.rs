@@ -8,9 +8,9 @@ use std::path::PathBuf;
 use relight_format::{
     BakeReport, Blend, Camera, Cluster, Environment, EnvironmentReport, FieldOfView, FittedLobe,
     Layer, Limits, Lobe, Material, MaterialAsset, MaterialReport, Prefiltered, Representation,
-    Scene, Source, Specular, Surface, Texture, TextureEncoding, TextureSlot, Triangle, VERSION,
-    Vertex, VisibilityErrors, VisibilityParameters, read_environment, read_material, read_scene,
-    write_environment, write_material, write_scene,
+    Scene, Source, Specular, Surface, Texture, TextureEncoding, TextureSlot, Transfer,
+    TransferGroup, Triangle, VERSION, Vertex, VisibilityErrors, VisibilityParameters,
+    read_environment, read_material, read_scene, write_environment, write_material, write_scene,
 };
 
 use crate::container::File;
@@ -144,6 +144,8 @@ fn material() -> MaterialAsset {
             normal_texture: slot(1),
             normal_scale: 0.5,
             anisotropy_texture: None,
+            emission: [0.0; 3],
+            emission_texture: None,
         },
         textures: vec![
             texture([2, 1], TextureEncoding::Srgb, 0..8),
@@ -270,6 +272,30 @@ fn scene() -> Scene {
         ],
         coefficients: (0..44).map(|index| index * 1489 - 32767).collect(),
         basis: (0..48).map(|index| (index * 5 - 127) as i8).collect(),
+        transfer: Some(Transfer {
+            order: 1,
+            emitted: true,
+            bounces: 5,
+            last_bounce: 0.125,
+            error: 0.25,
+            groups: vec![
+                TransferGroup {
+                    first_cluster: 0,
+                    rank: 2,
+                    outputs: 3,
+                    reserved: 0,
+                },
+                TransferGroup {
+                    first_cluster: 1,
+                    rank: 1,
+                    outputs: 7,
+                    reserved: 0,
+                },
+            ],
+            scales: (0..23).map(|index| 0.25 * index as f32).collect(),
+            basis: (0..345).map(|index| (index % 255 - 127) as i8).collect(),
+            weights: (0..10).map(|index| index * 25 - 127).collect(),
+        }),
     }
 }
 
@@ -325,6 +351,8 @@ fn materials() -> Vec<Material> {
             normal_texture: (index < 2).then(|| slot(1)),
             normal_scale: 1.0 - 0.125 * index as f32,
             anisotropy_texture: (index == 0).then(|| slot(0)),
+            emission: [0.5 * index as f32, 0.25, 0.0],
+            emission_texture: (index == 2).then(|| slot(0)),
         })
         .collect()
 }

@@ -4,7 +4,7 @@
 use relight_format::{
     Blend, Camera, Environment, FieldOfView, FittedLobe, Issue, Layer, Limits, Lobe,
     MAX_FITTED_LOBES, MAX_LAYERS, Scene, SectionKind, Source, Specular, Surface, TextureSlot,
-    read_environment, read_scene, write_environment, write_scene,
+    Transfer, read_environment, read_scene, write_environment, write_scene,
 };
 
 use crate::container::File;
@@ -499,4 +499,45 @@ fn readers_apply_the_rules() {
     let bytes = file.with_raw(1, |raw| raw[28] = 1);
     let error = read_environment(&bytes, &Limits::default()).unwrap_err();
     assert_eq!(error.issue(), Some(Issue::ValueOutOfRange));
+}
+
+#[test]
+fn bounced_light() {
+    let reject = |issue, edit: fn(&mut Transfer)| {
+        assert_rejected(issue, SectionKind::Transfer, |scene| {
+            edit(scene.transfer.as_mut().expect("a full scene has one"));
+        });
+    };
+    let range = Issue::ValueOutOfRange;
+    reject(range, |transfer| transfer.order = 10);
+    reject(range, |transfer| transfer.last_bounce = f32::NAN);
+    reject(range, |transfer| transfer.error = -1.0);
+    reject(range, |transfer| transfer.groups[0].first_cluster = 1);
+    reject(range, |transfer| transfer.groups[0].rank = 13);
+    reject(range, |transfer| transfer.groups[0].outputs = 4);
+    reject(range, |transfer| transfer.groups[0].reserved = 1);
+    reject(range, |transfer| {
+        let mut last = *transfer.groups.last().unwrap();
+        last.first_cluster = 99;
+        transfer.groups.push(last);
+    });
+    reject(range, |transfer| transfer.groups.push(transfer.groups[0]));
+    reject(range, |transfer| transfer.scales[0] = f32::INFINITY);
+    reject(range, |transfer| transfer.basis[0] = -128);
+    reject(range, |transfer| transfer.weights[0] = -128);
+    let length = Issue::BadLength;
+    reject(length, |transfer| transfer.groups.clear());
+    reject(length, |transfer| transfer.emitted ^= true);
+    reject(length, |transfer| transfer.scales.push(0.0));
+    reject(length, |transfer| transfer.basis.push(0));
+    reject(length, |transfer| transfer.weights.push(0));
+}
+
+#[test]
+fn emission() {
+    let reject = |edit: fn(&mut Scene)| {
+        assert_rejected(Issue::ValueOutOfRange, SectionKind::Metadata, edit);
+    };
+    reject(|scene| scene.materials[0].emission[1] = -1.0);
+    reject(|scene| scene.materials[0].emission[2] = f32::INFINITY);
 }

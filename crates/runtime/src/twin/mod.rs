@@ -11,7 +11,8 @@ use relight_shading::occluders::Occluders;
 use relight_shading::shade::{self, Lighting, Reflections};
 use relight_shading::sources::Lit;
 use relight_shading::ssdf::{Basis, SignedDistance, Ssdf};
-use relight_shading::surface::{SurfacePoint, surface_point};
+use relight_shading::surface::{SurfacePoint, emission, surface_point};
+use relight_shading::transfer::{Bounced, PackedTransfer};
 
 pub use visibility_buffer::visibility_buffer;
 
@@ -21,16 +22,51 @@ use crate::{Error, Frame, Image, occluders};
 /// The linear radiance of one frame, not exposed. The scene is one that
 /// [`relight_format::read_scene`] returned or [`relight_format::write_scene`] accepts.
 pub fn render(scene: &Scene, frame: &Frame, width: u32, height: u32) -> Result<Image, Error> {
-    let pixels = map_pixels(scene, frame, [width, height], |point, lighting, field| {
-        shade::shade(point, lighting, field, &frame.method)
-            .extend(1.0)
-            .to_array()
-    })?;
+    let bounced = BouncedLight::new(scene, frame);
+    let shade_pixel = |seen: &Seen, lighting: &Lighting, field: &Ssdf| {
+        let direct = shade::shade(&seen.point, lighting, field, &frame.method);
+        let emitted = emission(scene, seen.triangle, seen.barycentrics);
+        let bounced = bounced.as_ref().map_or(Vec3::ZERO, |light| {
+            light.at(scene, seen).reflected(&seen.point, field)
+        });
+        (direct + bounced + emitted).extend(1.0).to_array()
+    };
+    let pixels = map_seen(scene, frame, [width, height], shade_pixel)?;
     Ok(Image {
         width,
         height,
         pixels,
     })
+}
+
+/// Light of one frame that other surfaces reflect.
+struct BouncedLight {
+    packed: PackedTransfer,
+    products: Vec<[f32; 4]>,
+}
+
+impl BouncedLight {
+    /// `None` where the asset has none.
+    fn new(scene: &Scene, frame: &Frame) -> Option<Self> {
+        let packed = PackedTransfer::new(scene)?;
+        let light = packed.light(&frame.bouncing_lights(), &frame.packed_local_lights());
+        let products = packed.products(&light);
+        Some(Self { packed, products })
+    }
+
+    fn at(&self, scene: &Scene, seen: &Seen) -> Bounced {
+        let triangle = &scene.triangles[seen.triangle];
+        let cluster = usize::from(triangle.cluster);
+        let weights = seen.barycentrics;
+        (self.packed).interpolate(&self.products, cluster, triangle.vertices, weights)
+    }
+}
+
+/// What is under a pixel.
+struct Seen {
+    point: SurfacePoint,
+    triangle: usize,
+    barycentrics: Vec3,
 }
 
 /// What shading a frame takes.
@@ -97,8 +133,19 @@ impl SignedDistance for Counted<'_> {
 pub fn map_pixels<T: Default + Send>(
     scene: &Scene,
     frame: &Frame,
-    [width, height]: [u32; 2],
+    size: [u32; 2],
     shade: impl Fn(&SurfacePoint, &Lighting, &Ssdf) -> T + Sync,
+) -> Result<Vec<T>, Error> {
+    map_seen(scene, frame, size, |seen, lighting, field| {
+        shade(&seen.point, lighting, field)
+    })
+}
+
+fn map_seen<T: Default + Send>(
+    scene: &Scene,
+    frame: &Frame,
+    [width, height]: [u32; 2],
+    shade: impl Fn(&Seen, &Lighting, &Ssdf) -> T + Sync,
 ) -> Result<Vec<T>, Error> {
     if width == 0 || height == 0 {
         return Err(Error::EmptyImage { width, height });
@@ -136,9 +183,13 @@ pub fn map_pixels<T: Default + Send>(
             .map(|vertex| scene.vertices[vertex as usize].position.into());
         let (x, y) = (index as u32 % width, index as u32 / width);
         let weights = view.barycentrics([a, b, c], view.pixel_direction(x, y));
-        let point = surface_point(scene, triangle, weights, view.eye);
+        let seen = Seen {
+            point: surface_point(scene, triangle, weights, view.eye),
+            triangle,
+            barycentrics: weights,
+        };
         let field = Ssdf::interpolate(scene, &basis, triangle, weights);
-        shade(&point, &lighting, &field)
+        shade(&seen, &lighting, &field)
     };
     Ok(visible
         .par_iter()

@@ -51,6 +51,7 @@ pub fn sphere_over_plane() -> Scene {
         clusters: Vec::new(),
         coefficients: Vec::new(),
         basis: Vec::new(),
+        transfer: None,
     };
     let quads = 16;
     for row in 0..quads {
@@ -222,6 +223,8 @@ fn plane_material() -> Material {
         normal_texture: None,
         normal_scale: 1.0,
         anisotropy_texture: None,
+        emission: [0.0; 3],
+        emission_texture: None,
     }
 }
 
@@ -243,6 +246,8 @@ fn sphere_material() -> Material {
         }),
         normal_scale: 0.5,
         anisotropy_texture: None,
+        emission: [0.0; 3],
+        emission_texture: None,
     }
 }
 

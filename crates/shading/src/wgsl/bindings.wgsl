@@ -109,7 +109,8 @@ struct Cluster {
     tile_origin: vec2<f32>,
     // Radians that a coefficient of 32767 stands for.
     coefficient_scale: f32,
-    reserved: f32,
+    // Group of bounced light + 1; 0: none.
+    bounced: u32,
 }
 
 // A texture as a range of `texels`, one RGBA8 word each (red in the low byte), row 0 first.
@@ -167,6 +168,10 @@ struct Material {
     metallic_roughness_texture: TextureSlot,
     normal_texture: TextureSlot,
     anisotropy_texture: TextureSlot,
+    // Radiance that the surface emits.
+    emission: vec3<f32>,
+    emission_reserved: f32,
+    emission_texture: TextureSlot,
     layers: array<Layer, MAX_REFLECTIONS>,
 }
 
@@ -177,6 +182,9 @@ struct Material {
 @group(0) @binding(3) var<uniform> local_lights: array<LocalLight, MAX_LOCAL_LIGHTS>;
 // Texels of format::Prefiltered in order, PREFILTERED_TEXTURE_WIDTH per row.
 @group(0) @binding(4) var prefiltered: texture_2d<u32>;
+// Rows of colours of every group of transfer.rs, TRANSFER_STRIDE texels per group,
+// TRANSFER_TEXTURE_WIDTH per row.
+@group(0) @binding(7) var transfer_products: texture_2d<f32>;
 
 // Sources alone: SOURCE_PROBES directions and SOURCE_POINTS points of each; and by source and
 // level, two of each, what a point's light is multiplied by.
@@ -197,6 +205,8 @@ struct Material {
 // Sources alone.
 @group(1) @binding(8) var<storage, read> occluder_nodes: array<OccluderNode>;
 @group(1) @binding(9) var<storage, read> occluder_triangles: array<OccluderTriangle>;
+// PackedTransfer::words, TRANSFER_TEXTURE_WIDTH per row.
+@group(1) @binding(10) var transfer_words: texture_2d<u32>;
 
 // Triangle index + 1; 0 is background.
 @group(2) @binding(0) var visibility_buffer: texture_2d<u32>;

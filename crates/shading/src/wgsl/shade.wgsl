@@ -26,7 +26,10 @@ fn shade_main(@builtin(global_invocation_id) id: vec3<u32>) {
     if frame.source_count > 0u {
         sources = textureLoad(source_radiance, pixel, 0).xyz;
     }
-    textureStore(radiance, pixel, vec4(shade(point, sources), 1.0));
+    let direct = shade(point, sources);
+    let bounced = transfer_reflected(point, corners, weights);
+    let emitted = surface_emission(corners, triangle.w & 0xffffu, weights);
+    textureStore(radiance, pixel, vec4(direct + bounced + emitted, 1.0));
 }
 
 // `sources`: what they add to the radiance.

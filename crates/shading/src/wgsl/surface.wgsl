@@ -162,6 +162,20 @@ fn surface_point(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32
     return point;
 }
 
+// Radiance that the surface emits.
+fn surface_emission(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32>) -> vec3<f32> {
+    let emission = materials[material_index].emission;
+    let slot = materials[material_index].emission_texture;
+    if slot.width == 0u {
+        return emission;
+    }
+    let a = vertices[corners.x];
+    let b = vertices[corners.y];
+    let c = vertices[corners.z];
+    let uv = vec2(a.u, a.v) * barycentrics.x + vec2(b.u, b.v) * barycentrics.y + vec2(c.u, c.v) * barycentrics.z;
+    return emission * surface_sample(slot, uv).xyz;
+}
+
 // Fills the reflections; returns the diffuse albedo.
 fn surface_layers(material_index: u32, uv: vec2<f32>, view_cosine: f32) -> vec3<f32> {
     var albedo = vec3(0.0);

@@ -2,6 +2,7 @@
 //! laboratory that bakes scenes, draws them and ray-traces truth.
 
 mod adaptive;
+mod bounce;
 mod boundary;
 mod brdf;
 pub mod compression;
@@ -50,7 +51,7 @@ pub struct Experiment {
 }
 
 /// All of them but `compression`, in the order of the report.
-pub const ALL: [Experiment; 11] = [
+pub const ALL: [Experiment; 12] = [
     Experiment {
         name: "boundary",
         title: "Errors of boundaries and of lobes (Fig. 6)",
@@ -105,6 +106,11 @@ pub const ALL: [Experiment; 11] = [
         name: "brdf",
         title: "Reflection models as spherical Gaussians",
         run: brdf::run,
+    },
+    Experiment {
+        name: "bounce",
+        title: "Light that bounces, and follows the light",
+        run: bounce::run,
     },
 ];
 

@@ -1,6 +1,5 @@
 //! Truth of the whole method: the original environment image and the original reflection
-//! models, by multiple importance sampling (Veach & Guibas 1995, balance heuristic) of
-//! both.
+//! models, by multiple importance sampling of both ([`super::path`]).
 
 use std::f32::consts::PI;
 
@@ -10,11 +9,11 @@ use relight_bake::measured::{self, Table};
 use relight_bake::scene::load::SceneInput;
 use relight_format::{BakeReport, Representation, Scene, Triangle, VisibilityParameters};
 use relight_shading::gpu;
-use relight_shading::reference;
 use relight_shading::surface::SurfacePoint;
 
-use super::random::{hash, sobol_pair};
-use super::{Estimate, Filter, Geometry, Options, REPLICAS, Seen, estimate_image};
+use super::path::{DistantLight, Draws, Part, Paths, Reflector};
+use super::random::hash;
+use super::{Estimate, Filter, Geometry, Options, REPLICAS, estimate_image};
 use crate::display::luminance;
 use crate::image_file::Image;
 
@@ -53,6 +52,7 @@ pub fn unbaked(input: &SceneInput) -> Scene {
         clusters: Vec::new(),
         coefficients: Vec::new(),
         basis: Vec::new(),
+        transfer: None,
     }
 }
 
@@ -66,9 +66,10 @@ pub fn tables(input: &SceneInput) -> Result<Vec<Option<Table>>, measured::Error>
 }
 
 /// Estimates the image. `measured[m]` is the table of the scene's material m, if it has
-/// one. A sample is a pair of rays, one drawn from the environment and one from the
-/// reflection, and another pair for each local light, a sphere that only what lies before it
-/// blocks; with [`Filter::Box`] every sample has its own point of the pixel.
+/// one. A sample is a path: at every surface that it meets a pair of rays, one drawn from the
+/// environment and one from the reflection, and another pair for each local light, a sphere
+/// that only what lies before it blocks; with [`Filter::Box`] every sample has its own point of
+/// the pixel.
 pub fn render(
     geometry: &Geometry,
     measured: &[Option<Table>],
@@ -79,37 +80,34 @@ pub fn render(
     row_done: &(dyn Fn() + Sync),
 ) -> Image {
     let samples = options.samples.div_ceil(REPLICAS);
+    let paths = Paths {
+        geometry,
+        measured,
+        distant: environment,
+        local,
+        bounces: options.bounces,
+    };
     estimate_image(size, row_done, |x, y| {
         let seed = hash(hash(options.seed, x), y);
         let at = |[u, v]: [f32; 2]| -> Option<Reflector> {
-            let Seen {
-                point, triangle, ..
-            } = geometry.seen(x as f32 + u, y as f32 + v)?;
-            let material = geometry.scene.triangles[triangle].material as usize;
-            let table = measured.get(material).and_then(Option::as_ref);
-            Some(Reflector { point, table })
+            let seen = geometry.seen(x as f32 + u, y as f32 + v)?;
+            Some(paths.reflector(seen.point, seen.triangle, seen.barycentrics))
         };
         let center = (options.filter == Filter::Center).then(|| at([0.5; 2]));
         std::array::from_fn(|replica| -> Estimate {
             let seed = hash(seed, replica as u32);
             let (mut radiance, mut coverage) = (Vec3::ZERO, 0.0);
             for sample in 0..samples {
-                let pair = |dimension| sobol_pair(sample, hash(seed, dimension));
+                let draws = Draws { sample, seed };
                 let boxed;
                 let reflector = if let Some(center) = &center {
                     center
                 } else {
-                    boxed = at(pair(0));
+                    boxed = at(draws.pair(0));
                     &boxed
                 };
                 if let Some(reflector) = reflector {
-                    let [choice, _] = pair(3);
-                    let [u, v] = pair(2);
-                    let uniform = [choice, u, v];
-                    radiance += reflector.estimate(geometry, environment, pair(1), uniform);
-                    for (light, dimension) in local.iter().zip(4..) {
-                        radiance += reflector.local(geometry, light, pair(dimension), uniform);
-                    }
+                    radiance += paths.radiance(reflector, Part::Whole, draws);
                     coverage += 1.0;
                 }
             }
@@ -277,8 +275,9 @@ impl<'a> EnvironmentSampler<'a> {
             columns,
         }
     }
+}
 
-    /// A direction from two uniform numbers.
+impl DistantLight for EnvironmentSampler<'_> {
     fn sample(&self, [u, v]: [f32; 2]) -> Vec3 {
         let (row, v) = draw(&self.rows, f64::from(v));
         let width = self.image.width as usize;
@@ -291,7 +290,6 @@ impl<'a> EnvironmentSampler<'a> {
         self.rotation.transpose() * LatLong::direction_at(x, y).as_vec3()
     }
 
-    /// Radiance from a unit direction and the density of [`Self::sample`] there, 1/sr.
     fn lookup(&self, direction: Vec3) -> (Vec3, f32) {
         let direction = self.rotation * direction;
         let (width, height) = (self.image.width as usize, self.image.height as usize);
@@ -350,9 +348,11 @@ fn tent(u: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::test_scene;
+    use super::super::random::sobol_pair;
+    use super::super::{Seen, test_scene};
     use super::*;
     use relight_format::Specular;
+    use relight_shading::gpu;
 
     fn image(width: u32, height: u32, radiance: impl Fn(u32) -> [f32; 3]) -> LatLong {
         LatLong::repair(width, height, (0..width * height).map(radiance).collect())
@@ -470,7 +470,11 @@ mod tests {
             ]];
             let scene = test_scene::scene([0.5; 3], &[&test_scene::plane()[..], &lid].concat());
             let geometry = Geometry::new(&scene, test_scene::view(8));
-            let reflector = Reflector { point, table: None };
+            let reflector = Reflector {
+                point,
+                table: None,
+                emission: Vec3::ZERO,
+            };
             let count = 4096;
             let sum: Vec3 = (0..count)
                 .map(|i| {
@@ -499,6 +503,7 @@ mod tests {
                 samples: 64,
                 filter,
                 seed: 1,
+                bounces: 0,
             };
             let albedo = Vec3::new(0.9, 0.5, 0.1);
             let (mean, error) =
@@ -516,6 +521,7 @@ mod tests {
             samples: 128,
             filter: Filter::Center,
             seed: 2,
+            bounces: 0,
         };
         let (mean, error) =
             mean_and_error(&render_patch(lambert([0.5; 3]), &environment, &options));
@@ -593,6 +599,7 @@ mod tests {
                     samples,
                     filter: Filter::Center,
                     seed,
+                    bounces: 0,
                 };
                 mean_and_error(&render_patch(glossy(alpha), &environment, &options))
             };

@@ -1,5 +1,6 @@
 //! Truth under the runtime's own lights and lobes: only visibility and its integration
-//! differ from a rendering.
+//! differ from a rendering. What other surfaces reflect to the point that is seen is that of
+//! the exact reflection models, there and everywhere.
 
 use std::f32::consts::TAU;
 
@@ -12,10 +13,11 @@ use relight_shading::occluders::Occluders;
 use relight_shading::octahedral;
 use relight_shading::shade::{Lighting, product_lobes};
 use relight_shading::sources::Lit;
-use relight_shading::spherical_gaussian::{SphericalGaussian, cosine_moment, first_moment};
+use relight_shading::spherical_gaussian::{SphericalGaussian, cosine_moment, energy, first_moment};
 use relight_shading::ssdf::{Basis, SignedDistance as _, Ssdf};
 use relight_shading::surface::SurfacePoint;
 
+use super::path::{DistantLight, Draws, Part, Paths, Reflector};
 use super::random::{hash, kronecker_pair, sobol_pair, unit};
 use super::{Estimate, Filter, Geometry, Options, REPLICAS, estimate_image, sources};
 use crate::display::luminance;
@@ -73,14 +75,27 @@ pub fn render(
 ) -> Image {
     let rays = options.samples.div_ceil(REPLICAS);
     let basis = (visibility == Visibility::Baked).then(|| Basis::new(geometry.scene));
+    let distant = LobeSampler::new(lighting.lights);
+    let paths = Paths {
+        geometry,
+        measured: &[],
+        distant: &distant,
+        local: lighting.local,
+        bounces: options.bounces,
+    };
+    let bounced = |reflector: &Reflector, seed: u32| -> Vec3 {
+        let path = |sample| paths.radiance(reflector, Part::Bounced, Draws { sample, seed });
+        (0..rays).map(path).sum::<Vec3>() / rays as f32
+    };
     estimate_image(size, row_done, |x, y| {
         let seed = hash(hash(options.seed, x), y);
-        let at = |[u, v]: [f32; 2]| -> Option<(Mixture, Option<Ssdf>)> {
+        let at = |[u, v]: [f32; 2]| -> Option<(Mixture, Option<Ssdf>, Reflector)> {
             let seen = geometry.seen(x as f32 + u, y as f32 + v)?;
             let field = (basis.as_ref()).map(|basis| {
                 Ssdf::interpolate(geometry.scene, basis, seen.triangle, seen.barycentrics)
             });
-            Some((Mixture::new(&seen.point, lighting), field))
+            let reflector = paths.reflector(seen.point, seen.triangle, seen.barycentrics);
+            Some((Mixture::new(&seen.point, lighting), field, reflector))
         };
         let center = (options.filter == Filter::Center).then(|| at([0.5; 2]));
         let replicas: [_; REPLICAS as usize] = std::array::from_fn(|replica| {
@@ -92,7 +107,7 @@ pub fn render(
                 &boxed
             };
             let seed = hash(seed, replica as u32);
-            mixture.as_ref().map(|(mixture, field)| {
+            mixture.as_ref().map(|(mixture, field, reflector)| {
                 let visible = |direction| match field {
                     Some(field) => field.distance(direction) > 0.0,
                     None => geometry.visible(&mixture.point, direction),
@@ -101,6 +116,10 @@ pub fn render(
                 if let Some(lit) = &lighting.sources {
                     gathered.sources =
                         sources::reflected(geometry, &mixture.point, lit.sources, rays, seed);
+                }
+                gathered.bounced = reflector.emission;
+                if options.bounces > 0 {
+                    gathered.bounced += bounced(reflector, seed);
                 }
                 gathered
             })
@@ -135,6 +154,9 @@ struct Gathered {
     expected: Vec3,
     /// Estimate of what sources add to the radiance.
     sources: Vec3,
+    /// What the surface emits, and an estimate, from rays of its own, of the radiance that other
+    /// surfaces are the cause of.
+    bounced: Vec3,
 }
 
 /// Radiance of every replica. How far its unoccluded estimate is off is known, and what
@@ -154,7 +176,10 @@ fn combine(replicas: &[Option<Gathered>; REPLICAS as usize]) -> [Estimate; REPLI
         }
         let share = visible / unoccluded.max(Vec3::splat(f32::MIN_POSITIVE));
         (
-            gathered.visible + share * (gathered.expected - gathered.unoccluded) + gathered.sources,
+            gathered.visible
+                + share * (gathered.expected - gathered.unoccluded)
+                + gathered.sources
+                + gathered.bounced,
             1.0,
         )
     })
@@ -302,6 +327,56 @@ fn gauss(from: f32, to: f32, f: impl Fn(f32) -> f32) -> f32 {
     half * NODES.iter().map(pair).sum::<f32>()
 }
 
+/// Draws directions from the sum of some lobes, each in proportion to its luminance.
+struct LobeSampler<'a> {
+    lobes: &'a [SphericalGaussian],
+    /// Running sum of the lobes' shares.
+    cumulative: Vec<f32>,
+}
+
+impl<'a> LobeSampler<'a> {
+    fn new(lobes: &'a [SphericalGaussian]) -> Self {
+        let weights = || lobes.iter().map(|lobe| luminance(lobe.integral().into()));
+        let total = weights().sum::<f32>().max(f32::MIN_POSITIVE);
+        let cumulative = weights().scan(0.0, |sum, weight| {
+            *sum += weight / total;
+            Some(*sum)
+        });
+        Self {
+            lobes,
+            cumulative: cumulative.collect(),
+        }
+    }
+}
+
+impl DistantLight for LobeSampler<'_> {
+    fn sample(&self, [u, v]: [f32; 2]) -> Vec3 {
+        let Some(last) = self.lobes.len().checked_sub(1) else {
+            return Vec3::Y;
+        };
+        let index = self.cumulative.partition_point(|&sum| sum <= u).min(last);
+        let before = if index == 0 {
+            0.0
+        } else {
+            self.cumulative[index - 1]
+        };
+        let share = (self.cumulative[index] - before).max(f32::MIN_POSITIVE);
+        let within = ((u - before) / share).clamp(0.0, 1.0 - f32::EPSILON);
+        sample(&self.lobes[index], [within, v]).normalize()
+    }
+
+    fn lookup(&self, direction: Vec3) -> (Vec3, f32) {
+        let (mut radiance, mut density, mut before) = (Vec3::ZERO, 0.0, 0.0);
+        for (lobe, &sum) in self.lobes.iter().zip(&self.cumulative) {
+            let value = (lobe.sharpness * (lobe.axis.dot(direction) - 1.0)).exp();
+            radiance += lobe.amplitude * value;
+            density += (sum - before) * value / energy(lobe.sharpness);
+            before = sum;
+        }
+        (radiance, density)
+    }
+}
+
 /// A direction distributed as the lobe, scaled to integrate to one (Jakob 2012, "Numerically
 /// stable sampling of the von Mises-Fisher distribution").
 fn sample(lobe: &SphericalGaussian, [u, v]: [f32; 2]) -> Vec3 {
@@ -335,6 +410,7 @@ mod tests {
             samples,
             filter: Filter::Center,
             seed,
+            bounces: 0,
         }
     }
 
@@ -457,6 +533,49 @@ mod tests {
         // The control variate leaves rounding alone where nothing is blocked.
         assert!(image.relative_noise().unwrap() < 1e-5);
         assert!(image.pixels.iter().all(|pixel| pixel[3] == 1.0));
+    }
+
+    #[test]
+    fn the_sampler_of_lobes_draws_by_its_density() {
+        let lights = [
+            lobe(Vec3::new(0.4, 1.0, 0.1), 30.0, Vec3::new(1.0, 0.2, 0.1)),
+            lobe(Vec3::new(-0.6, 0.3, 0.4), 4.0, Vec3::new(0.1, 0.9, 0.3)),
+            lobe(Vec3::new(-0.05, 1.0, -0.3), 900.0, Vec3::new(3.0, 3.0, 9.0)),
+        ];
+        let sampler = LobeSampler::new(&lights);
+        let count = 1 << 14;
+        // E[L/density] = ∫L.
+        let mean = (0..count)
+            .map(|i| {
+                let (radiance, density) = sampler.lookup(sampler.sample(sobol_pair(i, 5)));
+                radiance / density
+            })
+            .sum::<Vec3>()
+            / count as f32;
+        let exact: Vec3 = lights.iter().map(SphericalGaussian::integral).sum();
+        // Scrambled Sobol quadrature of weights below 10.
+        assert!(
+            (mean / exact - 1.0).abs().max_element() < 0.01,
+            "{mean}, not {exact}"
+        );
+    }
+
+    #[test]
+    fn in_a_white_furnace_everything_is_white() {
+        let light = lobe(Vec3::Y, 0.0, Vec3::ONE);
+        let scene = test_scene::scene([1.0; 3], &test_scene::plane_and_wall());
+        let geometry = Geometry::new(&scene, test_scene::view(8));
+        let lighting = Lighting {
+            lights: &[light],
+            ..Lighting::default()
+        };
+        let options = Options {
+            bounces: 64,
+            ..options(256, 7)
+        };
+        let exact = Visibility::Exact;
+        let image = render(&geometry, &lighting, exact, [8, 8], &options, &|| ());
+        z_test(&image, Vec3::ONE);
     }
 
     #[test]

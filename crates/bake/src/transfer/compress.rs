@@ -1,0 +1,226 @@
+//! Bounced light of a chunk of vertices as a mean, a few components and weights.
+//!
+//! Principal components by subspace iteration (Halko, Martinsson & Tropp 2011, algorithm 4.4):
+//! what is left after a dozen of them is noise of the rays, which neighbours do not share.
+
+use nalgebra::DMatrix;
+use relight_format::MAX_TRANSFER_RANK;
+
+use super::radiosity::hash;
+
+/// A component is stored where it carries at least this part of the bounced light, and of what
+/// an open sky gives; both root mean squares over vertices. What is left is little, and noise.
+const RELATIVE_GAIN: f64 = 0.03;
+const SKY_GAIN: f64 = 0.002;
+/// Steps of weights are not finer than this part of what an open sky gives, and of the basis
+/// than that.
+const WEIGHT_STEP: f32 = 0.003;
+const BASIS_STEP: f32 = 0.0002;
+/// Sum over channels of the squared norm of an open sky's irradiance over π: ∫ cos² over a
+/// hemisphere, over π².
+const SKY_SQUARED: f64 = 3.0 * 2.0 / (3.0 * std::f64::consts::PI);
+/// Columns that are iterated besides those wanted, and times.
+const EXCESS: usize = 4;
+const ITERATIONS: usize = 2;
+/// Outputs that are irradiance; the others are radiance, which counts π times as much.
+const IRRADIANCE_OUTPUTS: usize = 3;
+
+/// Rows that the vertices of a chunk share.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Group {
+    /// Components besides the mean.
+    pub rank: u32,
+    /// As [`relight_format::TransferGroup::outputs`].
+    pub outputs: u32,
+    /// As [`relight_format::Transfer::scales`].
+    pub scales: Vec<f32>,
+    /// As [`relight_format::Transfer::basis`].
+    pub basis: Vec<i8>,
+    /// Sum over vertices of the squared error of what is stored.
+    pub squared_error: f64,
+    /// Sum over vertices of the squared bounced light.
+    pub squared: f64,
+}
+
+/// A chunk's rows and its vertices' weights.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Compressed {
+    /// The rows.
+    pub group: Group,
+    /// Vertex after vertex, one per component.
+    pub weights: Vec<i8>,
+}
+
+impl Compressed {
+    /// The weights of a vertex.
+    pub fn weights_of(&self, vertex: usize) -> &[i8] {
+        let rank = self.group.rank as usize;
+        &self.weights[vertex * rank..][..rank]
+    }
+}
+
+/// What belongs to a cluster: its vertices' weights, and the rows where a group begins.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ClusterTransfer {
+    /// Rows of this cluster and those after it up to the next with rows.
+    pub group: Option<Group>,
+    /// Vertex after vertex, one per component.
+    pub weights: Vec<i8>,
+}
+
+/// Compresses the outputs of vertices, each of `outputs` blocks of equal length.
+pub fn compress(vertices: &[Vec<f32>], outputs: usize) -> Compressed {
+    let length = vertices.first().map_or(0, Vec::len);
+    let block = length / outputs.max(1);
+    let factor = |row: usize| {
+        if row / block.max(1) < IRRADIANCE_OUTPUTS {
+            std::f32::consts::FRAC_1_PI
+        } else {
+            1.0
+        }
+    };
+    let mut samples = DMatrix::from_fn(length, vertices.len(), |row, column| {
+        vertices[column][row] * factor(row)
+    });
+    let squared = squares(&samples);
+    let mean = samples.column_mean();
+    for mut column in samples.column_iter_mut() {
+        column -= &mean;
+    }
+    let (components, coefficients) = principal(&samples);
+    let sky = SKY_SQUARED.sqrt() as f32;
+    let least = (RELATIVE_GAIN.powi(2) * squared)
+        .max(SKY_GAIN.powi(2) * SKY_SQUARED * vertices.len() as f64);
+    let mut rows = vec![mean.as_slice().to_vec()];
+    let mut weights: Vec<Vec<i8>> = Vec::new();
+    for (index, coefficients) in coefficients.row_iter().enumerate() {
+        let energy: f64 = coefficients.iter().map(|x| f64::from(x * x)).sum();
+        if energy <= least || weights.len() == MAX_TRANSFER_RANK as usize {
+            break;
+        }
+        let largest = coefficients.amax().max(127.0 * WEIGHT_STEP * sky);
+        let quantise = |x: &f32| (x / largest * 127.0).round() as i8;
+        weights.push(coefficients.iter().map(quantise).collect());
+        let component = components.column(index);
+        rows.push(component.iter().map(|x| x * largest).collect());
+    }
+    let rank = weights.len();
+    let mut group = Group {
+        rank: rank as u32,
+        outputs: outputs as u32,
+        squared,
+        ..Group::default()
+    };
+    let mut decoded: Vec<Vec<f32>> = Vec::new();
+    for row in &rows {
+        let mut exact = Vec::with_capacity(length);
+        for (output, values) in row.chunks_exact(block.max(1)).enumerate() {
+            let scale = values.iter().fold(0f32, |most, x| most.max(x.abs()));
+            let scale = if scale > 0.0 {
+                scale.max(127.0 * BASIS_STEP * sky)
+            } else {
+                0.0
+            };
+            let step = if scale > 0.0 { scale / 127.0 } else { 1.0 };
+            group.scales.push(scale / factor(output * block));
+            for value in values {
+                let stored = (value / step).round() as i8;
+                group.basis.push(stored);
+                exact.push(f32::from(stored) * step);
+            }
+        }
+        decoded.push(exact);
+    }
+    for (column, sample) in samples.column_iter().enumerate() {
+        let share: Vec<f32> = (weights.iter())
+            .map(|weights| f32::from(weights[column]) / 127.0)
+            .collect();
+        for row in 0..length {
+            let mut value = decoded[0][row] - mean[row];
+            for (share, decoded) in share.iter().zip(&decoded[1..]) {
+                value += share * decoded[row];
+            }
+            group.squared_error += f64::from(value - sample[row]).powi(2);
+        }
+    }
+    let weights = (0..vertices.len())
+        .flat_map(|vertex| weights.iter().map(move |weights| weights[vertex]))
+        .collect();
+    Compressed { group, weights }
+}
+
+/// Principal components of the columns, as columns, and the coefficients, as rows; strongest
+/// first.
+fn principal(samples: &DMatrix<f32>) -> (DMatrix<f32>, DMatrix<f32>) {
+    let (length, count) = samples.shape();
+    let width = (MAX_TRANSFER_RANK as usize + EXCESS).min(length).min(count);
+    if width == 0 {
+        return (DMatrix::zeros(length, 0), DMatrix::zeros(0, count));
+    }
+    let chance = DMatrix::from_fn(count, width, |i, j| {
+        if hash(i as u32, j as u32) & 1 == 0 {
+            1.0
+        } else {
+            -1.0
+        }
+    });
+    let mut range = (samples * chance).qr().q();
+    for _ in 0..ITERATIONS {
+        let across = samples.tr_mul(&range).qr().q();
+        range = (samples * across).qr().q();
+    }
+    let projected = range.tr_mul(samples);
+    let eigen = (&projected * projected.transpose()).symmetric_eigen();
+    let mut order: Vec<usize> = (0..width).collect();
+    order.sort_by(|&a, &b| eigen.eigenvalues[b].total_cmp(&eigen.eigenvalues[a]));
+    let turn = DMatrix::from_fn(width, width, |i, j| eigen.eigenvectors[(i, order[j])]);
+    (range * &turn, turn.tr_mul(&projected))
+}
+
+fn squares(values: &DMatrix<f32>) -> f64 {
+    values.iter().map(|x| f64::from(*x) * f64::from(*x)).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_few_smooth_functions_come_back() {
+        // Three functions of the vertex and a little noise, 3 outputs of 30 numbers.
+        let vertex = |i: usize| -> Vec<f32> {
+            let t = i as f32 / 200.0;
+            (0..90)
+                .map(|k| {
+                    let k = k as f32;
+                    let noise = (hash(i as u32, k as u32) >> 8) as f32 / 16_777_216.0 - 0.5;
+                    1.0 + (0.1 * k).sin() * t
+                        + (0.3 * k).cos() * (3.0 * t).sin()
+                        + 0.2 * (0.7 * k).sin() * (5.0 * t).cos()
+                        + 0.002 * noise
+                })
+                .collect()
+        };
+        let vertices: Vec<_> = (0..200).map(vertex).collect();
+        let compressed = compress(&vertices, 3);
+        let Group {
+            rank,
+            squared_error,
+            squared,
+            ..
+        } = compressed.group;
+        assert!((2..=3).contains(&rank), "{rank}");
+        let error = (squared_error / squared).sqrt();
+        // What is allowed, and steps of 1/254.
+        assert!(error < RELATIVE_GAIN + 0.004, "{error}");
+        assert_eq!(compressed.weights.len(), 200 * rank as usize);
+    }
+
+    #[test]
+    fn darkness_takes_no_components() {
+        let compressed = compress(&vec![vec![0.0; 12]; 5], 3);
+        assert_eq!(compressed.group.rank, 0);
+        assert_eq!(compressed.group.scales, [0.0; 3]);
+        assert_eq!(compressed.group.squared_error, 0.0);
+    }
+}

@@ -1,0 +1,106 @@
+//! The last bounce: what arrives at a vertex.
+
+use std::f32::consts::PI;
+
+use glam::{Mat4, Vec3, Vec4};
+
+use super::radiosity::{Radiosity, hash, hemisphere};
+use crate::visibility::ray::RayCaster;
+
+/// Pull of the radiance's slope towards none, as a part of what the rays weigh: where few rays
+/// meet anything its slope is unknown.
+const SLOPE_PULL: f32 = 0.05;
+
+/// A vertex to gather for.
+#[derive(Clone, Copy, Debug)]
+pub struct Receiver {
+    /// Where rays begin.
+    pub origin: Vec3,
+    /// Shading normal, unit length.
+    pub normal: Vec3,
+}
+
+impl Radiosity {
+    /// The outputs of a vertex as [`relight_format::Transfer`] has them, one after the other: per
+    /// output and channel `columns` numbers; without radiance if there is to be `irradiance`
+    /// alone. Depends on the receiver alone.
+    pub fn gather(
+        &self,
+        caster: &RayCaster,
+        receiver: &Receiver,
+        rays: u32,
+        irradiance: bool,
+    ) -> Vec<f32> {
+        let block = 3 * self.columns();
+        let outputs = if irradiance { 3 } else { 7 };
+        let mut sums = vec![0.0; outputs * block];
+        let mut values = vec![0.0; block];
+        // Of directions that are blocked: sums of w, w ω and w ω ωᵀ.
+        let mut moments = Mat4::ZERO;
+        let seed = receiver
+            .origin
+            .to_array()
+            .into_iter()
+            .fold(0, |seed, x| hash(seed, x.to_bits()));
+        let area = 2.0 * PI / rays as f32;
+        for ray in hemisphere(receiver.normal, rays, seed) {
+            let Some(met) = self.meet(caster, receiver.origin, ray.direction) else {
+                continue;
+            };
+            let sender = self.sender(&met, 1.0, ray.number);
+            self.radiance(&sender, &mut values);
+            let row = ray.direction.extend(1.0);
+            let weight = ray.cosine * area;
+            let [x, y, z] = ray.direction.to_array();
+            let factors = [
+                area * x,
+                area * y,
+                area * z,
+                weight,
+                weight * x,
+                weight * y,
+                weight * z,
+            ];
+            for (output, (sums, factor)) in sums.chunks_exact_mut(block).zip(factors).enumerate() {
+                for (sum, value) in sums.iter_mut().zip(&values) {
+                    *sum += factor * value;
+                }
+                // Mirrors see what emits where rays meet it.
+                if output >= 3 {
+                    self.add_emitted(sums, factor * sender.emission);
+                }
+            }
+            moments += Mat4::from_cols(row * row.x, row * row.y, row * row.z, row) * weight;
+        }
+        let emitted = self.emitted(caster, receiver.origin, receiver.normal, seed);
+        for (sums, color) in sums.chunks_exact_mut(block).zip(emitted.0) {
+            self.add_emitted(sums, color);
+        }
+        if !irradiance {
+            let whole = moments.w_axis.w;
+            if whole > 0.0 {
+                fit_radiance(&mut sums[3 * block..], block, moments);
+            }
+        }
+        sums
+    }
+}
+
+/// Turns the sums of w L and w ω L into the constant and the slope of the L that is nearest to
+/// them, least squares.
+fn fit_radiance(sums: &mut [f32], block: usize, mut moments: Mat4) {
+    let pull = SLOPE_PULL * moments.w_axis.w;
+    moments.x_axis.x += pull;
+    moments.y_axis.y += pull;
+    moments.z_axis.z += pull;
+    let inverse = moments.inverse();
+    for index in 0..block {
+        let at = |output: usize| output * block + index;
+        let right = Vec4::new(sums[at(1)], sums[at(2)], sums[at(3)], sums[at(0)]);
+        let fitted = inverse * right;
+        sums[at(0)] = fitted.w;
+        sums[at(1)] = fitted.x;
+        sums[at(2)] = fitted.y;
+        sums[at(3)] = fitted.z;
+    }
+}

@@ -1,0 +1,64 @@
+//! Light that bounces: how much of distant light arrives at every vertex after reflections off
+//! the scene, and of what surfaces emit.
+//!
+//! Light reflected many times is smooth, so its bounces are followed between a few thousand
+//! points that lie evenly on the surface ([`points`], [`radiosity`]), which depend on the scene and
+//! the options alone: every shard has the same. Vertices then gather once more, by rays of their
+//! own ([`gather`]), chunk by chunk, and chunks are compressed ([`compress`]).
+//!
+//! Surfaces send on light evenly in all directions, as much as their albedo is, mirrors' among
+//! it; as in D3DX's `ComputeBounce` each bounce is one pass over all points.
+
+pub mod compress;
+pub mod gather;
+pub mod points;
+pub mod radiosity;
+pub mod surfaces;
+
+/// How to gather bounced light. Every field has its default in [`Options::standard`].
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Options {
+    /// Bounces to follow; `None` for as many as it takes until the next adds less than 0.5 %.
+    /// Default: 0, direct light alone. `bake scene` asks for `None`.
+    pub bounces: Option<u32>,
+    /// Order of the spherical harmonics that distant light is given in.
+    pub order: u32,
+    /// Points between which light bounces.
+    pub points: usize,
+    /// Rays per point.
+    pub point_rays: u32,
+    /// Rays per vertex.
+    pub vertex_rays: u32,
+}
+
+impl Options {
+    /// Half the rays and points.
+    pub fn draft() -> Self {
+        Self {
+            points: 2048,
+            point_rays: 128,
+            vertex_rays: 64,
+            ..Self::standard()
+        }
+    }
+
+    /// The default.
+    pub fn standard() -> Self {
+        Self {
+            bounces: Some(0),
+            order: 6,
+            points: 4096,
+            point_rays: 256,
+            vertex_rays: 128,
+        }
+    }
+
+    /// Twice the rays and points.
+    pub fn high() -> Self {
+        Self {
+            points: 8192,
+            vertex_rays: 256,
+            ..Self::standard()
+        }
+    }
+}

@@ -1,0 +1,363 @@
+//! Bounces between points: irradiance of every point as a linear function of distant light.
+
+use std::f32::consts::PI;
+use std::time::{Duration, Instant};
+
+use glam::Vec3;
+use rayon::prelude::*;
+use relight_shading::transfer::Harmonics;
+
+use super::Options;
+use super::points::Points;
+use super::surfaces::{Met, Surfaces};
+use crate::monitor::{Interrupted, Monitor};
+use crate::visibility::ray::RayCaster;
+
+/// Without a number given, bounces end where the next adds less than this to what is there,
+/// root mean square over points.
+const LAST_BOUNCE: f64 = 0.005;
+/// And after so many in any case: albedos of nearly one in closed rooms.
+const MOST_BOUNCES: u32 = 64;
+/// Part of rays that meet backs from which on backs have points of their own.
+const BACKS: f64 = 0.005;
+/// Rays from a point to surfaces that emit.
+const EMITTER_RAYS: u32 = 32;
+/// Light from nearer than this, in spacings of points, is taken to be from there: one over the
+/// square of the distance has no bound.
+const NEAREST_EMITTER: f32 = 0.05;
+/// Radius of the disc, in spacings of points, from which the point that stands for a place is
+/// drawn: neighbours share what lies between them.
+const BLUR: f32 = 0.6;
+
+/// Light of the scene after all bounces.
+pub struct Radiosity {
+    surfaces: Surfaces,
+    points: Points,
+    harmonics: Harmonics,
+    columns: usize,
+    ray_offset: f32,
+    /// Irradiance of every point: per channel `columns` numbers.
+    irradiance: Vec<f32>,
+    /// Bounces followed, those at vertices among them.
+    bounces: u32,
+    /// What the last added, relative to all before.
+    last_bounce: f32,
+    rays: u64,
+    /// Processor time of the rays.
+    time: Duration,
+}
+
+/// A surface that a ray meets: the point that stands for it, and what it sends on.
+#[derive(Clone, Copy)]
+pub struct Sender {
+    point: u32,
+    /// Albedo, times what its light counts here.
+    weight: Vec3,
+    /// Radiance of its own, times what its light counts here.
+    pub(super) emission: Vec3,
+}
+
+impl Radiosity {
+    /// Follows bounces until they end. Nothing where options ask for none or the scene has no
+    /// surface.
+    pub fn new(
+        surfaces: Surfaces,
+        caster: &RayCaster,
+        options: &Options,
+        ray_offset: f32,
+        monitor: Monitor,
+    ) -> Result<Option<Self>, Interrupted> {
+        if options.bounces == Some(0) {
+            return Ok(None);
+        }
+        let harmonics = Harmonics::new(options.order);
+        let columns = harmonics.count() + usize::from(surfaces.emit());
+        let points = Points::new(&surfaces, options.points, false);
+        if points.as_slice().is_empty() {
+            return Ok(None);
+        }
+        let mut all = Self {
+            surfaces,
+            points,
+            harmonics,
+            columns,
+            ray_offset,
+            irradiance: Vec::new(),
+            bounces: 1,
+            last_bounce: 0.0,
+            rays: 0,
+            time: Duration::ZERO,
+        };
+        let (mut direct, mut senders, backs) = all.first(caster, options, monitor)?;
+        let rays = all.points.as_slice().len() as f64 * f64::from(options.point_rays);
+        if backs as f64 > BACKS * rays {
+            all.points = Points::new(&all.surfaces, 2 * options.points, true);
+            (direct, senders, _) = all.first(caster, options, monitor)?;
+        }
+        all.bounce(direct, &senders, options.bounces, monitor)?;
+        Ok(Some(all))
+    }
+
+    /// What reaches the points at once, whom else they see, and how many rays met backs.
+    fn first(
+        &mut self,
+        caster: &RayCaster,
+        options: &Options,
+        monitor: Monitor,
+    ) -> Result<(Vec<f32>, Vec<Vec<Sender>>, u64), Interrupted> {
+        let length = 3 * self.columns;
+        let mut direct = vec![0.0; self.points.as_slice().len() * length];
+        let this = &*self;
+        let gathered: Result<Vec<_>, Interrupted> = (direct.par_chunks_exact_mut(length))
+            .zip(this.points.as_slice())
+            .enumerate()
+            .map(|(index, (direct, point))| {
+                monitor.step("bounces", 0.0)?;
+                let start = Instant::now();
+                let origin = point.position + this.ray_offset * point.geometric_normal;
+                let count = options.point_rays;
+                let mut values = vec![0.0; this.harmonics.count()];
+                let (mut senders, mut backs) = (Vec::new(), 0u64);
+                for ray in hemisphere(point.normal, count, index as u32) {
+                    let weight = ray.cosine * (2.0 * PI / count as f32);
+                    let Some(met) = this.meet(caster, origin, ray.direction) else {
+                        this.harmonics.evaluate(ray.direction, &mut values);
+                        for channel in direct.chunks_exact_mut(this.columns) {
+                            for (sum, value) in channel.iter_mut().zip(&values) {
+                                *sum += weight * value;
+                            }
+                        }
+                        continue;
+                    };
+                    backs += u64::from(met.behind);
+                    let sender = this.sender(&met, weight, ray.number);
+                    senders.push(sender);
+                }
+                let emitted = this.emitted(caster, origin, point.normal, index as u32);
+                this.add_emitted(direct, emitted.dot_normal(point.normal));
+                Ok((senders, backs, start.elapsed()))
+            })
+            .collect();
+        let gathered = gathered?;
+        self.rays += (self.points.as_slice().len() * options.point_rays as usize) as u64;
+        let backs = gathered.iter().map(|(_, backs, _)| backs).sum();
+        self.time += gathered.iter().map(|(_, _, time)| *time).sum::<Duration>();
+        let senders = gathered.into_iter().map(|(senders, ..)| senders).collect();
+        Ok((direct, senders, backs))
+    }
+
+    /// Adds up bounces. Gathering at vertices is one more.
+    fn bounce(
+        &mut self,
+        direct: Vec<f32>,
+        senders: &[Vec<Sender>],
+        most: Option<u32>,
+        monitor: Monitor,
+    ) -> Result<(), Interrupted> {
+        let length = 3 * self.columns;
+        self.irradiance = direct.clone();
+        let mut last = direct;
+        while self.bounces < most.unwrap_or(MOST_BOUNCES) {
+            monitor.step("bounces", 0.0)?;
+            let mut next = vec![0.0; last.len()];
+            (next.par_chunks_exact_mut(length).zip(senders)).for_each(|(sums, senders)| {
+                for sender in senders {
+                    let from = &last[sender.point as usize * length..][..length];
+                    for ((sums, from), weight) in (sums.chunks_exact_mut(self.columns))
+                        .zip(from.chunks_exact(self.columns))
+                        .zip((sender.weight / PI).to_array())
+                    {
+                        for (sum, value) in sums.iter_mut().zip(from) {
+                            *sum += weight * value;
+                        }
+                    }
+                }
+            });
+            let squares = |values: &[f32]| -> f64 {
+                values.iter().map(|x| f64::from(*x) * f64::from(*x)).sum()
+            };
+            let whole = squares(&self.irradiance).max(f64::MIN_POSITIVE);
+            let added = (squares(&next) / whole).sqrt();
+            self.last_bounce = added as f32;
+            if most.is_none() && added < LAST_BOUNCE {
+                break;
+            }
+            for (sum, value) in self.irradiance.iter_mut().zip(&next) {
+                *sum += value;
+            }
+            self.bounces += 1;
+            last = next;
+        }
+        Ok(())
+    }
+
+    /// What reaches a point at once from surfaces that emit, drawn from those: rays at random
+    /// would miss small ones.
+    pub(super) fn emitted(
+        &self,
+        caster: &RayCaster,
+        origin: Vec3,
+        normal: Vec3,
+        seed: u32,
+    ) -> Emitted {
+        let mut sum = Emitted::default();
+        if !self.surfaces.emit() {
+            return sum;
+        }
+        let least = NEAREST_EMITTER * self.points.spacing();
+        for i in 0..EMITTER_RAYS {
+            let unit_at = |salt: u32| unit(hash(seed, salt + 3 * i));
+            let choice = (i as f32 + unit_at(1001)) / EMITTER_RAYS as f32;
+            let Some(emitter) = self
+                .surfaces
+                .emitter([choice, unit_at(2002), unit_at(3003)])
+            else {
+                break;
+            };
+            let offset = emitter.position - origin;
+            let distance = offset.length().max(f32::MIN_POSITIVE);
+            let direction = offset / distance;
+            let cosine = -direction.dot(emitter.normal);
+            if cosine <= 0.0 || direction.dot(normal) <= 0.0 {
+                continue;
+            }
+            let reached = caster
+                .closest_hit(origin, direction)
+                .is_none_or(|hit| hit.distance >= distance - 4.0 * self.ray_offset);
+            if reached {
+                let squared = distance.max(least).powi(2);
+                let light = emitter.weight * (cosine / (squared * EMITTER_RAYS as f32));
+                for (sum, along) in sum.0.iter_mut().zip(direction.to_array()) {
+                    *sum += light * along;
+                }
+            }
+        }
+        sum
+    }
+
+    /// Adds a colour to the column of what is emitted.
+    pub(super) fn add_emitted(&self, values: &mut [f32], color: Vec3) {
+        if self.surfaces.emit() {
+            for channel in 0..3 {
+                values[(channel + 1) * self.columns - 1] += color[channel];
+            }
+        }
+    }
+
+    /// What a ray meets.
+    pub(super) fn meet(&self, caster: &RayCaster, origin: Vec3, direction: Vec3) -> Option<Met> {
+        let hit = caster.closest_hit(origin, direction)?;
+        Some(self.surfaces.meet(hit.triangle, hit.barycentrics, origin))
+    }
+
+    /// The point that stands for what a ray met: one of those about it, by chance.
+    pub(super) fn sender(&self, met: &Met, weight: f32, number: u32) -> Sender {
+        let (u, v) = (unit(hash(number, 1)), unit(hash(number, 2)));
+        let radius = BLUR * self.points.spacing() * u.sqrt();
+        let (x, y) = met.normal.any_orthonormal_pair();
+        let (sine, cosine) = (2.0 * PI * v).sin_cos();
+        let place = met.position + radius * (cosine * x + sine * y);
+        let point = self.points.nearest(place, met.normal);
+        Sender {
+            point: point.expect("there are points") as u32,
+            weight: met.albedo * weight,
+            emission: met.emission * weight,
+        }
+    }
+
+    /// What a sender sends, per channel `columns` numbers: its radiance, times its weight,
+    /// without what it emits itself.
+    pub(super) fn radiance(&self, sender: &Sender, values: &mut [f32]) {
+        let length = 3 * self.columns;
+        let from = &self.irradiance[sender.point as usize * length..][..length];
+        for ((sums, from), channel) in (values.chunks_exact_mut(self.columns))
+            .zip(from.chunks_exact(self.columns))
+            .zip(0..3)
+        {
+            let weight = sender.weight[channel] / PI;
+            for (sum, value) in sums.iter_mut().zip(from) {
+                *sum = weight * value;
+            }
+        }
+    }
+
+    /// Numbers per channel.
+    pub fn columns(&self) -> usize {
+        self.columns
+    }
+
+    /// Of the asset, before any chunk is in it.
+    pub fn head(&self, order: u32) -> relight_format::Transfer {
+        relight_format::Transfer {
+            order,
+            emitted: self.surfaces.emit(),
+            bounces: self.bounces,
+            last_bounce: self.last_bounce,
+            ..Default::default()
+        }
+    }
+
+    /// Processor time that they took.
+    pub fn time(&self) -> Duration {
+        self.time
+    }
+
+    /// Rays cast between points.
+    pub fn rays(&self) -> u64 {
+        self.rays
+    }
+}
+
+/// Vector irradiance, x, y and z, of a colour.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Emitted(pub [Vec3; 3]);
+
+impl Emitted {
+    /// Irradiance of a surface with the given normal.
+    fn dot_normal(&self, normal: Vec3) -> Vec3 {
+        self.0[0] * normal.x + self.0[1] * normal.y + self.0[2] * normal.z
+    }
+}
+
+/// One of the rays over a hemisphere.
+pub(super) struct HemisphereRay {
+    pub direction: Vec3,
+    /// Of the angle to the normal.
+    pub cosine: f32,
+    /// Of this ray among all rays of all points.
+    pub number: u32,
+}
+
+/// `count` directions over the hemisphere about `normal`, evenly in solid angle (a Fibonacci
+/// spiral), turned by chance.
+pub(super) fn hemisphere(
+    normal: Vec3,
+    count: u32,
+    seed: u32,
+) -> impl Iterator<Item = HemisphereRay> {
+    const GOLDEN: f32 = 2.399_963_2;
+    let (x, y) = normal.any_orthonormal_pair();
+    let (turn, shift) = (2.0 * PI * unit(hash(seed, 3)), unit(hash(seed, 4)));
+    (0..count).map(move |i| {
+        let cosine = (i as f32 + shift) / count as f32;
+        let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
+        let (s, c) = (turn + GOLDEN * i as f32).sin_cos();
+        HemisphereRay {
+            direction: (normal * cosine + sine * (c * x + s * y)).normalize(),
+            cosine,
+            number: hash(seed, 5 + i),
+        }
+    })
+}
+
+/// A 32-bit hash of two numbers (PCG output function, O'Neill 2014).
+pub(super) fn hash(a: u32, b: u32) -> u32 {
+    let mut x = a.wrapping_mul(0x9e37_79b9) ^ b.wrapping_mul(0x85eb_ca6b).rotate_left(16);
+    x = x.wrapping_mul(747_796_405).wrapping_add(2_891_336_453);
+    x = ((x >> ((x >> 28) + 4)) ^ x).wrapping_mul(277_803_737);
+    (x >> 22) ^ x
+}
+
+fn unit(bits: u32) -> f32 {
+    (bits >> 8) as f32 / 16_777_216.0
+}

@@ -1,0 +1,174 @@
+//! What rays meet: reflectance and emission of the scene as it was imported.
+
+use glam::Vec3;
+use relight_format as format;
+use relight_shading::surface::{emission, surface_point};
+use relight_shading::transfer::albedo;
+
+use crate::mesh::Mesh;
+
+/// The imported mesh with its materials and textures.
+pub struct Surfaces {
+    scene: format::Scene,
+    /// Triangles that emit, with the running sum of what their areas emit.
+    emitters: Vec<(usize, f64)>,
+}
+
+/// A point of a surface that emits, drawn by chance.
+#[derive(Clone, Copy, Debug)]
+pub struct Emitter {
+    /// World space, metres.
+    pub position: Vec3,
+    /// Of the front.
+    pub normal: Vec3,
+    /// Radiance over the density of drawing the point, m².
+    pub weight: Vec3,
+}
+
+/// A point of a surface that a ray meets, from the side that it comes from.
+#[derive(Clone, Copy, Debug)]
+pub struct Met {
+    /// World space, metres.
+    pub position: Vec3,
+    /// Geometric normal, towards where the ray comes from.
+    pub normal: Vec3,
+    /// Part of diffuse light that is sent on.
+    pub albedo: Vec3,
+    /// Radiance of its own.
+    pub emission: Vec3,
+    /// Whether the ray comes from behind the triangle.
+    pub behind: bool,
+}
+
+impl Surfaces {
+    /// Copies what shading reads.
+    pub fn new(mesh: &Mesh) -> Self {
+        let scene = bare_scene(mesh);
+        let mut surfaces = Self {
+            scene,
+            emitters: Vec::new(),
+        };
+        let mut sum = 0.0;
+        for triangle in 0..surfaces.triangle_count() {
+            let power = surfaces.power(triangle);
+            if power > 0.0 {
+                sum += power;
+                surfaces.emitters.push((triangle, sum));
+            }
+        }
+        surfaces
+    }
+
+    /// Area of a triangle times what its material emits, textures aside.
+    fn power(&self, triangle: usize) -> f64 {
+        let [a, b, c] = self.corners(triangle);
+        let material = usize::from(self.scene.triangles[triangle].material);
+        let emission = Vec3::from(self.scene.materials[material].emission);
+        0.5 * f64::from((b - a).cross(c - a).length() * emission.element_sum())
+    }
+
+    /// A point on a front that emits, from three uniform numbers in [0, 1), in proportion to
+    /// what areas emit, textures aside.
+    pub fn emitter(&self, [choice, u, v]: [f32; 3]) -> Option<Emitter> {
+        let (_, total) = *self.emitters.last()?;
+        let target = f64::from(choice) * total;
+        let index =
+            (self.emitters.partition_point(|(_, sum)| *sum <= target)).min(self.emitters.len() - 1);
+        let (triangle, _) = self.emitters[index];
+        let root = u.sqrt();
+        let barycentrics = Vec3::new(1.0 - root, root * (1.0 - v), root * v);
+        let [a, b, c] = self.corners(triangle);
+        let area = 0.5 * (b - a).cross(c - a).length();
+        let density = (self.power(triangle) / total) as f32 / area;
+        Some(Emitter {
+            position: a * barycentrics.x + b * barycentrics.y + c * barycentrics.z,
+            normal: self.geometric_normal(triangle),
+            weight: emission(&self.scene, triangle, barycentrics) / density,
+        })
+    }
+
+    /// Whether any surface emits light.
+    pub fn emit(&self) -> bool {
+        !self.emitters.is_empty()
+    }
+
+    /// Triangles.
+    pub fn triangle_count(&self) -> usize {
+        self.scene.triangles.len()
+    }
+
+    /// Corners of a triangle.
+    pub fn corners(&self, triangle: usize) -> [Vec3; 3] {
+        self.scene.triangles[triangle]
+            .vertices
+            .map(|vertex| self.scene.vertices[vertex as usize].position.into())
+    }
+
+    /// Shading normal of a triangle at some barycentrics.
+    pub fn normal(&self, triangle: usize, barycentrics: Vec3) -> Vec3 {
+        let [a, b, c] = self.scene.triangles[triangle]
+            .vertices
+            .map(|vertex| Vec3::from(self.scene.vertices[vertex as usize].normal));
+        let normal = a * barycentrics.x + b * barycentrics.y + c * barycentrics.z;
+        normal.normalize_or(self.geometric_normal(triangle))
+    }
+
+    /// Of a triangle's front.
+    pub fn geometric_normal(&self, triangle: usize) -> Vec3 {
+        let [a, b, c] = self.corners(triangle);
+        (b - a).cross(c - a).normalize_or(Vec3::Y)
+    }
+
+    /// What a ray from `origin` meets at a point of a triangle.
+    pub fn meet(&self, triangle: usize, barycentrics: Vec3, origin: Vec3) -> Met {
+        let point = surface_point(&self.scene, triangle, barycentrics, origin);
+        let behind = point.geometric_normal.dot(origin - point.position) < 0.0;
+        // What is emitted leaves the front alone, as it is drawn.
+        let emission = if self.emit() && !behind {
+            emission(&self.scene, triangle, barycentrics)
+        } else {
+            Vec3::ZERO
+        };
+        Met {
+            position: point.position,
+            normal: if behind {
+                -point.geometric_normal
+            } else {
+                point.geometric_normal
+            },
+            albedo: albedo(&point),
+            emission,
+            behind,
+        }
+    }
+}
+
+/// A mesh as the runtime would see it, without visibility.
+pub fn bare_scene(mesh: &Mesh) -> format::Scene {
+    format::Scene {
+        name: String::new(),
+        visibility: format::VisibilityParameters {
+            representation: format::Representation::ClusteredPca,
+            sample_resolution: 1,
+            basis_resolution: 2,
+            distance_clamp: std::f32::consts::PI,
+            ray_offset: 0.0,
+        },
+        camera: None,
+        materials: mesh.materials.clone(),
+        textures: mesh.textures.clone(),
+        report: format::BakeReport::default(),
+        vertices: mesh.vertices.iter().map(|&vertex| vertex.into()).collect(),
+        triangles: (mesh.triangles.iter())
+            .map(|triangle| format::Triangle {
+                vertices: triangle.vertices,
+                material: triangle.material,
+                cluster: 0,
+            })
+            .collect(),
+        clusters: Vec::new(),
+        coefficients: Vec::new(),
+        basis: Vec::new(),
+        transfer: None,
+    }
+}

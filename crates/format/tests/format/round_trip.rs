@@ -1,8 +1,8 @@
 //! What is written comes back, and from the same value the same bytes.
 
 use relight_format::{
-    Kind, Limits, Surface, TextureSlot, inspect, read_environment, read_material, read_scene,
-    write_environment, write_file, write_material, write_scene,
+    Kind, Limits, Scene, Surface, TextureSlot, inspect, read_environment, read_material,
+    read_scene, write_environment, write_file, write_material, write_scene,
 };
 
 use crate::container::{File, Section};
@@ -72,7 +72,7 @@ fn a_file_written_from_the_specification_is_read() {
     for seed in 0..SEEDS {
         let scene = scene(&mut Random::new(seed));
         let mut file = File::parse(&write_scene(&scene).unwrap());
-        assert_eq!((file.version, file.kind), (3, 1));
+        assert_eq!((file.version, file.kind), (4, 1));
         for section in &mut file.sections {
             *section = Section::new(section.kind, &section.raw());
         }
@@ -86,10 +86,13 @@ fn a_file_written_from_the_specification_is_read() {
 
 #[test]
 fn inspect_reports_what_was_written() {
-    let scene = scene(&mut Random::new(3));
+    let scene = Scene {
+        transfer: None,
+        ..scene(&mut Random::new(3))
+    };
     let bytes = write_scene(&scene).unwrap();
     let (kind, version, sections) = inspect(&bytes, &Limits::default()).unwrap();
-    assert_eq!((kind, version), (Kind::Scene, 3));
+    assert_eq!((kind, version), (Kind::Scene, 4));
     let kinds: Vec<u32> = sections.iter().map(|section| section.kind as u32).collect();
     assert_eq!(kinds, [1, 2, 3, 4, 5, 6, 7]);
     let lengths: Vec<u64> = sections[1..]

@@ -202,7 +202,7 @@ impl Transfer {
             rest = tail;
             for component in 0..rank {
                 let mut before = 0i8;
-                for weight in weights[component..].iter().step_by(rank) {
+                for weight in weights.iter().skip(component).step_by(rank) {
                     bytes.push(weight.wrapping_sub(before).cast_unsigned());
                     before = *weight;
                 }
@@ -260,7 +260,7 @@ impl Transfer {
             for component in 0..rank {
                 let mut before = 0i8;
                 let differences = &differences[component * vertices..][..vertices];
-                let weights = weights[component..].iter_mut().step_by(rank);
+                let weights = weights.iter_mut().skip(component).step_by(rank);
                 for (weight, difference) in weights.zip(differences) {
                     before = before.wrapping_add(difference.cast_signed());
                     *weight = before;

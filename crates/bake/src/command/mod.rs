@@ -493,7 +493,8 @@ fn inspect(path: &Path) -> anyhow::Result<Summary> {
                     .iter()
                     .map(|cluster| cluster.tiles)
                     .sum::<u32>(),
-                bake_scene::describe(&scene.report.errors),
+                bake_scene::describe(&scene.report.errors)
+                    + &bake_scene::describe_bounces(scene.transfer.as_ref()),
                 r = parameters.basis_resolution,
                 s = parameters.sample_resolution,
             );

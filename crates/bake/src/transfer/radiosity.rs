@@ -361,3 +361,117 @@ pub(super) fn hash(a: u32, b: u32) -> u32 {
 fn unit(bits: u32) -> f32 {
     (bits >> 8) as f32 / 16_777_216.0
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::import::plain_material;
+    use crate::mesh::{Mesh, Triangle, Vertex};
+    use crate::monitor::SILENT;
+    use crate::transfer::gather::Receiver;
+    use relight_format::{Specular, Surface};
+
+    /// Squares by corner and two edges, front towards their cross product.
+    fn squares(squares: &[[Vec3; 3]], albedo: f32, emission: f32) -> Mesh {
+        let mut mesh = Mesh::default();
+        for [corner, u, v] in squares {
+            let normal = u.cross(*v).normalize();
+            let base = mesh.vertices.len() as u32;
+            for (s, t) in [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)] {
+                mesh.vertices.push(Vertex {
+                    position: *corner + s * *u + t * *v,
+                    normal,
+                    tangent: u.normalize(),
+                    bitangent_sign: 1.0,
+                    uv: glam::Vec2::new(s, t),
+                });
+            }
+            for vertices in [[0, 1, 2], [0, 2, 3]] {
+                mesh.triangles.push(Triangle {
+                    vertices: vertices.map(|i| base + i),
+                    material: 0,
+                });
+            }
+        }
+        let surface = Surface::Layered {
+            diffuse: [albedo; 3],
+            specular: Specular::None,
+        };
+        mesh.materials.push(plain_material("wall", surface));
+        mesh.materials[0].emission = [emission; 3];
+        mesh
+    }
+
+    fn solve(mesh: &Mesh, bounces: Option<u32>) -> (Radiosity, RayCaster) {
+        let caster = RayCaster::new(&mesh.soup());
+        let options = Options {
+            bounces,
+            points: 600,
+            ..Options::standard()
+        };
+        let surfaces = Surfaces::new(mesh);
+        let solved = Radiosity::new(surfaces, &caster, &options, 1e-4, SILENT);
+        (solved.unwrap().expect("light bounces"), caster)
+    }
+
+    #[test]
+    fn in_a_white_furnace_everything_is_white() {
+        // A floor and a wall: what is not sky is as bright as the sky.
+        let mesh = squares(
+            &[
+                [Vec3::ZERO, Vec3::Z, Vec3::X],
+                [Vec3::ZERO, Vec3::Y, Vec3::Z],
+            ],
+            1.0,
+            0.0,
+        );
+        let (solved, _) = solve(&mesh, Some(64));
+        for point in solved.irradiance.chunks_exact(3 * solved.columns) {
+            // Of a sky of radiance 1, whose first coefficient is √(4π).
+            let irradiance = point[0] * (4.0 * PI).sqrt();
+            // 256 rays, all of one hemisphere: the sum of cosines is off by less.
+            assert!((irradiance / PI - 1.0).abs() < 0.02, "{irradiance}");
+        }
+    }
+
+    #[test]
+    fn a_glowing_room_lights_itself() {
+        // Six walls of albedo ½ that emit 1: E = π + ½ E everywhere.
+        let (o, x, y, z) = (Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::Z);
+        let walls = [
+            [o, z, x],
+            [o, x, y],
+            [o, y, z],
+            [y, x, z],
+            [z, y, x],
+            [x, z, y],
+        ];
+        let (solved, caster) = solve(&squares(&walls, 0.5, 1.0), None);
+        assert!(solved.bounces > 6, "{}", solved.bounces);
+        let mut mean = 0.0;
+        let count = 40;
+        for i in 0..count {
+            let receiver = Receiver {
+                origin: Vec3::new(0.1 + 0.02 * i as f32, 1e-4, 0.4),
+                normal: y,
+            };
+            let gathered = solved.gather(&caster, &receiver, 128, true);
+            let block = 3 * solved.columns;
+            mean += gathered[block + solved.columns - 1] / count as f32;
+            // No light from outside.
+            assert!(gathered[block].abs() < 1e-6);
+        }
+        // A few per cent of what 32 rays to emitters miss, over 40 places.
+        assert!((mean / (2.0 * PI) - 1.0).abs() < 0.03, "{mean}");
+    }
+
+    #[test]
+    fn without_bounces_there_is_nothing() {
+        let mesh = squares(&[[Vec3::ZERO, Vec3::Z, Vec3::X]], 0.5, 0.0);
+        let caster = RayCaster::new(&mesh.soup());
+        let surfaces = Surfaces::new(&mesh);
+        let options = Options::standard();
+        let solved = Radiosity::new(surfaces, &caster, &options, 1e-4, SILENT);
+        assert!(solved.unwrap().is_none());
+    }
+}

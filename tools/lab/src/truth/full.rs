@@ -352,7 +352,7 @@ fn tent(u: f64) -> f64 {
 mod tests {
     use super::super::test_scene;
     use super::*;
-    use relight_format::Specular;
+    use relight_format::{Specular, Surface};
 
     fn image(width: u32, height: u32, radiance: impl Fn(u32) -> [f32; 3]) -> LatLong {
         LatLong::repair(width, height, (0..width * height).map(radiance).collect())

@@ -214,3 +214,97 @@ pub fn wgsl_constants() -> String {
         .map(|(name, value)| format!("const GLOSSY_{name}: f32 = {value:?};\n"))
         .concat()
 }
+
+#[cfg(test)]
+mod tests {
+    use std::f32::consts::TAU;
+
+    use glam::Vec2;
+
+    use super::*;
+    use crate::accuracy::local_point;
+    use crate::surface::{Appearance, Model};
+
+    /// Of the brightest light's reflection, root mean square over the lights.
+    const TOLERANCE: f32 = 0.06;
+
+    /// Light from `light` that `reflection` sends to `view`, by quadrature over the hemisphere.
+    fn exact(reflection: &Reflection, view: Vec3, light: &SphericalGaussian) -> f32 {
+        const ROWS: u32 = 300;
+        const COLUMNS: u32 = 600;
+        let mut sum = 0.0;
+        for row in 0..ROWS {
+            let z = (row as f32 + 0.5) / ROWS as f32;
+            for column in 0..COLUMNS {
+                let azimuth = TAU * (column as f32 + 0.5) / COLUMNS as f32;
+                let sine = (1.0 - z * z).sqrt();
+                let wi = Vec3::new(sine * azimuth.cos(), sine * azimuth.sin(), z);
+                sum +=
+                    light.evaluate(wi).x * reference::evaluate_specular(reflection, wi, view).x * z;
+            }
+        }
+        sum * TAU / (ROWS * COLUMNS) as f32
+    }
+
+    #[test]
+    fn a_light_is_reflected_as_the_model_has_it() {
+        for (model, x, y) in [
+            (Model::Ggx, 0.2, 0.2),
+            (Model::Ggx, 0.5, 0.5),
+            (Model::CookTorrance, 0.25, 0.25),
+            (Model::Ward, 0.15, 0.4),
+        ] {
+            let reflection = Reflection::new(model, Vec3::splat(0.8), Vec2::new(x, y));
+            for degrees in [10f32, 45.0, 65.0] {
+                let (sine, cosine) = degrees.to_radians().sin_cos();
+                let view = Vec3::new(0.8 * sine, 0.6 * sine, cosine);
+                let point = local_point(Appearance::new(Vec3::ZERO, &[reflection]), view);
+                let glossy = Glossy::new(&point, &reflection);
+                let mirror = Vec3::new(-view.x, -view.y, view.z);
+                let (mut squares, mut brightest, mut count) = (0.0, 0f32, 0);
+                for sharpness in [3.0, 40.0, 400.0] {
+                    for aside in [0.0, 0.3, 0.9] {
+                        // As much light at every sharpness.
+                        let light = SphericalGaussian {
+                            axis: (mirror + aside * Vec3::new(0.3, -0.5, 0.8)).normalize(),
+                            sharpness,
+                            amplitude: Vec3::splat(1.0 / energy(sharpness)),
+                        };
+                        let lobe = glossy.reflected(&light, |_| false).expect("some light");
+                        let whole = Tables::get().cosine_integral(lobe.sharpness, lobe.axis.z);
+                        let found = lobe.amplitude.x * whole;
+                        let expected = exact(&reflection, view, &light);
+                        println!(
+                            "{model:?} {x} {y} {degrees}° {sharpness} {aside}: {found} for {expected}"
+                        );
+                        squares += (found - expected) * (found - expected);
+                        brightest = brightest.max(expected);
+                        count += 1;
+                    }
+                }
+                let error = (squares / count as f32).sqrt() / brightest;
+                assert!(error < TOLERANCE, "{model:?} {x} {y} {degrees}°: {error}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_sharp_light_stays_where_and_as_sharp_as_it_is() {
+        let reflection = Reflection::new(Model::Ggx, Vec3::ONE, Vec2::splat(0.3));
+        let view = Vec3::new(0.5, 0.0, 0.75f32.sqrt());
+        let point = local_point(Appearance::new(Vec3::ZERO, &[reflection]), view);
+        let light = SphericalGaussian {
+            axis: Vec3::new(-0.7, 0.2, 0.6).normalize(),
+            sharpness: 1e5,
+            amplitude: Vec3::ONE,
+        };
+        let glossy = Glossy::new(&point, &reflection);
+        let lobe = glossy.reflected(&light, |_| false).expect("some light");
+        assert!(
+            (lobe.sharpness / light.sharpness - 1.0).abs() < 0.05,
+            "{lobe:?}"
+        );
+        assert!(lobe.axis.distance(light.axis) < 1e-3, "{lobe:?}");
+        assert!(glossy.reflected(&light, |_| true).is_none());
+    }
+}

@@ -340,7 +340,7 @@ fn bake_material(arguments: &MaterialArguments, monitor: Monitor) -> anyhow::Res
         };
         let fit = fit::fit(&table, stop);
         if let Some(most) = arguments.max_error
-            && fit.relative_l2 > most
+            && fit.relative_l2 > f64::from(most)
         {
             anyhow::bail!(
                 "relative L2 error: expected at most {most}, found {:.4} with {} lobes",

@@ -351,7 +351,7 @@ mod tests {
     use super::super::random::sobol_pair;
     use super::super::{Seen, test_scene};
     use super::*;
-    use relight_format::Specular;
+    use relight_format::{Specular, Surface};
     use relight_shading::gpu;
 
     fn image(width: u32, height: u32, radiance: impl Fn(u32) -> [f32; 3]) -> LatLong {

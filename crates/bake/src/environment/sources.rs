@@ -21,8 +21,8 @@ const BOUNDARY_ERROR: f64 = 0.02;
 /// Least gain of a source, in the whole light: what it costs in every pixel.
 const LEAST_GAIN: f64 = 0.003;
 
-/// Least mean cosine to a region's middle: that of a cap of 0.6 rad.
-const LEAST_COSINE: f64 = 0.912;
+/// Least mean cosine to the middle of a region, weighted by light: that of a cap of 0.47 rad.
+const LEAST_COSINE: f64 = 0.945;
 
 /// Width of the margin around a region, in roots of its area.
 const MARGIN: f64 = 0.25;

@@ -668,6 +668,7 @@ mod tests {
     }
 
     #[test]
+    #[allow(clippy::too_many_lines, reason = "a table of structures")]
     fn structures_match_wgsl() {
         let module = naga::front::wgsl::parse_str(&source(Entry::Library)).expect("valid WGSL");
         check_layout!(

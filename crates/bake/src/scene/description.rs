@@ -633,6 +633,7 @@ impl Checker<'_> {
         }
     }
 
+    #[allow(clippy::too_many_lines, reason = "one arm per reflection model")]
     fn material(&self, place: &str, material: &MaterialOverride) -> Result<(), Error> {
         use MaterialOverride as M;
         let at = |key: &str| format!("{place}.{key}");
@@ -816,6 +817,7 @@ mod tests {
     }
 
     #[test]
+    #[allow(clippy::too_many_lines, reason = "a table of cases")]
     fn what_is_wrong_is_named() {
         let cases = [
             ("", "mesh"),

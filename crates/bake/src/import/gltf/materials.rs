@@ -109,6 +109,10 @@ impl<'a> Materials<'a> {
     }
 
     /// Converts a material once; gives its index into `list`.
+    #[allow(
+        clippy::too_many_lines,
+        reason = "one material, key by key, in the order of the specification"
+    )]
     pub(super) fn convert(
         &mut self,
         index: Option<Index<material::Material>>,

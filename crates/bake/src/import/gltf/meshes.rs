@@ -100,6 +100,10 @@ impl Document<'_> {
     }
 
     /// One primitive in world space; `None` if it has no triangles.
+    #[allow(
+        clippy::too_many_lines,
+        reason = "one primitive, attribute by attribute, in the order of the specification"
+    )]
     fn part(
         &self,
         primitive: &Primitive,

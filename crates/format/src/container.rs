@@ -138,6 +138,10 @@ pub struct SectionInfo {
 }
 
 /// Reads the header and section table only: the asset's kind, version and sections.
+#[allow(
+    clippy::too_many_lines,
+    reason = "checks of the header in the order of its bytes, as FORMAT.md has them"
+)]
 pub fn inspect(bytes: &[u8], limits: &Limits) -> Result<(Kind, u32, Vec<SectionInfo>), Error> {
     let take = |offset: usize, length: usize| {
         bytes.get(offset..offset + length).ok_or_else(|| {

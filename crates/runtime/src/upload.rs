@@ -43,6 +43,10 @@ struct BouncedLight {
 impl GpuScene {
     /// Uploads a valid scene: one that [`relight_format::read_scene`] returned or
     /// [`relight_format::write_scene`] accepts.
+    #[allow(
+        clippy::too_many_lines,
+        reason = "one buffer or texture after the other, in the order of the bindings"
+    )]
     pub(crate) fn new(
         device: &wgpu::Device,
         queue: &wgpu::Queue,

@@ -14,14 +14,14 @@
 //! bend away from the mirror direction as they should. Last, the sum is scaled to the model's exact
 //! albedo, Fresnel included, which is tabulated over roughness and angle.
 
-use std::sync::OnceLock;
-
 use glam::{Vec2, Vec2Swizzles as _, Vec3};
 
 use crate::reference;
 use crate::spherical_gaussian::SphericalGaussian;
-use crate::surface::{MAX_EXPONENT, MIN_ALPHA, Model, Reflection, SurfacePoint};
-use crate::tables::Tables;
+#[cfg(test)]
+use crate::surface::MAX_EXPONENT;
+use crate::surface::{MIN_ALPHA, Model, Reflection, SurfacePoint};
+use crate::tables::{self, Tables};
 
 /// Most spherical Gaussians that a specular reflection becomes: those of an anisotropic one.
 /// An isotropic one takes at most three.
@@ -389,51 +389,54 @@ fn albedo_table(model: Model) -> (usize, usize) {
     }
 }
 
-/// The fitted mixtures and the albedo tables, computed at the first call: what follows
-/// [`Tables::values`] in the GPU buffer `tables`.
+/// The fitted mixtures and the albedo tables: what follows [`Tables::values`] in the GPU buffer
+/// `tables`.
 pub fn table_values() -> &'static [f32] {
-    static VALUES: OnceLock<Vec<f32>> = OnceLock::new();
-    VALUES.get_or_init(|| {
-        let mut values = Vec::new();
-        let all = ANISOTROPIC_PAIRS;
-        let tail = fit::mixtures(fit::ggx, all, fit::with_tail);
-        for mixtures in [
-            fit::mixtures(fit::gaussian, ISOTROPIC_PAIRS, fit::evenly),
-            fit::mixtures(fit::gaussian, all, fit::evenly),
-            tail.clone(),
-            tail,
-        ] {
-            values.extend(mixtures.into_iter().flatten());
-        }
-        let low = MIN_ALPHA.sqrt();
-        let alphas: [f32; ALBEDO_ALPHAS] = std::array::from_fn(|i| {
-            (low + (1.0 - low) * i as f32 / (ALBEDO_ALPHAS - 1) as f32).powi(2)
-        });
-        for model in [Model::BlinnPhong, Model::CookTorrance] {
-            for alpha in alphas {
-                let alpha = match model {
-                    Model::BlinnPhong => (2.0 / (alpha * alpha)).min(MAX_EXPONENT),
-                    _ => alpha,
-                };
-                for angle in 0..ALBEDO_ANGLES {
-                    values.extend(tabulated_albedo(model, Vec2::splat(alpha), Vec2::X, angle));
-                }
+    tables::others()
+}
+
+/// The same from their definitions; see [`tables`] for how they come into the product.
+#[cfg(test)]
+pub(crate) fn compute_table_values() -> Vec<f32> {
+    let mut values = Vec::new();
+    let all = ANISOTROPIC_PAIRS;
+    let tail = fit::mixtures(fit::ggx, all, fit::with_tail);
+    for mixtures in [
+        fit::mixtures(fit::gaussian, ISOTROPIC_PAIRS, fit::evenly),
+        fit::mixtures(fit::gaussian, all, fit::evenly),
+        tail.clone(),
+        tail,
+    ] {
+        values.extend(mixtures.into_iter().flatten());
+    }
+    let low = MIN_ALPHA.sqrt();
+    let alphas: [f32; ALBEDO_ALPHAS] = std::array::from_fn(|i| {
+        (low + (1.0 - low) * i as f32 / (ALBEDO_ALPHAS - 1) as f32).powi(2)
+    });
+    for model in [Model::BlinnPhong, Model::CookTorrance] {
+        for alpha in alphas {
+            let alpha = match model {
+                Model::BlinnPhong => (2.0 / (alpha * alpha)).min(MAX_EXPONENT),
+                _ => alpha,
+            };
+            for angle in 0..ALBEDO_ANGLES {
+                values.extend(tabulated_albedo(model, Vec2::splat(alpha), Vec2::X, angle));
             }
         }
-        for model in [Model::Ward, Model::Ggx, Model::AshikhminShirley] {
-            for azimuth in [Vec2::X, QUARTER] {
-                for second in alphas {
-                    for first in alphas {
-                        let alpha = Vec2::new(first, second);
-                        for angle in 0..ALBEDO_ANGLES {
-                            values.extend(tabulated_albedo(model, alpha, azimuth, angle));
-                        }
+    }
+    for model in [Model::Ward, Model::Ggx, Model::AshikhminShirley] {
+        for azimuth in [Vec2::X, QUARTER] {
+            for second in alphas {
+                for first in alphas {
+                    let alpha = Vec2::new(first, second);
+                    for angle in 0..ALBEDO_ANGLES {
+                        values.extend(tabulated_albedo(model, alpha, azimuth, angle));
                     }
                 }
             }
         }
-        values
-    })
+    }
+    values
 }
 
 /// The constants of this module, as WGSL.
@@ -479,6 +482,7 @@ pub fn wgsl_constants() -> String {
 
 /// One entry of an albedo table: the factor of the specular colour and the fourth root of
 /// that of white, which is nearly linear where the factor is nearly (1 − n·o)⁵.
+#[cfg(test)]
 fn tabulated_albedo(model: Model, alpha: Vec2, azimuth: Vec2, angle: usize) -> [f32; 2] {
     // At the horizon itself Ward's model diverges: the last column stands a little above.
     let cosine = (1.0 - (angle as f32 / (ALBEDO_ANGLES - 1) as f32).powi(2)).max(0.02);
@@ -489,6 +493,7 @@ fn tabulated_albedo(model: Model, alpha: Vec2, azimuth: Vec2, angle: usize) -> [
 
 /// ∫ f(wi, wo) n·wi dwi of the specular part for a colour of 1, and the same weighted by
 /// Schlick's (1 − h·o)⁵ (zero for models without Fresnel).
+#[cfg(test)]
 fn reference_albedo(reflection: &Reflection, wo: Vec3) -> [f64; 2] {
     const RADII: usize = 24;
     const ANGLES: usize = 32;
@@ -514,6 +519,7 @@ fn reference_albedo(reflection: &Reflection, wo: Vec3) -> [f64; 2] {
 }
 
 /// Least-squares fits of round Gaussians to a stretched radial profile.
+#[cfg(test)]
 mod fit {
     use super::{ANISOTROPIC_PAIRS, MIXTURE_STRIDE, MIXTURES, MIXTURES_PER_OCTAVE};
 

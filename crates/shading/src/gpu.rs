@@ -686,6 +686,7 @@ mod tests {
     }
 
     #[test]
+    #[allow(clippy::too_many_lines, reason = "a table of structures")]
     fn structures_match_wgsl() {
         let module = naga::front::wgsl::parse_str(&source(Entry::Library)).expect("valid WGSL");
         check_layout!(
@@ -869,6 +870,7 @@ mod tests {
             materials: Vec::new(),
             textures: Vec::new(),
             report: BakeReport::default(),
+            transfer: None,
             vertices: vec![vertex; 3 * tiles.len()],
             triangles: (0..tiles.len())
                 .map(|index| relight_format::Triangle {
@@ -986,6 +988,8 @@ mod tests {
             normal_texture: None,
             normal_scale: 0.9,
             anisotropy_texture: None,
+            emission: [0.0; 3],
+            emission_texture: None,
         });
         let packed = pack_scene(&scene).expect("fits");
         let material = packed.materials[0];

@@ -216,6 +216,7 @@ mod tests {
             materials: Vec::new(),
             textures: Vec::new(),
             report: BakeReport::default(),
+            transfer: None,
             vertices: vec![vertex; 6],
             triangles: vec![triangle(0), triangle(1)],
             clusters: vec![cluster(0, 1), cluster(1, 2)],

@@ -327,6 +327,10 @@ impl SurfacePoint {
 ///
 /// # Panics
 /// If `triangle` is not a triangle of `scene`.
+#[allow(
+    clippy::too_many_lines,
+    reason = "stays beside its twin, surface.wgsl, line by line"
+)]
 pub fn surface_point(
     scene: &Scene,
     triangle: usize,

@@ -1,6 +1,8 @@
 //! Three integrals of spherical Gaussians that have no closed form, tabulated over
-//! sharpness and one angle. Computed once in `f64` and shared, value for value, with the
-//! GPU as the buffer `tables`.
+//! sharpness and one angle. Shared, value for value, with the GPU as the buffer `tables`.
+//!
+//! The values are embedded (`tables.bin`); the tests compute them, in `f64`, and
+//! `RELIGHT_UPDATE_TABLES=1 cargo test --release -p relight-shading tables` writes them anew.
 //!
 //! Rows run over t = λ / (λ + HALF), which covers every λ from 0 to ∞. Columns run over a
 //! chord or sine scaled by `max(1, √(λ / WIDE))`: from λ = WIDE on the column axis shrinks
@@ -31,21 +33,40 @@ const SINE_SQUARED: usize = 0;
 const BELOW_HORIZON: usize = LENGTH;
 const FRACTION: usize = 2 * LENGTH;
 
+/// All values, little-endian `f32`: the tables of this module, then those of
+/// [`brdf`](crate::brdf::table_values).
+static EMBEDDED: &[u8] = include_bytes!("tables.bin");
+
+fn embedded() -> &'static [f32] {
+    static VALUES: OnceLock<Vec<f32>> = OnceLock::new();
+    VALUES.get_or_init(|| {
+        let values = EMBEDDED.as_chunks::<4>().0.iter();
+        values.map(|bytes| f32::from_le_bytes(*bytes)).collect()
+    })
+}
+
+/// What follows the tables of this module.
+pub(crate) fn others() -> &'static [f32] {
+    &embedded()[3 * LENGTH..]
+}
+
 /// The tables.
 pub struct Tables {
-    values: Vec<f32>,
+    values: &'static [f32],
 }
 
 impl Tables {
-    /// The tables, computed at the first call.
+    /// The tables.
     pub fn get() -> &'static Self {
         static TABLES: OnceLock<Tables> = OnceLock::new();
-        TABLES.get_or_init(Self::compute)
+        TABLES.get_or_init(|| Self {
+            values: &embedded()[..3 * LENGTH],
+        })
     }
 
-    /// All values: the contents of the GPU buffer `tables`.
+    /// All values: the beginning of the GPU buffer `tables`.
     pub fn values(&self) -> &[f32] {
-        &self.values
+        self.values
     }
 
     /// g₂ = ∫₀^θ exp(λ(cos t − 1)) sin² t dt, with `half_chord` = sin(θ/2) in 0..=1.
@@ -85,34 +106,7 @@ impl Tables {
         let b = self.values[second] + v * (self.values[second + 1] - self.values[second]);
         a + u * (b - a)
     }
-
-    fn compute() -> Self {
-        let mut values = vec![0.0; 3 * LENGTH];
-        for row in 0..=ROWS {
-            let t = row as f64 / ROWS as f64;
-            let sharpness = (f64::from(HALF) * t / (1.0 - t)).min(INFINITE);
-            let zoom = (sharpness / f64::from(WIDE)).sqrt().max(1.0);
-            let scale = (sharpness + f64::from(SCALE)).powf(1.5);
-            let total = quadrature::energy(sharpness);
-            let mut sine_squared = 0.0;
-            for column in 0..=COLUMNS {
-                let x = |column: usize| column as f64 / COLUMNS as f64 / zoom;
-                let index = row * (COLUMNS + 1) + column;
-                if column > 0 {
-                    sine_squared += quadrature::sine_squared(sharpness, x(column - 1), x(column));
-                }
-                values[SINE_SQUARED + index] = (scale * sine_squared) as f32;
-                let (below, cosine_below) = quadrature::below_horizon(sharpness, x(column));
-                values[BELOW_HORIZON + index] = (scale * cosine_below) as f32;
-                values[FRACTION + index] = (below / total) as f32;
-            }
-        }
-        Self { values }
-    }
 }
-
-/// Stands for an infinite sharpness in the last row: its lobe is flat to `f64` precision.
-const INFINITE: f64 = 1e10;
 
 fn scale(sharpness: f32) -> f32 {
     let base = sharpness + SCALE;
@@ -133,7 +127,38 @@ pub fn wgsl_constants() -> String {
     )
 }
 
+/// Stands for an infinite sharpness in the last row: its lobe is flat to `f64` precision.
+#[cfg(test)]
+const INFINITE: f64 = 1e10;
+
+/// The tables from their integrals.
+#[cfg(test)]
+fn compute() -> Vec<f32> {
+    let mut values = vec![0.0; 3 * LENGTH];
+    for row in 0..=ROWS {
+        let t = row as f64 / ROWS as f64;
+        let sharpness = (f64::from(HALF) * t / (1.0 - t)).min(INFINITE);
+        let zoom = (sharpness / f64::from(WIDE)).sqrt().max(1.0);
+        let scale = (sharpness + f64::from(SCALE)).powf(1.5);
+        let total = quadrature::energy(sharpness);
+        let mut sine_squared = 0.0;
+        for column in 0..=COLUMNS {
+            let x = |column: usize| column as f64 / COLUMNS as f64 / zoom;
+            let index = row * (COLUMNS + 1) + column;
+            if column > 0 {
+                sine_squared += quadrature::sine_squared(sharpness, x(column - 1), x(column));
+            }
+            values[SINE_SQUARED + index] = (scale * sine_squared) as f32;
+            let (below, cosine_below) = quadrature::below_horizon(sharpness, x(column));
+            values[BELOW_HORIZON + index] = (scale * cosine_below) as f32;
+            values[FRACTION + index] = (below / total) as f32;
+        }
+    }
+    values
+}
+
 /// The integrals behind the tables, in `f64`.
+#[cfg(test)]
 mod quadrature {
     use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -218,6 +243,29 @@ mod quadrature {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// What other processors and mathematical libraries may round differently, as a part of
+    /// values of about 1.
+    const ROUNDING: f32 = 1e-5;
+
+    #[test]
+    fn embedded_values_are_those_computed() {
+        let mut computed = compute();
+        computed.extend(crate::brdf::compute_table_values());
+        if std::env::var_os("RELIGHT_UPDATE_TABLES").is_some() {
+            let path = concat!(env!("CARGO_MANIFEST_DIR"), "/src/tables.bin");
+            let bytes: Vec<u8> = computed.iter().flat_map(|x| x.to_le_bytes()).collect();
+            std::fs::write(path, bytes).expect("a writable source folder");
+            return;
+        }
+        assert_eq!(EMBEDDED.len(), 4 * computed.len());
+        for (index, (embedded, computed)) in embedded().iter().zip(&computed).enumerate() {
+            assert!(
+                (embedded - computed).abs() <= ROUNDING * computed.abs().max(1.0),
+                "value {index} is {embedded}, computed {computed}: see this module's heading"
+            );
+        }
+    }
 
     /// Largest error of a lookup as a fraction of the lobe's integral over the sphere (for
     /// the fraction itself: absolute).

@@ -208,7 +208,7 @@ fn read_merl(bytes: &[u8]) {
     if let Some(values) = bytes.strip_prefix(&header[..])
         && values.len() >= 8
         // One in many is enough: each takes a tenth of a second.
-        && crc32fast::hash(values) % 4096 == 0
+        && crc32fast::hash(values).is_multiple_of(4096)
     {
         let values = values.iter().copied().cycle().take(VALUES);
         read_table(&header.into_iter().chain(values).collect::<Vec<u8>>());

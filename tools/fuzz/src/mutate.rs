@@ -124,12 +124,11 @@ fn parts(bytes: &[u8], seed: u32, change: &mut dyn FnMut(&mut Vec<u8>)) -> Optio
         let mut payload = bytes[record.start + RECORD..record.end].to_vec();
         if index == chosen {
             // The last is an asset, with checksums of its own.
-            payload = match asset(&payload, seed >> 8, change) {
-                Some(payload) => payload,
-                None => {
-                    change(&mut payload);
-                    payload
-                }
+            payload = if let Some(payload) = asset(&payload, seed >> 8, change) {
+                payload
+            } else {
+                change(&mut payload);
+                payload
             };
         }
         let length = (payload.len() as u64).to_le_bytes();
@@ -151,7 +150,7 @@ fn glb(bytes: &[u8], seed: u32, change: &mut dyn FnMut(&mut Vec<u8>)) -> Option<
     let mut json = bytes.get(20..20usize.checked_add(length)?)?.to_vec();
     let mut blob = bytes.get(28 + length..).map(<[u8]>::to_vec);
     match &mut blob {
-        Some(blob) if seed % 4 == 0 => change(blob),
+        Some(blob) if seed.is_multiple_of(4) => change(blob),
         _ => change(&mut json),
     }
     let mut mutant = b"glTF\x02\0\0\0\0\0\0\0".to_vec();

@@ -519,6 +519,10 @@ fn run_bench(arguments: &Bench, json: bool) -> anyhow::Result<Value> {
     }))
 }
 
+#[allow(
+    clippy::too_many_lines,
+    reason = "one command: its options, its pictures, its report"
+)]
 fn run_truth(arguments: &Truth) -> anyhow::Result<Value> {
     let picture = &arguments.picture;
     let options = truth::Options {

@@ -32,11 +32,10 @@ pub struct Cli {
     /// As --json, and before it one JSON object per line for progress.
     #[arg(long, global = true)]
     pub json_progress: bool,
-    /// Worker threads, from 0; 0 means one per core. No more than 64 are started, or than
-    /// there are cores where there are more.
+    /// Worker threads; 0 means one per core. At most 64, or one per core if there are more cores.
     #[arg(long, global = true, default_value_t = 0, value_name = "N")]
     pub threads: usize,
-    /// Yield to everything else on the machine.
+    /// Give way to everything else that runs on the machine.
     #[cfg(unix)]
     #[arg(long, global = true)]
     pub low_priority: bool,
@@ -46,9 +45,9 @@ pub struct Cli {
 pub enum Command {
     /// Bake a scene file (.toml) or a mesh (.gltf, .glb, .obj).
     Scene(SceneArguments),
-    /// Join the shards of a scene into the asset that one bake gives.
+    /// Join the shards of a scene into the asset that a single bake would write.
     Merge {
-        /// What `bake scene --shard` wrote, every shard once.
+        /// The files that `bake scene --shard` wrote, each shard once.
         #[arg(required = true)]
         shards: Vec<PathBuf>,
         /// Asset to write.
@@ -60,7 +59,7 @@ pub enum Command {
     /// Fit lobes to a measured BRDF (RGL .bsdf, MERL .binary), or pack a material written as
     /// in a scene file (.toml) with its textures.
     Material(MaterialArguments),
-    /// Show what an asset holds.
+    /// Print what an asset contains.
     Inspect {
         /// The asset.
         file: PathBuf,
@@ -158,11 +157,11 @@ impl AccessArguments {
 pub struct SceneArguments {
     /// Scene file or mesh.
     pub input: PathBuf,
-    /// Asset to write, or with --shard the part.
+    /// Asset to write; with --shard, the part to write.
     #[arg(short, long, value_name = "OUT.relight")]
     pub output: PathBuf,
-    /// Continue from OUT.relight.parts, which an interrupted or killed bake leaves; start
-    /// from the beginning if there is none.
+    /// Continue from OUT.relight.parts, which an interrupted bake leaves behind; start from the
+    /// beginning if there is none.
     #[arg(long)]
     pub resume: bool,
     /// Bake the I-th of N parts, I from 1; `bake merge` joins them.
@@ -180,15 +179,14 @@ pub struct SceneArguments {
     /// Global representation: components besides the mean, 0 to 31 [default: 24].
     #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(0..=31))]
     rank: Option<u32>,
-    /// Clustered representation: how far visibility boundaries on the surface shall be off,
-    /// the angle by which a wall's edge would be, root mean square, of compression and of
-    /// interpolation between vertices together. More than 0. What interpolation alone costs,
-    /// --max-edge and --refine-error lower [default: as the preset's rate of bytes for accuracy
-    /// has it].
+    /// Clustered representation: target RMS displacement of shadow boundaries, radians, more than
+    /// 0. It includes the error of compression, which more bytes lower, and that of interpolation
+    /// between vertices, which --max-edge and --refine-error lower [default: none; each preset
+    /// weighs errors against bytes].
     #[arg(long, value_name = "RADIANS", value_parser = positive, allow_negative_numbers = true)]
     max_error: Option<f32>,
-    /// Clustered representation: size of the asset, textures included, at least 1; the least
-    /// error that fits is found.
+    /// Clustered representation: largest size of the asset, textures included, at least 1; the
+    /// bake looks for the smallest error that fits.
     #[arg(long, value_name = "BYTES", conflicts_with_all = ["max_error", "shard"],
           value_parser = clap::value_parser!(u64).range(1..))]
     max_bytes: Option<u64>,
@@ -202,13 +200,14 @@ pub struct SceneArguments {
     /// standard, 0.06 for high].
     #[arg(long, value_name = "FRACTION", value_parser = positive, allow_negative_numbers = true)]
     pub max_edge: Option<f32>,
-    /// Also cut edges where interpolated visibility is off by more than this: the angle by
-    /// which a wall's edge would have to be, more than 0. It holds for edges of 0.02 of the
-    /// diagonal of the scene without its ground; one of half that length may be twice as wrong.
-    /// A scene file's own bound wins [default: nowhere; 0.01 for high].
+    /// Also divide edges where interpolating visibility between their ends displaces shadow
+    /// boundaries by more than this, radians, more than 0. The bound is for edges of 0.02 of the
+    /// diagonal of the scene without its ground; it is twice as large for edges of half that
+    /// length. A scene file's own bound wins [default: off; 0.01 for high].
     #[arg(long, value_name = "RADIANS", value_parser = positive, allow_negative_numbers = true)]
     pub refine_error: Option<f32>,
-    /// Refinement stops at this many vertices, at least 1 [default: 1000000].
+    /// Refinement stops before the mesh has more vertices than this, at least 1
+    /// [default: 1000000].
     #[arg(long, value_name = "N", value_parser = at_least_one)]
     pub max_vertices: Option<usize>,
     /// Bounces of light to follow: auto (until the next adds less than 0.5 %), a number up to 64,

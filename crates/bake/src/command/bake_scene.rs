@@ -23,6 +23,10 @@ use crate::command::lossy;
 use crate::command::show::{self, Summary, is_interruption};
 
 /// Bakes a scene, or a shard of it.
+#[allow(
+    clippy::too_many_lines,
+    reason = "the order of a bake, with what goes wrong between its steps"
+)]
 pub fn bake(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Summary> {
     let options = arguments.options()?;
     let mut path = arguments.output.clone().into_os_string();

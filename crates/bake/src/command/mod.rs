@@ -469,6 +469,10 @@ fn validate(path: &Path) -> anyhow::Result<Summary> {
     })
 }
 
+#[allow(
+    clippy::too_many_lines,
+    reason = "what there is to say of each kind of asset"
+)]
 fn inspect(path: &Path) -> anyhow::Result<Summary> {
     let (sections, asset) = decode(path)?;
     let mut text = format!("{}: ", path.display());

@@ -1,7 +1,6 @@
 //! Material libraries of OBJ files.
 //!
-//! `tobj` is not used: it panics on `Kd 0.5`, which is a legal grey, and leaves the options
-//! of a texture in its file name.
+//! Our own parser; ARCHITECTURE.md says why it is not `tobj`.
 
 use std::collections::BTreeMap;
 use std::path::Path;

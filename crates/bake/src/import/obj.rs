@@ -1,8 +1,6 @@
 //! Wavefront OBJ.
 //!
-//! `tobj` is not used: it keeps neither line numbers for messages nor the file's positions
-//! across objects (which smooth normals need), triangulates concave faces as fans, and
-//! gives corners without a normal the normal of the corner before.
+//! Our own parser; ARCHITECTURE.md says why it is not `tobj`.
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;

@@ -637,6 +637,7 @@ impl Checker<'_> {
         }
     }
 
+    #[allow(clippy::too_many_lines, reason = "one arm per reflection model")]
     fn material(&self, place: &str, material: &MaterialOverride) -> Result<(), Error> {
         use MaterialOverride as M;
         let at = |key: &str| format!("{place}.{key}");
@@ -820,6 +821,7 @@ mod tests {
     }
 
     #[test]
+    #[allow(clippy::too_many_lines, reason = "a table of cases")]
     fn what_is_wrong_is_named() {
         let cases = [
             ("", "mesh"),

@@ -109,6 +109,10 @@ fn axis_tangent(scene: &Scene, v: usize) -> [f64; 3] {
     }
 }
 
+#[allow(
+    clippy::too_many_lines,
+    reason = "every section against what it was made of"
+)]
 fn compare(scene: &Scene) {
     let file = File::parse(&write_scene(scene).unwrap());
     let [vertices, triangles_raw, coefficients, basis] =

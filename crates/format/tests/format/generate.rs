@@ -107,6 +107,7 @@ pub fn environment(random: &mut Random) -> Environment {
 }
 
 /// A valid scene; some have no vertices, some no clusters, some no textures.
+#[allow(clippy::too_many_lines, reason = "one field after the other")]
 pub fn scene(random: &mut Random) -> Scene {
     let textures: Vec<Texture> = (0..random.below(3))
         .map(|_| {

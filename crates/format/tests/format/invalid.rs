@@ -74,6 +74,7 @@ fn cameras() {
 }
 
 #[test]
+#[allow(clippy::too_many_lines, reason = "a table of cases")]
 fn materials() {
     let surface = |specular| Surface::Layered {
         diffuse: [0.5; 3],

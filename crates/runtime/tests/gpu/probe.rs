@@ -106,6 +106,10 @@ fn queries(scene: &Scene) -> Vec<Query> {
         .collect()
 }
 
+#[allow(
+    clippy::too_many_lines,
+    reason = "one pass, from the module to what is read back"
+)]
 fn probe(gpu: &Gpu, scene: &Scene, queries: &[Query]) -> Result<Vec<[f32; 4]>, Failed> {
     let device = &gpu.device;
     let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {

@@ -22,6 +22,10 @@ struct Step {
     lamps: Vec<LocalLight>,
 }
 
+#[allow(
+    clippy::too_many_lines,
+    reason = "a list of edits, each with its strip of pictures"
+)]
 pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result<()> {
     section.text = vec![
         "Each strip is one asset, baked once; what changes is uploaded with the frame. Upper \

@@ -1,0 +1,373 @@
+//! Materials and their textures.
+
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+
+use gltf::json::texture::{Sampler, WrappingMode};
+use gltf::json::validation::Checked;
+use gltf::json::{Index, material, texture};
+use relight_format::{Material, Surface, Texture, TextureEncoding, TextureSlot};
+use serde::Deserialize;
+
+use super::super::build::Builder;
+use super::super::{Error, image, plain_material};
+use super::{Document, resolve};
+
+/// A material and what its primitives must know.
+pub(super) struct Converted {
+    pub(super) material: Material,
+    /// n of the TEXCOORD_n that its textures use.
+    pub(super) uv_set: u32,
+    pub(super) double_sided: bool,
+    pub(super) needs_tangents: bool,
+}
+
+impl Converted {
+    pub(super) fn has_textures(&self) -> bool {
+        let material = &self.material;
+        material.base_color_texture.is_some()
+            || material.metallic_roughness_texture.is_some()
+            || material.normal_texture.is_some()
+            || material.anisotropy_texture.is_some()
+    }
+}
+
+/// Materials and textures converted so far: only what a primitive uses.
+pub(super) struct Materials<'a> {
+    document: &'a Document<'a>,
+    /// Index into `list` by index into the file's materials; `None` is the default material.
+    converted: BTreeMap<Option<usize>, usize>,
+    pub(super) list: Vec<Converted>,
+    /// Index into `textures` by index into the file's images and encoding.
+    images: BTreeMap<(usize, bool), u32>,
+    pub(super) textures: Vec<Texture>,
+    texels: u64,
+}
+
+/// A texture reference of whatever kind.
+struct Reference {
+    place: String,
+    texture: Index<texture::Texture>,
+    uv_set: u32,
+    transform: TextureTransform,
+    encoding: TextureEncoding,
+}
+
+/// `KHR_texture_transform`, which the JSON types know on some texture references only.
+#[derive(Deserialize)]
+#[serde(default, rename_all = "camelCase")]
+struct TextureTransform {
+    offset: [f32; 2],
+    rotation: f32,
+    scale: [f32; 2],
+    tex_coord: Option<u32>,
+}
+
+impl Default for TextureTransform {
+    fn default() -> Self {
+        Self {
+            offset: [0.0; 2],
+            rotation: 0.0,
+            scale: [1.0; 2],
+            tex_coord: None,
+        }
+    }
+}
+
+impl TextureTransform {
+    /// Rows of the map from (u, v, 1): scale, then rotation, counter-clockwise as seen on an
+    /// image whose v points down, then translation.
+    fn rows(&self) -> [[f32; 3]; 2] {
+        let ([su, sv], [ou, ov]) = (self.scale, self.offset);
+        let (sin, cos) = self.rotation.sin_cos();
+        [[cos * su, sin * sv, ou], [-sin * su, cos * sv, ov]]
+    }
+}
+
+/// `KHR_materials_anisotropy`.
+#[derive(Default, Deserialize)]
+#[serde(default)]
+struct Anisotropy {
+    #[serde(rename = "anisotropyStrength")]
+    strength: f32,
+    #[serde(rename = "anisotropyRotation")]
+    rotation: f32,
+    #[serde(rename = "anisotropyTexture")]
+    texture: Option<texture::Info>,
+}
+
+/// `KHR_materials_emissive_strength`.
+#[derive(Deserialize)]
+#[serde(default)]
+struct EmissiveStrength {
+    #[serde(rename = "emissiveStrength")]
+    strength: f32,
+}
+
+impl Default for EmissiveStrength {
+    fn default() -> Self {
+        Self { strength: 1.0 }
+    }
+}
+
+pub(super) const EMISSIVE_STRENGTH: &str = "KHR_materials_emissive_strength";
+
+impl<'a> Materials<'a> {
+    pub(super) fn new(document: &'a Document<'a>) -> Self {
+        Self {
+            document,
+            converted: BTreeMap::new(),
+            list: Vec::new(),
+            images: BTreeMap::new(),
+            textures: Vec::new(),
+            texels: 0,
+        }
+    }
+
+    /// Converts a material once; gives its index into `list`.
+    #[allow(
+        clippy::too_many_lines,
+        reason = "one material, key by key, in the order of the specification"
+    )]
+    pub(super) fn convert(
+        &mut self,
+        index: Option<Index<material::Material>>,
+        builder: &mut Builder,
+    ) -> Result<usize, Error> {
+        let key = index.map(|index| index.value());
+        if let Some(done) = self.converted.get(&key) {
+            return Ok(*done);
+        }
+        let default = material::Material::default();
+        let (place, source) = match index {
+            Some(index) => {
+                let place = format!("materials[{index}]");
+                (place.clone(), self.document.get(index, &place)?)
+            }
+            None => ("default material".into(), &default),
+        };
+        let unnamed = || key.map_or("default".into(), |index| format!("material {index}"));
+        let name = source.name.clone().unwrap_or_else(unnamed);
+        let anisotropy = match extension(source.extensions.as_ref().map(|e| &e.others), ANISOTROPY)
+        {
+            Some(value) => self.parse::<Anisotropy>(value, &format!("{place}.{ANISOTROPY}"))?,
+            None => Anisotropy::default(),
+        };
+        if source.alpha_mode != Checked::Valid(material::AlphaMode::Opaque) {
+            builder.warn(format!(
+                "material {name:?} is transparent; it is baked as opaque"
+            ));
+        }
+        let others = source.extensions.as_ref().map(|e| &e.others);
+        let strength = match extension(others, EMISSIVE_STRENGTH) {
+            Some(value) => {
+                let place = format!("{place}.{EMISSIVE_STRENGTH}");
+                self.parse::<EmissiveStrength>(value, &place)?.strength
+            }
+            None => 1.0,
+        };
+        let emission = source.emissive_factor.0.map(|factor| factor * strength);
+        if !emission.iter().all(|x| x.is_finite() && *x >= 0.0) {
+            let expected = "a finite emission of at least 0";
+            let found = format!("{emission:?}");
+            return Err(self.document.invalid(place, expected, found));
+        }
+
+        let metallic_roughness = &source.pbr_metallic_roughness;
+        let rotation = anisotropy.rotation;
+        let numbers = [
+            source.normal_texture.as_ref().map_or(1.0, |t| t.scale),
+            rotation,
+        ];
+        if !numbers.iter().all(|number| number.is_finite()) {
+            let expected = "a finite normal scale and anisotropy rotation";
+            return Err(self
+                .document
+                .invalid(place, expected, format_args!("{numbers:?}")));
+        }
+        let mut unit = |value: f32| {
+            if !(0.0..=1.0).contains(&value) {
+                builder.warn(format!(
+                    "material {name:?}: factors outside [0, 1] are clamped"
+                ));
+            }
+            value.clamp(0.0, 1.0)
+        };
+        let [red, green, blue, _] = metallic_roughness.base_color_factor.0;
+        let surface = Surface::MetallicRoughness {
+            base_color: [red, green, blue].map(&mut unit),
+            metallic: unit(metallic_roughness.metallic_factor.0),
+            roughness: unit(metallic_roughness.roughness_factor.0),
+            anisotropy_strength: unit(anisotropy.strength),
+            anisotropy_rotation: rotation,
+        };
+
+        let info = |info: &Option<texture::Info>, what: &str, encoding| {
+            let info = info.as_ref()?;
+            let given = info
+                .extensions
+                .as_ref()
+                .and_then(|e| e.texture_transform.as_ref());
+            let transform = given.map_or_else(TextureTransform::default, |t| TextureTransform {
+                offset: t.offset.0,
+                rotation: t.rotation.0,
+                scale: t.scale.0,
+                tex_coord: t.tex_coord,
+            });
+            let place = format!("{place}.{what}");
+            Some(Reference {
+                place,
+                texture: info.index,
+                uv_set: info.tex_coord,
+                transform,
+                encoding,
+            })
+        };
+        let base_color = &metallic_roughness.base_color_texture;
+        let packed = &metallic_roughness.metallic_roughness_texture;
+        let normal = match &source.normal_texture {
+            Some(normal) => {
+                let place = format!("{place}.normalTexture");
+                let others = normal.extensions.as_ref().map(|e| &e.others);
+                let transform = match extension(others, "KHR_texture_transform") {
+                    Some(value) => self.parse(value, &place)?,
+                    None => TextureTransform::default(),
+                };
+                let encoding = TextureEncoding::Linear;
+                let (texture, uv_set) = (normal.index, normal.tex_coord);
+                Some(Reference {
+                    place,
+                    texture,
+                    uv_set,
+                    transform,
+                    encoding,
+                })
+            }
+            None => None,
+        };
+        let references = [
+            info(base_color, "baseColorTexture", TextureEncoding::Srgb),
+            info(packed, "metallicRoughnessTexture", TextureEncoding::Linear),
+            normal,
+            info(
+                &anisotropy.texture,
+                "anisotropyTexture",
+                TextureEncoding::Linear,
+            ),
+            info(
+                &source.emissive_texture,
+                "emissiveTexture",
+                TextureEncoding::Srgb,
+            )
+            .filter(|_| emission != [0.0; 3]),
+        ];
+        let set = |reference: &Reference| reference.transform.tex_coord.unwrap_or(reference.uv_set);
+        let uv_set = references.iter().flatten().next().map_or(0, set);
+        let mut slots = [None; 5];
+        for (slot, reference) in slots.iter_mut().zip(references) {
+            let Some(reference) = reference else { continue };
+            if set(&reference) == uv_set {
+                *slot = Some(self.slot(&reference, builder)?);
+            } else {
+                builder.warn(format!(
+                    "{} uses other texture coordinates than the material's first texture and is \
+                     left out",
+                    reference.place
+                ));
+            }
+        }
+        let [
+            base_color_texture,
+            metallic_roughness_texture,
+            normal_texture,
+            anisotropy_texture,
+            emission_texture,
+        ] = slots;
+        let material = Material {
+            base_color_texture,
+            metallic_roughness_texture,
+            normal_texture,
+            anisotropy_texture,
+            emission,
+            emission_texture,
+            normal_scale: numbers[0],
+            ..plain_material(&name, surface)
+        };
+        self.list.push(Converted {
+            needs_tangents: normal_texture.is_some() || anisotropy.strength > 0.0,
+            material,
+            uv_set,
+            double_sided: source.double_sided,
+        });
+        self.converted.insert(key, self.list.len() - 1);
+        Ok(self.list.len() - 1)
+    }
+
+    fn parse<T: serde::de::DeserializeOwned>(
+        &self,
+        value: &serde_json::Value,
+        place: &str,
+    ) -> Result<T, Error> {
+        T::deserialize(value).map_err(|error| {
+            self.document
+                .invalid(place, "an object as the extension specifies", error)
+        })
+    }
+
+    fn slot(&mut self, reference: &Reference, builder: &mut Builder) -> Result<TextureSlot, Error> {
+        let document = self.document;
+        let place = &reference.place;
+        let transform = reference.transform.rows();
+        if !transform.iter().flatten().all(|value| value.is_finite()) {
+            let found = format!("{transform:?}");
+            return Err(document.invalid(place, "a finite texture transform", found));
+        }
+        let texture = document.get(reference.texture, place)?;
+        if let Some(index) = texture.sampler {
+            let Sampler { wrap_s, wrap_t, .. } = document.get(index, place)?;
+            if [wrap_s, wrap_t]
+                .into_iter()
+                .any(|mode| *mode != Checked::Valid(WrappingMode::Repeat))
+            {
+                builder.warn(format!("{place} does not repeat in its sampler, but will"));
+            }
+        }
+        let key = (
+            texture.source.value(),
+            reference.encoding == TextureEncoding::Srgb,
+        );
+        if let Some(&texture) = self.images.get(&key) {
+            return Ok(TextureSlot { texture, transform });
+        }
+        let source = document.get(texture.source, place)?;
+        let place = format!("images[{}]", texture.source);
+        let bytes = match (&source.uri, source.buffer_view) {
+            (Some(uri), _) => Cow::Owned(resolve(document.files, document.file, &place, uri)?),
+            (None, Some(view)) => Cow::Borrowed(document.view(view, &place)?),
+            (None, None) => {
+                return Err(document.invalid(place, "a uri or a bufferView", "neither"));
+            }
+        };
+        let (file, encoding) = (document.file, reference.encoding);
+        self.textures.push(image::decode(
+            file,
+            &place,
+            &bytes,
+            encoding,
+            &mut self.texels,
+            document.files.access().max_texels,
+        )?);
+        let texture = self.textures.len() as u32 - 1;
+        self.images.insert(key, texture);
+        Ok(TextureSlot { texture, transform })
+    }
+}
+
+const ANISOTROPY: &str = "KHR_materials_anisotropy";
+
+fn extension<'a>(
+    extensions: Option<&'a serde_json::Map<String, serde_json::Value>>,
+    name: &str,
+) -> Option<&'a serde_json::Value> {
+    extensions?.get(name)
+}

@@ -9,6 +9,7 @@ pub mod mesh;
 pub mod monitor;
 pub mod report;
 pub mod scene;
+pub mod simd;
 mod solve;
 pub mod ssdf;
 pub mod transfer;

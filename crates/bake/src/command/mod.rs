@@ -18,10 +18,11 @@ use relight_bake::import;
 use relight_bake::measured::fit;
 use relight_bake::monitor::{Interrupted, Monitor};
 use relight_bake::scene::load;
+use relight_bake::simd;
 use relight_format as format;
 use serde_json::{Value, json};
 
-use arguments::{Cli, Command, EnvironmentArguments, MaterialArguments};
+use arguments::{Cli, Command, EnvironmentArguments, MaterialArguments, Usage};
 use show::{Output, Show, Summary};
 
 /// Largest niceness that Unix knows.
@@ -101,7 +102,8 @@ pub fn run() -> ExitCode {
         report: &report,
         stop: &STOP,
     };
-    let result = start_threads(cli.threads).and_then(|()| match &cli.command {
+    let ready = start_threads(cli.threads).and_then(|()| check_instructions());
+    let result = ready.and_then(|()| match &cli.command {
         Command::Scene(arguments) => bake_scene::bake(arguments, monitor),
         Command::Merge { shards, output } => bake_scene::merge(shards, output, monitor),
         Command::Environment(arguments) => bake_environment(arguments, monitor),
@@ -152,6 +154,18 @@ fn start_threads(asked: usize) -> anyhow::Result<()> {
         .build_global()
         .map_err(std::io::Error::other)
         .with_context(|| format!("cannot start {threads} threads"))
+}
+
+/// Refuses instructions that this processor has not.
+fn check_instructions() -> anyhow::Result<()> {
+    simd::chosen().map(|_| ()).map_err(|found| {
+        let usage = Usage {
+            place: simd::VARIABLE,
+            expected: "plain, or avx2 or avx512 on a processor that has it".into(),
+            found,
+        };
+        usage.into()
+    })
 }
 
 /// What `RAYON_NUM_THREADS` asks for; 0 if nothing.

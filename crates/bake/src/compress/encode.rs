@@ -5,6 +5,7 @@ use relight_format::CHANNELS_PER_TILE;
 
 use super::fit::{Images, solve_each};
 use super::samples::{Fitted, Samples};
+use crate::simd::product;
 
 /// What rounding may add to the error, as a part of the error allowed: the squares of both
 /// come to less than a tenth of its square.
@@ -143,7 +144,7 @@ pub fn encode(fitted: &Fitted, images: &Images, max_error: f32) -> Compressed {
         let values = integers
             .columns(first, count)
             .map(|value| f32::from(value) * finest);
-        let found = &decoded * values;
+        let found = product(&decoded, &values);
         for ((found, exact), weights) in columns(&found, 0)
             .zip(columns(ssdfs, first))
             .zip(columns(weights, first))

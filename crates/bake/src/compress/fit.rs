@@ -6,6 +6,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::samples::{Fitted, Samples};
+use crate::simd::product;
 
 /// Subspace iterations; four separate the spectrum of SSDFs to well below quantisation.
 const ITERATIONS: usize = 4;
@@ -52,21 +53,20 @@ pub fn analyse(samples: &Samples, rank: usize) -> Basis {
             .wrapping_add(1);
         (state >> 40) as f32 / (1u64 << 23) as f32 - 1.0
     });
-    // Products with an explicit transpose run at the speed of a blocked kernel.
     let transposed = centred.transpose();
-    let mut range = &centred * &subspace;
+    let mut range = product(&centred, &subspace);
     for _ in 0..ITERATIONS {
-        subspace = &transposed * range.qr().q();
-        range = &centred * subspace.qr().q();
+        subspace = product(&transposed, &range.qr().q());
+        range = product(&centred, &subspace.qr().q());
     }
     let orthonormal = range.qr().q();
     // Rotate the subspace to principal axes: eigenvectors of a small symmetric matrix.
-    let coordinates = orthonormal.transpose() * &centred;
-    let covariance = (&coordinates * coordinates.transpose()).cast::<f64>();
+    let coordinates = product(&transposed, &orthonormal).transpose();
+    let covariance = product(&coordinates, &coordinates.transpose()).cast::<f64>();
     let (axes, lengths) = principal_axes(covariance);
     let rank = rank.min(axes.ncols());
     let rotation = axes.columns(0, rank).into_owned().cast::<f32>();
-    let components = &orthonormal * &rotation;
+    let components = product(&orthonormal, &rotation);
     let mut values = DMatrix::zeros(texels, rank + 1);
     values.column_mut(0).copy_from(&mean);
     values.columns_mut(1, rank).copy_from(&components);
@@ -135,10 +135,10 @@ impl Fitted<'_> {
         let rest: Vec<usize> = (0..left.len()).filter(|&texel| left[texel]).collect();
         let channels = coefficients.nrows();
         let transposed = coefficients.transpose();
-        let mut normal = (coefficients * &transposed).cast::<f64>();
+        let mut normal = product(coefficients, &transposed).cast::<f64>();
         let ridge = 1e-7 * normal.trace() / channels as f64 + f64::MIN_POSITIVE;
         normal += DMatrix::identity(channels, channels) * ridge;
-        let right = (self.samples.ssdfs.select_rows(&rest) * transposed).transpose();
+        let right = product(&self.samples.ssdfs.select_rows(&rest), &transposed).transpose();
         if let Some(factor) = normal.cholesky() {
             let found = factor.solve(&right.cast::<f64>()).cast::<f32>();
             for (texel, image) in rest.into_iter().zip(found.column_iter()) {
@@ -161,10 +161,12 @@ fn principal(images: &DMatrix<f32>, coefficients: &DMatrix<f32>) -> (Images, DMa
         to_orthonormal.row_mut(i).scale_mut(length);
         from_orthonormal.column_mut(i).scale_mut(1.0 / length);
     }
-    let coordinates = to_orthonormal * coefficients.clone().cast::<f64>();
-    let (rotation, amplitudes) = principal_axes(&coordinates * coordinates.transpose() / vertices);
+    let coordinates = product(&to_orthonormal, &coefficients.clone().cast::<f64>());
+    let covariance = product(&coordinates, &coordinates.transpose()) / vertices;
+    let (rotation, amplitudes) = principal_axes(covariance);
     // Without an image, lengths are next to nothing: their inverses fit no `f32`.
-    let values = (factors * (from_orthonormal * &rotation)).cast::<f32>();
+    let turned = product(&from_orthonormal, &rotation);
+    let values = product(&factors, &turned).cast::<f32>();
     let amplitudes = amplitudes.into_iter().map(|length| length as f32).collect();
     let coefficients = rotation.tr_mul(&coordinates).cast::<f32>();
     (Images { values, amplitudes }, coefficients)
@@ -212,10 +214,12 @@ fn normal_equations(
         }
     }
     let mut systems = DMatrix::zeros(pairs + channels, weights.ncols());
-    systems.rows_mut(0, pairs).copy_from(&(products * weights));
+    systems
+        .rows_mut(0, pairs)
+        .copy_from(&product(&products, weights));
     systems
         .rows_mut(pairs, channels)
-        .copy_from(&(factors * weighted));
+        .copy_from(&product(factors, weighted));
     systems
 }
 

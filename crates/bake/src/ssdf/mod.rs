@@ -17,9 +17,10 @@
 //! (Kaczmarz 1937) onto one equation per point.
 
 use glam::{Mat4, Vec2, Vec2Swizzles as _, Vec3, Vec4};
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
 use relight_shading::octahedral::{self, Footprint};
 
+use crate::simd;
 use crate::visibility::{Bitmap, Crossings, Directions};
 
 mod sampler;
@@ -164,7 +165,7 @@ impl Transform {
 
     fn distances(&self, visible: &Bitmap, places: &[Place], limit: f32) -> Vec<f32> {
         let mut distances = vec![0.0; self.resolution * self.resolution];
-        Arch::new().dispatch(AtCentres {
+        simd::arch().dispatch(AtCentres {
             transform: self,
             visible,
             places,

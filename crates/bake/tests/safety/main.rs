@@ -8,6 +8,7 @@ mod command;
 mod json;
 #[path = "../../../../tests/suite/meshes.rs"]
 mod meshes;
+mod processors;
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
@@ -63,6 +64,7 @@ fn trials() -> Vec<Trial> {
         Trial::test("safety::other_files_are_no_parts", other_files_are_no_parts),
     ];
     trials.extend(json::trials());
+    trials.extend(processors::trials());
     #[cfg(unix)]
     trials.extend([
         Trial::test("safety::output_is_no_link", unix::output_is_no_link),

@@ -5,7 +5,9 @@
 //! every point are the few triangles whose planes pass through the group.
 
 use glam::Vec3;
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
+
+use crate::simd;
 
 use super::Contour;
 use super::batch::{Batch, LANES};
@@ -124,7 +126,7 @@ impl Candidates {
     pub(super) fn look(&mut self, facing: &Facing, positions: &[Vec3], eye: Vec3) -> bool {
         self.in_plane.clear();
         self.found.clear();
-        Arch::new().dispatch(Look {
+        simd::arch().dispatch(Look {
             candidates: self,
             rounding: facing.rounding_at(eye),
             eye,

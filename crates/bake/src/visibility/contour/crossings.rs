@@ -1,9 +1,10 @@
 //! Where contours cross the links between neighbouring texels of different class, to far
 //! below a texel.
 
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
 
 use super::batch::{Batch, CLEARANCE, LANES, Lines, whole};
+use crate::simd;
 use crate::visibility::{Bitmap, Crossings, ones, pack_bits};
 
 /// How many texels a short segment reaches from its middle to the first texel of a link that
@@ -20,7 +21,7 @@ pub(super) fn locate(segments: &[Batch<2>], visible: &Bitmap, n: usize, crossing
         near.mark(x, y);
         positions[usize::from(below) * n * n + y * n + x] = f32::NAN;
     });
-    Arch::new().dispatch(Locate {
+    simd::arch().dispatch(Locate {
         segments,
         near: &near,
         links: Links {

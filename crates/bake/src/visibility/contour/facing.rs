@@ -8,10 +8,11 @@
 use std::ops::Range;
 
 use glam::{DVec3, Vec3};
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
 
 use super::Contour;
 use super::candidates::Candidates;
+use crate::simd;
 use crate::visibility;
 
 /// Triangles that are tested together; their edges are grouped by it.
@@ -198,7 +199,7 @@ impl Facing {
         sides.mixed.clear();
         // Distances to planes are rounded, and so is the radius.
         let reach = 1.001 * radius + 2.0 * (self.rounding_at(centre) + PLANE_ROUNDING * radius);
-        Arch::new().dispatch(FindSides {
+        simd::arch().dispatch(FindSides {
             mesh: self,
             centre,
             reach,

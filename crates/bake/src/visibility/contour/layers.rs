@@ -8,9 +8,10 @@
 //! along both must meet.
 
 use glam::Vec3;
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
 
 use super::batch::{Batch, CLEARANCE, LANES, Lines, whole};
+use crate::simd;
 use crate::visibility::{Bitmap, ones, pack_bits};
 
 type Point = [f32; 2];
@@ -64,7 +65,7 @@ impl Layers {
         self.uncertain.clear();
         self.segments.clear();
         self.broken = false;
-        Arch::new().dispatch(Count {
+        simd::arch().dispatch(Count {
             layers: self,
             eye,
             contours,

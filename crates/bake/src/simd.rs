@@ -1,0 +1,291 @@
+//! Vector instructions, and results that do not depend on them.
+//!
+//! Every processor gives the same bytes: sums are formed in one order whatever the width,
+//! and a product that is added is either always fused ([`pulp::Simd::mul_add_f32s`],
+//! `f32::mul_add`) or never. Products of matrices that fill registers go through [`product`],
+//! as those of `nalgebra` round as the processor's widest instructions do.
+//!
+//! `RELIGHT_SIMD` chooses other instructions than the widest there are, for tests: `plain`,
+//! `avx2` or `avx512`.
+
+use std::sync::OnceLock;
+
+use nalgebra::DMatrix;
+use pulp::{Arch, Simd, WithSimd};
+
+/// The environment variable.
+pub const VARIABLE: &str = "RELIGHT_SIMD";
+
+/// What this process uses.
+pub fn arch() -> Arch {
+    static ARCH: OnceLock<Arch> = OnceLock::new();
+    *ARCH.get_or_init(|| chosen().unwrap_or_default())
+}
+
+/// What [`VARIABLE`] asks for, or the widest; what is there instead if this processor or
+/// build has no such instructions.
+pub fn chosen() -> Result<Arch, String> {
+    let Some(name) = std::env::var_os(VARIABLE).filter(|name| !name.is_empty()) else {
+        return Ok(Arch::new());
+    };
+    let name = name.to_string_lossy().into_owned();
+    by_name(&name).ok_or(name)
+}
+
+/// Instructions by the name that [`VARIABLE`] has for them.
+pub fn by_name(name: &str) -> Option<Arch> {
+    match name {
+        "plain" => Some(Arch::Scalar),
+        #[cfg(target_arch = "x86_64")]
+        "avx2" => pulp::x86::V3::try_new().map(Arch::V3),
+        #[cfg(target_arch = "x86_64")]
+        "avx512" => pulp::x86::V4::try_new().map(Arch::V4),
+        _ => None,
+    }
+}
+
+/// Numbers of [`product`].
+pub trait Number: nalgebra::Scalar + Copy + num::Number {}
+impl Number for f32 {}
+impl Number for f64 {}
+
+/// The product of two matrices. Every element is a sum over blocks of [`INNER`] products, in
+/// order; products are rounded before they are added.
+///
+/// # Panics
+///
+/// If the columns of the first are not as many as the rows of the second.
+pub fn product<T: Number>(a: &DMatrix<T>, b: &DMatrix<T>) -> DMatrix<T> {
+    product_by(arch(), a, b)
+}
+
+/// Products that are summed before they are added to those before.
+const INNER: usize = 256;
+/// Columns of the second matrix that are multiplied at a time.
+const COLUMNS: usize = 6;
+/// Vectors of rows that are multiplied at a time: with [`COLUMNS`], as many sums as registers hold.
+const VECTORS: usize = 2;
+
+fn product_by<T: Number>(arch: Arch, a: &DMatrix<T>, b: &DMatrix<T>) -> DMatrix<T> {
+    assert_eq!(a.ncols(), b.nrows(), "factors that do not fit");
+    let (rows, inner) = a.shape();
+    let mut product = DMatrix::from_element(rows, b.ncols(), T::ZERO);
+    let mut panel = vec![T::ZERO; inner * T::PANEL];
+    for first in (0..rows).step_by(T::PANEL) {
+        let count = T::PANEL.min(rows - first);
+        // Rows side by side; those beyond the last are zero.
+        for (packed, column) in panel
+            .chunks_exact_mut(T::PANEL)
+            .zip(a.as_slice().chunks_exact(rows))
+        {
+            packed[..count].copy_from_slice(&column[first..first + count]);
+            packed[count..].fill(T::ZERO);
+        }
+        arch.dispatch(Panel {
+            panel: &panel,
+            factor: b.as_slice(),
+            inner,
+            first,
+            count,
+            rows,
+            product: product.as_mut_slice(),
+        });
+    }
+    product
+}
+
+/// Some rows of a product.
+struct Panel<'a, T> {
+    panel: &'a [T],
+    factor: &'a [T],
+    inner: usize,
+    first: usize,
+    count: usize,
+    rows: usize,
+    product: &'a mut [T],
+}
+
+impl<T: Number> WithSimd for Panel<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let columns = self.factor.len() / self.inner.max(1);
+        let vectors = T::vectors::<S>(self.panel);
+        let per_panel = vectors.len() / self.inner.max(1);
+        let mut sums = vec![T::ZERO; COLUMNS * T::PANEL];
+        for block in (0..self.inner).step_by(INNER) {
+            let length = INNER.min(self.inner - block);
+            for column in (0..columns).step_by(COLUMNS) {
+                // Beyond the last column the last is multiplied again, and left.
+                let factors: [&[T]; COLUMNS] = std::array::from_fn(|j| {
+                    let start = (column + j).min(columns - 1) * self.inner + block;
+                    &self.factor[start..start + length]
+                });
+                for vector in (0..per_panel).step_by(VECTORS) {
+                    let mut held = [[T::splat(simd, T::ZERO); VECTORS]; COLUMNS];
+                    for k in 0..length {
+                        let at = (block + k) * per_panel + vector;
+                        let rows: [T::Vector<S>; VECTORS] =
+                            std::array::from_fn(|i| vectors[at + i]);
+                        for (held, factor) in held.iter_mut().zip(&factors) {
+                            let factor = T::splat(simd, factor[k]);
+                            for (held, rows) in held.iter_mut().zip(rows) {
+                                *held = T::add(simd, *held, T::multiply(simd, rows, factor));
+                            }
+                        }
+                    }
+                    let all = T::vectors_mut::<S>(&mut sums);
+                    for (j, held) in held.into_iter().enumerate() {
+                        all[j * per_panel + vector..][..VECTORS].copy_from_slice(&held);
+                    }
+                }
+                for (j, sums) in sums.chunks_exact(T::PANEL).enumerate() {
+                    if column + j < columns {
+                        let start = (column + j) * self.rows + self.first;
+                        let product = &mut self.product[start..start + self.count];
+                        for (product, sum) in product.iter_mut().zip(sums) {
+                            *product = product.plus(*sum);
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+mod num {
+    use pulp::Simd;
+
+    /// What a product needs of its numbers, of any width of vectors.
+    pub trait Number: Copy {
+        /// Rows of a panel: [`super::VECTORS`] of the widest vectors.
+        const PANEL: usize;
+        const ZERO: Self;
+        type Vector<S: Simd>: Copy;
+
+        fn plus(self, other: Self) -> Self;
+        fn splat<S: Simd>(simd: S, value: Self) -> Self::Vector<S>;
+        fn add<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
+        fn multiply<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
+        fn vectors<S: Simd>(values: &[Self]) -> &[Self::Vector<S>];
+        fn vectors_mut<S: Simd>(values: &mut [Self]) -> &mut [Self::Vector<S>];
+    }
+
+    macro_rules! number {
+        ($type:ty, $panel:expr, $vector:ident, $splat:ident, $add:ident, $multiply:ident,
+         $vectors:ident, $vectors_mut:ident) => {
+            impl Number for $type {
+                const PANEL: usize = $panel;
+                const ZERO: Self = 0.0;
+                type Vector<S: Simd> = S::$vector;
+
+                #[inline(always)]
+                fn plus(self, other: Self) -> Self {
+                    self + other
+                }
+
+                #[inline(always)]
+                fn splat<S: Simd>(simd: S, value: Self) -> S::$vector {
+                    simd.$splat(value)
+                }
+
+                #[inline(always)]
+                fn add<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> S::$vector {
+                    simd.$add(a, b)
+                }
+
+                #[inline(always)]
+                fn multiply<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> S::$vector {
+                    simd.$multiply(a, b)
+                }
+
+                #[inline(always)]
+                fn vectors<S: Simd>(values: &[Self]) -> &[S::$vector] {
+                    S::$vectors(values).0
+                }
+
+                #[inline(always)]
+                fn vectors_mut<S: Simd>(values: &mut [Self]) -> &mut [S::$vector] {
+                    S::$vectors_mut(values).0
+                }
+            }
+        };
+    }
+
+    number!(
+        f32,
+        32,
+        f32s,
+        splat_f32s,
+        add_f32s,
+        mul_f32s,
+        as_simd_f32s,
+        as_mut_simd_f32s
+    );
+    number!(
+        f64,
+        16,
+        f64s,
+        splat_f64s,
+        add_f64s,
+        mul_f64s,
+        as_simd_f64s,
+        as_mut_simd_f64s
+    );
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn random<T: From<f32> + nalgebra::Scalar>(
+        rows: usize,
+        columns: usize,
+        mut seed: u32,
+    ) -> DMatrix<T> {
+        DMatrix::from_fn(rows, columns, |_, _| {
+            seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            T::from((seed >> 8) as f32 / (1 << 23) as f32 - 1.0)
+        })
+    }
+
+    fn archs() -> Vec<Arch> {
+        let names = ["plain", "avx2", "avx512"];
+        names.into_iter().filter_map(by_name).collect()
+    }
+
+    #[test]
+    fn products_are_right_and_alike_on_all_instructions() {
+        for (rows, inner, columns) in [
+            (1, 1, 1),
+            (3, 0, 2),
+            (0, 4, 2),
+            (4, 3, 0),
+            (33, 300, 7),
+            (64, 256, 6),
+            (5, 1000, 13),
+            (130, 17, 25),
+        ] {
+            let (a, b) = (
+                random::<f64>(rows, inner, 1),
+                random::<f64>(inner, columns, 2),
+            );
+            let (x, y) = (a.clone().cast::<f32>(), b.clone().cast::<f32>());
+            let exact = &a * &b;
+            let expected = (
+                product_by(Arch::Scalar, &a, &b),
+                product_by(Arch::Scalar, &x, &y),
+            );
+            // Sums of so many products of numbers up to 1.
+            let tolerance = 1e-12 * (inner + 1) as f64;
+            assert!((&expected.0 - &exact).iter().all(|d| d.abs() <= tolerance));
+            let rounded = expected.1.clone().cast::<f64>() - &exact;
+            assert!(rounded.iter().all(|d| d.abs() <= 1e-6 * (inner + 1) as f64));
+            for arch in archs() {
+                assert!(product_by(arch, &a, &b) == expected.0, "{arch:?}");
+                assert!(product_by(arch, &x, &y) == expected.1, "{arch:?}");
+            }
+        }
+    }
+}

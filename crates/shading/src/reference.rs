@@ -89,7 +89,6 @@ pub fn pdf(appearance: &Appearance, wi: Vec3, wo: Vec3) -> f32 {
 
 /// Draws an incident direction of one reflection alone, with its weight
 /// `f(wi, wo) n·wi / pdf` for a specular colour of 1 at every angle.
-#[cfg(test)]
 pub(crate) fn sample_specular(
     reflection: &Reflection,
     wo: Vec3,

@@ -237,6 +237,8 @@ fn material(random: &mut Random) -> Material {
         // Random texels are steep normals.
         normal_scale: 0.3,
         anisotropy_texture: slot(random),
+        emission: [0.0; 3],
+        emission_texture: None,
     }
 }
 

@@ -1,23 +1,21 @@
 //! Light that bounces: pictures with and without it, against ray tracing with all bounces, and
 //! what it costs; then under a light that turns.
 
-use std::path::Path;
-
 use glam::Quat;
-use relight_bake::environment::{self, FitOptions, hdr};
+use relight_bake::environment::{MAX_SOURCES, hdr};
 use relight_bake::scene::{self, load};
 use relight_format::{self as format, Scene};
 use relight_runtime::Frame;
 use relight_shading::camera::View;
-use relight_shading::spherical_gaussian::SphericalGaussian;
 
 use super::report::{Section, Table};
-use super::{Laboratory, camera, create, error};
+use super::{Laboratory, Light, camera, create, error};
 use crate::image_file::Image;
 use crate::truth::lobes::Visibility;
 use crate::truth::{ALL_BOUNCES, Geometry, Options, full, lobes};
 
-const LOBES: usize = 32;
+/// Lobes per environment, as `bake environment` fits them by default.
+const LOBES: usize = 64;
 /// Degrees that the light is turned by, for the error and for the film.
 const TURN: f32 = 100.0;
 const FILM: u32 = 6;
@@ -46,8 +44,8 @@ const SCENES: [(&str, &str); 4] = [
 pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result<()> {
     section.text = vec![format!(
         "Errors are relative RMSE, noise removed, of the whole picture against ray tracing with \
-         all bounces: of the original image and reflection models (full), and of the same {LOBES} \
-         lobes under exact visibility (lobes). Part alone is the bounced light of the picture less \
+         all bounces: of the original image and reflection models (full), and of the same sources and \
+         {LOBES} lobes under exact visibility (lobes). Part alone is the bounced light of the picture less \
          that of the ray tracing, over the mean of the whole picture: what the direct part has \
          no share in. Turned is part alone with the light turned by {TURN} degrees."
     )];
@@ -71,11 +69,18 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
     for (name, text) in SCENES {
         let bounced = Baked::new(laboratory, name, text, None)?;
         let direct = Baked::new(laboratory, name, text, Some(0))?;
-        let (image, lights) = light(laboratory, &bounced.environment)?;
-        let frame = Frame::new(camera(&bounced.scene)?, &lights);
+        let image = hdr::load(&bounced.environment)?;
+        let light = Light::of(image, LOBES, MAX_SOURCES, laboratory.monitor)?;
+        let frame = light.frame(camera(&bounced.scene)?);
         let with = laboratory.draw(&bounced.scene, &frame)?;
         let without = laboratory.draw(&direct.scene, &frame)?;
-        let truth = full_truth(laboratory, &bounced, &image)?;
+        let whole = Frame {
+            reflections: light.beyond.as_ref(),
+            ..frame.clone()
+        };
+        let whole_with = laboratory.draw(&bounced.scene, &whole)?;
+        let whole_without = laboratory.draw(&direct.scene, &whole)?;
+        let truth = full_truth(laboratory, &bounced, &light.image)?;
         let traced = trace(laboratory, &bounced.scene, &frame, ALL_BOUNCES)?;
         let part = part(laboratory, [&bounced.scene, &direct.scene], &frame, &traced)?;
         let turned = Frame {
@@ -96,8 +101,8 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
         let more = |with: f64, without: f64| (100.0 * (with / without - 1.0)).into();
         table.row([
             name.into(),
-            percent(error(&without, &truth)?),
-            percent(error(&with, &truth)?),
+            percent(error(&whole_without, &truth)?),
+            percent(error(&whole_with, &truth)?),
             percent(error(&without, &traced)?),
             percent(error(&with, &traced)?),
             percent(part.missing),
@@ -111,7 +116,7 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
             section,
             name,
             &format!("{name}: without bounces, with, full truth with all"),
-            &[&without, &with, &truth],
+            &[&whole_without, &whole_with, &truth],
         )?;
         film(laboratory, section, name, &bounced.scene, &frame)?;
     }
@@ -158,19 +163,6 @@ impl Baked {
             environment,
         })
     }
-}
-
-fn light(
-    laboratory: &Laboratory,
-    path: &Path,
-) -> anyhow::Result<(hdr::LatLong, Vec<SphericalGaussian>)> {
-    let image = hdr::load(path)?;
-    let options = FitOptions {
-        lobes: LOBES,
-        max_error: None,
-    };
-    let fitted = environment::fit(&image, &options, laboratory.monitor)?.environment;
-    Ok((image, fitted.lobes.iter().map(Into::into).collect()))
 }
 
 fn full_truth(

@@ -361,6 +361,10 @@ impl Light {
         monitor: Monitor,
     ) -> anyhow::Result<Self> {
         let image = hdr::load(&data.join(known(&ENVIRONMENTS, name)?))?;
+        Self::of(image, lobes, sources, monitor)
+    }
+
+    fn of(image: LatLong, lobes: usize, sources: usize, monitor: Monitor) -> anyhow::Result<Self> {
         let options = FitOptions {
             lobes,
             sources,

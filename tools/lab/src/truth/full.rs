@@ -9,7 +9,6 @@ use relight_bake::measured::{self, Table};
 use relight_bake::scene::load::SceneInput;
 use relight_format::{BakeReport, Representation, Scene, Triangle, VisibilityParameters};
 use relight_shading::gpu;
-use relight_shading::surface::SurfacePoint;
 
 use super::path::{DistantLight, Draws, Part, Paths, Reflector};
 use super::random::hash;
@@ -114,113 +113,6 @@ pub fn render(
             (radiance / samples as f32, coverage / samples as f32)
         })
     })
-}
-
-/// A surface point and the exact way it reflects.
-struct Reflector<'a> {
-    point: SurfacePoint,
-    table: Option<&'a Table>,
-}
-
-impl Reflector<'_> {
-    /// One sample of the reflected radiance.
-    fn estimate(
-        &self,
-        geometry: &Geometry,
-        environment: &EnvironmentSampler,
-        light_uniform: [f32; 2],
-        reflection_uniform: [f32; 3],
-    ) -> Vec3 {
-        let view = self.point.to_local(self.point.view);
-        if view.z <= 0.0 {
-            return Vec3::ZERO;
-        }
-        let contribution = |direction: Vec3| -> Vec3 {
-            let light = self.point.to_local(direction);
-            if light.z <= 0.0 {
-                return Vec3::ZERO;
-            }
-            let (radiance, light_density) = environment.lookup(direction);
-            let density = light_density + self.density(light, view);
-            let value = self.evaluate(light, view) * radiance * (light.z / density);
-            let counts = density > 0.0 && value != Vec3::ZERO;
-            if counts && geometry.visible(&self.point, direction) {
-                value
-            } else {
-                Vec3::ZERO
-            }
-        };
-        let reflected = self.sample(view, reflection_uniform);
-        contribution(environment.sample(light_uniform))
-            + reflected.map_or(Vec3::ZERO, |light| contribution(self.point.to_world(light)))
-    }
-
-    /// One sample of what a local light has reflected: a direction within the cone of its
-    /// sphere, and one of the reflection, weighted as above.
-    fn local(
-        &self,
-        geometry: &Geometry,
-        source: &gpu::LocalLight,
-        light_uniform: [f32; 2],
-        reflection_uniform: [f32; 3],
-    ) -> Vec3 {
-        let view = self.point.to_local(self.point.view);
-        let offset = Vec3::from(source.position) - self.point.position;
-        let (squared, radius_squared) = (offset.length_squared(), source.radius.powi(2));
-        let axis = offset.normalize_or_zero();
-        let radiance = Vec3::from(source.radiance) * source.spot(axis);
-        if view.z <= 0.0 || squared <= radius_squared || radiance == Vec3::ZERO {
-            return Vec3::ZERO;
-        }
-        let cap = source.cap(squared);
-        let contribution = |direction: Vec3| -> Vec3 {
-            let light = self.point.to_local(direction);
-            if light.z <= 0.0 {
-                return Vec3::ZERO;
-            }
-            let density = 1.0 / (2.0 * PI * cap) + self.density(light, view);
-            let value = self.evaluate(light, view) * radiance * (light.z / density);
-            let along = direction.dot(offset);
-            let aside = (offset - along * direction).length_squared();
-            let distance = along - (radius_squared - aside).max(0.0).sqrt();
-            if value != Vec3::ZERO && geometry.visible_at(&self.point, direction, distance) {
-                value
-            } else {
-                Vec3::ZERO
-            }
-        };
-        let [u, v] = light_uniform;
-        let (height, azimuth) = (u * cap, 2.0 * PI * v);
-        let (x, y) = axis.any_orthonormal_pair();
-        let aside = x * azimuth.cos() + y * azimuth.sin();
-        let toward = axis * (1.0 - height) + aside * (height * (2.0 - height)).sqrt();
-        let reflected = self
-            .sample(view, reflection_uniform)
-            .map(|light| self.point.to_world(light))
-            .filter(|direction| 0.5 * direction.distance_squared(axis) < cap);
-        contribution(toward) + reflected.map_or(Vec3::ZERO, contribution)
-    }
-
-    fn evaluate(&self, light: Vec3, view: Vec3) -> Vec3 {
-        match self.table {
-            Some(table) => table.evaluate(light, view),
-            None => reference::evaluate(&self.point.appearance, light, view),
-        }
-    }
-
-    fn density(&self, light: Vec3, view: Vec3) -> f32 {
-        match self.table {
-            Some(table) => table.pdf(light, view),
-            None => reference::pdf(&self.point.appearance, light, view),
-        }
-    }
-
-    fn sample(&self, view: Vec3, uniform: [f32; 3]) -> Option<Vec3> {
-        match self.table {
-            Some(table) => table.sample(view, uniform),
-            None => reference::sample(&self.point.appearance, view, uniform),
-        }
-    }
 }
 
 /// Draws directions from a lat-long image in proportion to luminance.

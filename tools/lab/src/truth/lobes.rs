@@ -75,7 +75,11 @@ pub fn render(
 ) -> Image {
     let rays = options.samples.div_ceil(REPLICAS);
     let basis = (visibility == Visibility::Baked).then(|| Basis::new(geometry.scene));
-    let distant = LobeSampler::new(lighting.lights);
+    let mut lights = lighting.lights.to_vec();
+    if let Some(lit) = &lighting.sources {
+        lights.extend(lit.sources.lobes());
+    }
+    let distant = LobeSampler::new(&lights);
     let paths = Paths {
         geometry,
         measured: &[],
@@ -444,8 +448,7 @@ mod tests {
                 .map(|i| gaussian.axis.dot(sample(&gaussian, kronecker_pair(i, 1))))
                 .sum::<f32>()
                 / count as f32;
-            let expected =
-                first_moment(sharpness) / relight_shading::spherical_gaussian::energy(sharpness);
+            let expected = first_moment(sharpness) / energy(sharpness);
             // Quasi-random quadrature of a smooth function with 4,096 points.
             assert!(
                 (mean - expected).abs() < 1e-3,
@@ -513,7 +516,7 @@ mod tests {
                 }
                 let exact = sum * end * std::f64::consts::TAU / f64::from(rows * columns);
                 let found = f64::from(cosine_integral(sharpness, elevation.sin()));
-                let energy = f64::from(relight_shading::spherical_gaussian::energy(sharpness));
+                let energy = f64::from(energy(sharpness));
                 let error = (found - exact).abs() / energy;
                 // The stated error and that of the grid.
                 assert!(

@@ -8,6 +8,8 @@ use std::time::Instant;
 use glam::Vec3;
 use relight_bake::compress::Normal;
 use relight_bake::visibility::contour::GROUP;
+use relight_bake::visibility::places::Places;
+use relight_bake::visibility::ray::RayCaster;
 use relight_bake::{import, visibility};
 
 /// Meshes that are measured unless others are named, below the data folder.
@@ -86,31 +88,39 @@ pub fn data_folder() -> PathBuf {
     )
 }
 
-/// Loads a mesh and picks about `count` of its vertices: groups as the bake makes them, at
+/// Loads a mesh and picks about `count` of its places: groups as the bake makes them, at
 /// equal steps.
 pub fn subject(path: &Path, count: usize) -> Subject {
     let mesh = import::mesh(path).unwrap_or_else(|error| panic!("{error}"));
     let (low, high) = mesh.bounds().expect("imported meshes have vertices");
-    let origins = visibility::origins(
-        &mesh.positions(),
-        &mesh.indices(),
-        1e-4 * low.distance(high),
-    );
+    let (soup, triangles) = (mesh.soup(), mesh.indices());
+    let caster = RayCaster::new(&soup);
+    let offset = 1e-4 * low.distance(high);
+    let Places {
+        origins, corners, ..
+    } = Places::new(&mesh.positions(), &triangles, &caster, offset);
+    let mut vertices = vec![0; origins.len()];
+    for (triangle, corners) in triangles.iter().zip(&corners) {
+        for (vertex, place) in triangle.iter().zip(corners) {
+            vertices[*place as usize] = *vertex;
+        }
+    }
     let mut order: Vec<u32> = (0..origins.len() as u32).collect();
-    visibility::arrange(&mut order, GROUP, &|&vertex| {
-        (origins[vertex as usize].to_array(), vertex)
+    visibility::arrange(&mut order, GROUP, &|&place| {
+        (origins[place as usize].to_array(), place)
     });
     let step = (origins.len() / count).max(1);
     let picked: Vec<u32> = (order.chunks(GROUP).step_by(step).flatten())
         .copied()
         .collect();
-    let normal = |&vertex: &u32| Normal {
-        direction: (mesh.vertices[vertex as usize].normal).normalize_or_zero(),
+    let vertex = |place: u32| &mesh.vertices[vertices[place as usize] as usize];
+    let normal = |&place: &u32| Normal {
+        direction: vertex(place).normal.normalize_or_zero(),
         tilt: 0.0,
     };
     Subject {
         name: path.file_stem().unwrap_or_default().display().to_string(),
-        soup: mesh.soup(),
+        soup,
         origins: (picked.iter()).map(|&v| origins[v as usize]).collect(),
         normals: picked.iter().map(normal).collect(),
     }

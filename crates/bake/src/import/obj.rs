@@ -56,7 +56,7 @@ struct Corner {
 
 /// Where a file has neither normals nor smoothing groups, faces that bend by more than this
 /// meet at a hard edge: boxes are flat, scans smooth.
-const CREASE_DEGREES: f64 = 60.0;
+const CREASE_DEGREES: f64 = 80.0;
 
 #[derive(Debug)]
 struct Face {

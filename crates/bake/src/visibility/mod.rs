@@ -190,25 +190,6 @@ pub fn sample(caster: &RayCaster, origin: Vec3, directions: &Directions) -> Bitm
     })
 }
 
-/// Points from which a surface's visibility is sampled: each vertex moved by `offset`
-/// along its geometric normal, the area-weighted mean normal of the triangles that use it.
-/// A vertex whose triangles have no area stays where it is.
-pub fn origins(positions: &[Vec3], triangles: &[[u32; 3]], offset: f32) -> Vec<Vec3> {
-    let mut normals = vec![Vec3::ZERO; positions.len()];
-    for triangle in triangles {
-        let [a, b, c] = triangle.map(|vertex| positions[vertex as usize]);
-        let area_normal = (b - a).cross(c - a);
-        for &vertex in triangle {
-            normals[vertex as usize] += area_normal;
-        }
-    }
-    positions
-        .iter()
-        .zip(normals)
-        .map(|(&position, normal)| position + offset * normal.normalize_or_zero())
-        .collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -227,13 +208,5 @@ mod tests {
                 "direction {direction}"
             );
         }
-    }
-
-    #[test]
-    fn origins_move_along_the_mean_face_normal() {
-        let positions = [Vec3::ZERO, Vec3::Z, Vec3::X, Vec3::ONE];
-        let moved = origins(&positions, &[[0, 1, 2]], 0.5);
-        assert_eq!(moved[1], Vec3::new(0.0, 0.5, 1.0));
-        assert_eq!(moved[3], Vec3::ONE, "unused vertices stay");
     }
 }

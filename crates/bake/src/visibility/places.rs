@@ -118,7 +118,8 @@ impl Places {
             for (end, index) in moved {
                 let seen = |from: Vec3| !caster.blocked(from, end);
                 let group = groups.iter().find(|(from, _)| seen(*from));
-                let place = group.map(|&(_, place)| place).unwrap_or_else(|| {
+                let known = group.map(|&(_, place)| place);
+                let mut first = || {
                     // A place that none is left at is used again.
                     let place = if std::mem::take(&mut room) {
                         origins[place as usize] = end;
@@ -130,8 +131,8 @@ impl Places {
                     };
                     groups.push((end, place));
                     place
-                });
-                of[index] = place;
+                };
+                of[index] = known.unwrap_or_else(&mut first);
             }
         }
         Self {
@@ -262,11 +263,12 @@ fn connect(sides: &[Side], positions: &[Vec3], triangles: &[[u32; 3]], groups: &
         let [a, b, c] = [0, 1, 2].map(|k| at(side.corner, k));
         (b - a).cross(c - a).normalize_or_zero()
     };
-    if let [a, b] = sides {
-        if a.ascends != b.ascends && normal(a).dot(normal(b)) > FOLDED {
-            join(a, b);
-            return;
-        }
+    if let [a, b] = sides
+        && a.ascends != b.ascends
+        && normal(a).dot(normal(b)) > FOLDED
+    {
+        join(a, b);
+        return;
     }
     let [low, high] = {
         let side = &sides[0];
@@ -305,10 +307,10 @@ fn connect(sides: &[Side], positions: &[Vec3], triangles: &[[u32; 3]], groups: &
         // Ascending triangles face growing angles.
         let rising = ray.iter().filter(|(_, side)| side.ascends);
         let falling = next.iter().filter(|(_, side)| !side.ascends);
-        if wedge < THIN {
-            if let Some((_, from)) = rising.clone().next() {
-                falling.clone().for_each(|(_, side)| join(from, side));
-            }
+        if let Some((_, from)) = rising.clone().next()
+            && wedge < THIN
+        {
+            falling.clone().for_each(|(_, side)| join(from, side));
         }
         // The same triangle twice.
         for same in [rising.collect::<Vec<_>>(), falling.collect()] {

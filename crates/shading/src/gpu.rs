@@ -803,6 +803,7 @@ mod tests {
             coefficients: (0..coefficient)
                 .map(|i| (i as i16).wrapping_mul(2477))
                 .collect(),
+            transfer: None,
             basis: (0..tile * resolution * resolution * 4)
                 .map(|i| (i.wrapping_mul(97) >> 2) as i8)
                 .collect(),
@@ -908,6 +909,8 @@ mod tests {
             normal_texture: None,
             normal_scale: 0.9,
             anisotropy_texture: None,
+            emission: [0.5, 0.25, 0.0],
+            emission_texture: None,
         });
         let packed = pack_scene(&scene).expect("fits");
         let material = packed.materials[0];

@@ -268,7 +268,8 @@ fn block_error(image: &Image, reference: &Image, noise: f64) -> f64 {
                     .sum::<f64>()
                     / area
             };
-            let own: f64 = indices().map(|i| f64::from(variance[i][channel])).sum();
+            let of_channel = |i: usize| f64::from(variance[i][channel]);
+            let own: f64 = indices().map(of_channel).sum();
             let expected = own / (area * area) + coverage * (noise * mean / area).powi(2);
             squares += (of(image) - of(reference)).powi(2) - expected;
         }

@@ -82,7 +82,7 @@ fn product_by<T: Number>(arch: Arch, a: &DMatrix<T>, b: &DMatrix<T>) -> DMatrix<
             packed[count..].fill(T::ZERO);
         }
         arch.dispatch(Panel {
-            panel: &panel,
+            values: &panel,
             factor: b.as_slice(),
             inner,
             first,
@@ -96,7 +96,7 @@ fn product_by<T: Number>(arch: Arch, a: &DMatrix<T>, b: &DMatrix<T>) -> DMatrix<
 
 /// Some rows of a product.
 struct Panel<'a, T> {
-    panel: &'a [T],
+    values: &'a [T],
     factor: &'a [T],
     inner: usize,
     first: usize,
@@ -111,7 +111,7 @@ impl<T: Number> WithSimd for Panel<'_, T> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let columns = self.factor.len() / self.inner.max(1);
-        let vectors = T::vectors::<S>(self.panel);
+        let vectors = T::vectors::<S>(self.values);
         let per_panel = vectors.len() / self.inner.max(1);
         let mut sums = vec![T::ZERO; COLUMNS * T::PANEL];
         for block in (0..self.inner).step_by(INNER) {

@@ -988,7 +988,7 @@ mod tests {
             normal_texture: None,
             normal_scale: 0.9,
             anisotropy_texture: None,
-            emission: [0.0; 3],
+            emission: [0.5, 0.25, 0.0],
             emission_texture: None,
         });
         let packed = pack_scene(&scene).expect("fits");

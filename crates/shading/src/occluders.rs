@@ -36,16 +36,16 @@ impl Occluders {
     /// Lays out a hierarchy: `nodes` with the root first, and triangles in the order in which its
     /// leaves name them.
     pub fn new(nodes: &[Node], triangles: &[[Vec3; 3]]) -> Self {
-        let mut laid_out = Self {
-            nodes: Vec::with_capacity(nodes.len()),
-            triangles: Vec::with_capacity(triangles.len()),
-        };
         /// What is left to do, the next thing last.
         enum Task {
             Visit(u32),
             /// All within the node laid out at this place has been.
             End(usize),
         }
+        let mut laid_out = Self {
+            nodes: Vec::with_capacity(nodes.len()),
+            triangles: Vec::with_capacity(triangles.len()),
+        };
         let mut tasks = Vec::new();
         if !nodes.is_empty() {
             tasks.push(Task::Visit(0));

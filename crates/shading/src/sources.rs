@@ -151,7 +151,7 @@ fn probes(points: &[gpu::SourcePoint]) -> impl Iterator<Item = gpu::SourcePoint>
 /// A source as stored, to be drawn from.
 #[derive(Clone, Debug)]
 struct Grid {
-    grid: relight_format::Source,
+    stored: relight_format::Source,
     texels: Vec<[f32; 3]>,
     /// Running sums of luminance over rows, and within each row.
     rows: Vec<f32>,
@@ -170,7 +170,7 @@ impl Grid {
     /// `None` for a black source.
     fn new(grid: relight_format::Source, texels: &[[f32; 3]]) -> Option<Self> {
         let mut new = Self {
-            grid,
+            stored: grid,
             texels: texels.to_vec(),
             rows: Vec::new(),
             columns: Vec::new(),
@@ -195,10 +195,10 @@ impl Grid {
 
     fn sample(&self, [u, v]: [f32; 2]) -> (Vec3, Vec3) {
         let (row, v) = draw(&self.rows, v);
-        let columns = self.grid.columns as usize;
+        let columns = self.stored.columns as usize;
         let (column, u) = draw(&self.columns[row * columns..][..columns], u);
-        let theta = self.grid.theta + (row as f32 + tent(v)) * self.grid.row_step;
-        let phi = self.grid.phi + (column as f32 + tent(u)) * self.grid.column_step;
+        let theta = self.stored.theta + (row as f32 + tent(v)) * self.stored.row_step;
+        let phi = self.stored.phi + (column as f32 + tent(u)) * self.stored.column_step;
         let ((sin_theta, cos_theta), (sin_phi, cos_phi)) = (theta.sin_cos(), phi.sin_cos());
         let texel = self.texels[row * columns + column];
         (

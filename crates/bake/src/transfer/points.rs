@@ -22,7 +22,7 @@ const NORMAL_DISTANCE: f32 = 2.0;
 /// Points and a tree of them over position and normal.
 pub struct Points {
     /// The points, in the order of the tree.
-    points: Vec<Point>,
+    all: Vec<Point>,
     /// Mean distance of neighbours, metres.
     spacing: f32,
     /// Position and scaled normal, in the same order: median splits along the axis in
@@ -84,19 +84,19 @@ impl Points {
         let mut tree = Self {
             keys: points.iter().map(key).collect(),
             axes: vec![0; points.len()],
-            points,
+            all: points,
             spacing,
         };
-        let mut order: Vec<u32> = (0..tree.points.len() as u32).collect();
+        let mut order: Vec<u32> = (0..tree.all.len() as u32).collect();
         tree.arrange(&mut order, 0);
-        tree.points = order.iter().map(|&i| tree.points[i as usize]).collect();
+        tree.all = order.iter().map(|&i| tree.all[i as usize]).collect();
         tree.keys = order.iter().map(|&i| tree.keys[i as usize]).collect();
         tree
     }
 
     /// The points.
     pub fn as_slice(&self) -> &[Point] {
-        &self.points
+        &self.all
     }
 
     /// Mean distance of neighbours, metres.

@@ -57,6 +57,9 @@ pub struct Sender {
     pub(super) emission: Vec3,
 }
 
+/// What reaches the points at once, whom each sees, and how many rays met backs.
+type First = (Vec<f32>, Vec<Vec<Sender>>, u64);
+
 impl Radiosity {
     /// Follows bounces until they end. Nothing where options ask for none or the scene has no
     /// surface.
@@ -104,7 +107,7 @@ impl Radiosity {
         caster: &RayCaster,
         options: &Options,
         monitor: Monitor,
-    ) -> Result<(Vec<f32>, Vec<Vec<Sender>>, u64), Interrupted> {
+    ) -> Result<First, Interrupted> {
         let length = 3 * self.columns;
         let mut direct = vec![0.0; self.points.as_slice().len() * length];
         let this = &*self;
@@ -155,7 +158,7 @@ impl Radiosity {
         monitor: Monitor,
     ) -> Result<(), Interrupted> {
         let length = 3 * self.columns;
-        self.irradiance = direct.clone();
+        self.irradiance.clone_from(&direct);
         let mut last = direct;
         while self.bounces < most.unwrap_or(MOST_BOUNCES) {
             monitor.step("bounces", 0.0)?;

@@ -117,22 +117,21 @@ impl Places {
             let mut groups: Vec<(Vec3, u32)> = Vec::new();
             for (end, index) in moved {
                 let seen = |from: Vec3| !caster.blocked(from, end);
-                let group = groups.iter().find(|(from, _)| seen(*from));
-                let known = group.map(|&(_, place)| place);
-                let mut first = || {
-                    // A place that none is left at is used again.
-                    let place = if std::mem::take(&mut room) {
-                        origins[place as usize] = end;
-                        place
-                    } else {
-                        origins.push(end);
-                        places += 1;
-                        places as u32 - 1
-                    };
-                    groups.push((end, place));
+                if let Some(&(_, place)) = groups.iter().find(|(from, _)| seen(*from)) {
+                    of[index] = place;
+                    continue;
+                }
+                // A place that none is left at is used again.
+                let first = if std::mem::take(&mut room) {
+                    origins[place as usize] = end;
                     place
+                } else {
+                    origins.push(end);
+                    places += 1;
+                    places as u32 - 1
                 };
-                of[index] = known.unwrap_or_else(&mut first);
+                groups.push((end, first));
+                of[index] = first;
             }
         }
         Self {

@@ -110,7 +110,7 @@ impl<'a, L: DistantLight> Paths<'a, L> {
             let uniform = [choice, u, v];
             if counts {
                 let toward = self.distant.sample(pair(1));
-                radiance += throughput * self.from_distance(&reflector, view, toward);
+                radiance += throughput * self.distant_part(&reflector, view, toward);
                 for (light, dimension) in self.local.iter().zip(DIMENSIONS..) {
                     let pair = pair(dimension);
                     radiance += throughput * reflector.local(self.geometry, light, pair, uniform);
@@ -121,7 +121,7 @@ impl<'a, L: DistantLight> Paths<'a, L> {
             };
             let direction = reflector.point.to_world(light);
             if bounce == self.bounces {
-                radiance += throughput * self.from_distance(&reflector, view, direction);
+                radiance += throughput * self.distant_part(&reflector, view, direction);
                 break;
             }
             let density = reflector.density(light, view);
@@ -151,7 +151,7 @@ impl<'a, L: DistantLight> Paths<'a, L> {
 
     /// What `reflector` has reflected from `direction`, if that sees the distance: one of two
     /// ways to draw it, weighed against the other.
-    fn from_distance(&self, reflector: &Reflector, view: Vec3, direction: Vec3) -> Vec3 {
+    fn distant_part(&self, reflector: &Reflector, view: Vec3, direction: Vec3) -> Vec3 {
         let light = reflector.point.to_local(direction);
         if light.z <= 0.0 {
             return Vec3::ZERO;

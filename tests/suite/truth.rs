@@ -261,15 +261,14 @@ fn block_error(image: &Image, reference: &Image, noise: f64) -> f64 {
         };
         let coverage: f64 = indices().map(|i| f64::from(reference.pixels[i][3])).sum();
         let area = f64::from(BLOCK * BLOCK);
-        for channel in 0..3 {
+        for channel in [0, 1, 2] {
             let of = |image: &Image| -> f64 {
                 indices()
                     .map(|i| f64::from(image.pixels[i][channel]))
                     .sum::<f64>()
                     / area
             };
-            let of_channel = |i: usize| f64::from(variance[i][channel]);
-            let own: f64 = indices().map(of_channel).sum();
+            let own: f64 = indices().map(|i| f64::from(variance[i][channel])).sum();
             let expected = own / (area * area) + coverage * (noise * mean / area).powi(2);
             squares += (of(image) - of(reference)).powi(2) - expected;
         }

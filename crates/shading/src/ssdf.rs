@@ -223,7 +223,6 @@ mod tests {
             coefficients: (0..36)
                 .map(|i| (i * i * 997 % 65_535 - 32_767) as i16)
                 .collect(),
-            transfer: None,
             basis: (0..3 * texels)
                 .map(|i| (i * i * 31 % 255) as u8 as i8)
                 .collect(),

@@ -193,6 +193,7 @@ fn environment() -> Environment {
 }
 
 /// Every variant, every optional field both ways, two clusters of different tile counts.
+#[allow(clippy::too_many_lines, reason = "one literal of every field")]
 fn scene() -> Scene {
     let vertex = |index: u32| {
         let x = index as f32;

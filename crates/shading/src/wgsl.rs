@@ -106,8 +106,6 @@ fn constants() -> String {
         ("JOIN_OVER", Join::Over as u32),
         ("JOIN_COAT", Join::Coat as u32),
         ("METHOD_AMBIENT", gpu::METHOD_AMBIENT),
-        ("METHOD_POLAR", gpu::METHOD_POLAR),
-        ("METHOD_CELLS", gpu::METHOD_CELLS),
         ("MAX_LOCAL_LIGHTS", gpu::MAX_LOCAL_LIGHTS),
         ("MAX_TILES", relight_format::MAX_TILES_PER_CLUSTER),
     ];

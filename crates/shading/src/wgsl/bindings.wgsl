@@ -10,7 +10,7 @@ struct Frame {
     light_count: u32,
     // The ray of pixel (x, y) has direction corner + (x + 1/2) right + (y + 1/2) down.
     corner: vec3<f32>,
-    // METHOD_AMBIENT, METHOD_POLAR or METHOD_CELLS.
+    // METHOD_AMBIENT or another; pipelines tell the others apart.
     method: u32,
     right: vec3<f32>,
     // polar: number of spokes.

@@ -237,9 +237,10 @@ struct Truth {
     #[arg(long, default_value_t = 0)]
     seed: u32,
     /// Reflections that light may take off other surfaces before it meets the one that is seen. 0:
-    /// direct light only. From the fifth on paths also end by chance, so that 64 is all of them.
-    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=256))]
-    bounces: u32,
+    /// direct light only. From the fifth on paths also end by chance, so that 64 is all of them
+    /// [default: 64 for an asset that has bounced light, else 0].
+    #[arg(long, value_parser = clap::value_parser!(u32).range(0..=256))]
+    bounces: Option<u32>,
 }
 
 #[derive(Args)]
@@ -525,14 +526,14 @@ fn run_bench(arguments: &Bench, json: bool) -> anyhow::Result<Value> {
 )]
 fn run_truth(arguments: &Truth) -> anyhow::Result<Value> {
     let picture = &arguments.picture;
-    let options = truth::Options {
+    let mut options = truth::Options {
         samples: arguments.samples,
         filter: match arguments.filter {
             FilterName::Center => Filter::Center,
             FilterName::Box => Filter::Box,
         },
         seed: arguments.seed,
-        bounces: arguments.bounces,
+        bounces: arguments.bounces.unwrap_or(0),
     };
     let rotation = picture.rotate.to_radians();
     let mut local: Vec<gpu::LocalLight> = read_local_lights(picture.lights.as_deref())?
@@ -549,6 +550,9 @@ fn run_truth(arguments: &Truth) -> anyhow::Result<Value> {
     let image = match arguments.kind {
         Kind::Lobes => {
             let scene = read_scene(&arguments.scene)?;
+            if arguments.bounces.is_none() {
+                options = options.of(&scene);
+            }
             let environment = arguments
                 .environment
                 .as_deref()
@@ -631,7 +635,7 @@ fn run_truth(arguments: &Truth) -> anyhow::Result<Value> {
         "height": height,
         "kind": if arguments.kind == Kind::Lobes { "lobes" } else { "full" },
         "samples": arguments.samples.next_multiple_of(truth::REPLICAS),
-        "bounces": arguments.bounces,
+        "bounces": options.bounces,
         "covered_pixels": covered(&image),
         "relative_noise": image.relative_noise(),
         "seconds": seconds,

@@ -3,6 +3,7 @@
 
 use glam::Quat;
 use relight_bake::environment::{MAX_SOURCES, hdr};
+use relight_bake::files::{Access, Files};
 use relight_bake::scene::{self, load};
 use relight_format::{self as format, Scene};
 use relight_runtime::Frame;
@@ -148,7 +149,9 @@ impl Baked {
         let path = folder.join(name).with_extension("toml");
         let text = text.replace("$DATA", &data.to_string_lossy());
         format::write_file(&path, text.as_bytes())?;
-        let input = load::load(&path)?;
+        // It names the folder of data.
+        let files = Files::new(&path, &Access::anywhere())?;
+        let input = load::load_from(&files, &path)?;
         let environment = (input.environment.clone())
             .ok_or_else(|| anyhow::anyhow!("{name}: expected an environment, found none"))?;
         let mut options = settings.bake.clone();

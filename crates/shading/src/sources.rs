@@ -335,7 +335,7 @@ mod tests {
     use glam::Vec2;
     use std::f32::consts::FRAC_1_PI;
 
-    /// A window of uneven texels about +Y, and a lamp of one texel.
+    /// A window whose colour changes across it, and a lamp of one texel.
     fn environment() -> Environment {
         Environment {
             sources: vec![
@@ -358,7 +358,7 @@ mod tests {
             ],
             source_texels: (0..321)
                 .map(|index| {
-                    let x = (index * 37 % 64) as f32;
+                    let x = (8 + 3 * (index % 16)) as f32;
                     [x, 64.0 - x, if index < 100 { 0.0 } else { 3.0 }]
                 })
                 .collect(),
@@ -421,7 +421,7 @@ mod tests {
         assert!(Sources::new(&Environment::default()).is_none());
     }
 
-    /// 64 points in place of a source whose texels have colours at random: measured 1.4 %.
+    /// 64 points in place of a source, a glossy lobe not much wider.
     const QUADRATURE_TOLERANCE: f32 = 0.02;
 
     #[test]

@@ -210,8 +210,8 @@ pub struct SceneArguments {
     /// [default: 1000000].
     #[arg(long, value_name = "N", value_parser = at_least_one)]
     pub max_vertices: Option<usize>,
-    /// Bounces of light to follow: auto (until the next adds less than 0.5 %), a number up to 64,
-    /// or 0 for none. They turn and change with the light, but have the materials of the bake.
+    /// Bounces of light to follow: auto (until the next adds less than 0.5 %) or a number, 0 to 64;
+    /// 0 for none. They turn and change with the light, but have the materials of the bake.
     #[arg(long, value_name = "N|auto", default_value = "auto", value_parser = bounces)]
     bounces: Bounces,
     /// Texels per side of the visibility samples, 8 to 256, a multiple of the basis images'
@@ -344,8 +344,8 @@ pub struct EnvironmentArguments {
     /// too many.
     #[arg(long, value_name = "E", value_parser = positive, allow_negative_numbers = true)]
     max_error: Option<f32>,
-    /// Suns, lamps and windows to take out of the image at most, as sources that rays shadow; the
-    /// lobes fit the rest. 0 leaves all light to the lobes.
+    /// Suns, lamps and windows to take out of the image at most, 0 to 8, as sources that rays
+    /// shadow; the lobes fit the rest. 0 leaves all light to the lobes.
     #[arg(long, value_name = "N", default_value_t = environment::MAX_SOURCES as u8,
           value_parser = clap::value_parser!(u8).range(..=environment::MAX_SOURCES as i64))]
     sources: u8,

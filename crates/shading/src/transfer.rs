@@ -486,13 +486,14 @@ mod tests {
     fn harmonics_are_orthonormal() {
         let harmonics = Harmonics::new(6);
         let count = harmonics.count();
-        let mut sums = vec![0.0; count * count];
+        // Hundreds of thousands of terms: more than single precision adds up.
+        let mut sums = vec![0.0f64; count * count];
         let mut values = vec![0.0; count];
-        for (direction, area) in sphere(200) {
+        for (direction, area) in sphere(400) {
             harmonics.evaluate(direction, &mut values);
             for (i, a) in values.iter().enumerate() {
                 for (j, b) in values.iter().enumerate() {
-                    sums[i * count + j] += a * b * area;
+                    sums[i * count + j] += f64::from(a * b * area);
                 }
             }
         }
@@ -520,19 +521,19 @@ mod tests {
                 amplitude: Vec3::new(1.0, 2.0, 0.5),
             };
             let light = DistantLight::new(&transfer, [&lobe]);
-            let mut sums = vec![0.0; harmonics.count()];
-            let mut values = sums.clone();
-            for (direction, area) in sphere(200) {
+            let mut sums = vec![0.0f64; harmonics.count()];
+            let mut values = vec![0.0; sums.len()];
+            for (direction, area) in sphere(400) {
                 harmonics.evaluate(direction, &mut values);
                 let radiance = lobe.evaluate(direction).x * area;
                 for (sum, value) in sums.iter_mut().zip(&values) {
-                    *sum += radiance * value;
+                    *sum += f64::from(radiance * value);
                 }
             }
             for (index, sum) in sums.iter().enumerate() {
                 for (channel, factor) in [1.0, 2.0, 0.5].into_iter().enumerate() {
                     let found = light.channel(channel)[index];
-                    let error = (found - factor * sum).abs();
+                    let error = (f64::from(found) - factor * sum).abs();
                     assert!(error < 3e-3, "{sharpness} {index}: {found} for {sum}");
                 }
             }

@@ -32,7 +32,8 @@ pub struct Cli {
     /// As --json, and before it one JSON object per line for progress.
     #[arg(long, global = true)]
     pub json_progress: bool,
-    /// Worker threads; 0 means one per core. At most 64, or one per core if there are more cores.
+    /// Worker threads, from 0 to 64, or to the number of cores where there are more; 0 means one per
+    /// core.
     #[arg(long, global = true, default_value_t = 0, value_name = "N")]
     pub threads: usize,
     /// Give way to everything else that runs on the machine.

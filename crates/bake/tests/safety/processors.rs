@@ -91,7 +91,9 @@ fn instructions() -> Outcome {
 /// Processors from before fused products, with AVX2, and what QEMU has at most.
 const PROCESSORS: [&str; 3] = ["Nehalem", "Haswell", "max"];
 
-/// Unlike `RELIGHT_SIMD`, this also changes what other libraries choose by the processor.
+/// Unlike `RELIGHT_SIMD`, this also changes what other libraries choose by the processor. Of
+/// scenes alone: the fit of an environment amplifies the last bit of sines and exponentials,
+/// which the C library computes differently with and without fused products.
 fn emulated() -> Result<Completion, Failed> {
     let emulator = "qemu-x86_64";
     let version = Command::new(emulator)
@@ -106,29 +108,19 @@ fn emulated() -> Result<Completion, Failed> {
         ));
     }
     let inputs = Inputs::new(6)?;
-    let expected = inputs.bytes(&|mut command| {
+    let [expected, _] = inputs.bytes(&|mut command| {
         expect_success(&mut command);
         Ok(())
     })?;
     for processor in PROCESSORS {
-        let found = inputs.bytes(&|command| {
-            let arguments: Vec<&OsStr> = command.get_args().collect();
-            let mut emulated = Command::new(emulator);
-            emulated
-                .args(["-cpu", processor])
-                .arg(command.get_program());
-            expect_success(emulated.args(arguments));
-            Ok(())
-        })?;
-        for (what, (found, expected)) in ["scene", "environment"]
-            .iter()
-            .zip(found.iter().zip(&expected))
-        {
-            assert!(
-                found == expected,
-                "other bytes of the {what} on {processor}"
-            );
-        }
+        let output = inputs.output();
+        let scene = inputs.scene(&output);
+        let arguments: Vec<&OsStr> = scene.get_args().collect();
+        let mut emulated = Command::new(emulator);
+        emulated.args(["-cpu", processor]).arg(scene.get_program());
+        expect_success(emulated.args(arguments));
+        let found = std::fs::read(&output)?;
+        assert!(found == expected, "other bytes of the scene on {processor}");
     }
     Ok(Completion::Completed)
 }

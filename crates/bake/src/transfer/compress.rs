@@ -7,6 +7,7 @@ use nalgebra::DMatrix;
 use relight_format::MAX_TRANSFER_RANK;
 
 use super::radiosity::hash;
+use crate::simd::product;
 
 /// A component is stored where it carries at least this part of the bounced light, and of what
 /// an open sky gives; both root mean squares over vertices. What is left is little, and noise.
@@ -164,17 +165,17 @@ fn principal(samples: &DMatrix<f32>) -> (DMatrix<f32>, DMatrix<f32>) {
             -1.0
         }
     });
-    let mut range = (samples * chance).qr().q();
+    let mut range = product(samples, &chance).qr().q();
     for _ in 0..ITERATIONS {
         let across = samples.tr_mul(&range).qr().q();
-        range = (samples * across).qr().q();
+        range = product(samples, &across).qr().q();
     }
     let projected = range.tr_mul(samples);
-    let eigen = (&projected * projected.transpose()).symmetric_eigen();
+    let eigen = product(&projected, &projected.transpose()).symmetric_eigen();
     let mut order: Vec<usize> = (0..width).collect();
     order.sort_by(|&a, &b| eigen.eigenvalues[b].total_cmp(&eigen.eigenvalues[a]));
     let turn = DMatrix::from_fn(width, width, |i, j| eigen.eigenvectors[(i, order[j])]);
-    (range * &turn, turn.tr_mul(&projected))
+    (product(&range, &turn), turn.tr_mul(&projected))
 }
 
 fn squares(values: &DMatrix<f32>) -> f64 {

@@ -9,6 +9,7 @@ use crate::simd::product;
 use relight_format::MAX_TRANSFER_RANK;
 
 use super::radiosity::hash;
+use crate::simd::product;
 
 /// A component is stored where it carries at least this part of the bounced light, and of what
 /// an open sky gives; both root mean squares over vertices. What is left is little, and noise.

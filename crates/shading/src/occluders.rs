@@ -11,6 +11,10 @@ use crate::gpu;
 /// Smallest component of a direction that is divided by.
 const LEAST_COMPONENT: f32 = 1e-20;
 
+/// Of a triangle's determinant with a unit direction, over its longer edge and its distance: less
+/// leaves barycentric coordinates uncertain by a twentieth.
+const UNCERTAIN: f32 = 5e-6;
+
 /// Triangles that block, from both sides.
 #[derive(Clone, Debug, Default)]
 pub struct Occluders {
@@ -150,10 +154,14 @@ impl gpu::OccluderTriangle {
         let p = direction.cross(ac);
         let q = from_a.cross(ab);
         let determinant = ab.dot(p);
+        // Of slivers, and of triangles seen edge-on from afar, rounding alone would decide.
+        let uncertain = UNCERTAIN * UNCERTAIN * from_a.length_squared();
+        if determinant * determinant <= uncertain * ab.length_squared().max(ac.length_squared()) {
+            return false;
+        }
         let v = from_a.dot(p) / determinant;
         let w = direction.dot(q) / determinant;
         let t = ac.dot(q) / determinant;
-        // False for a determinant of zero: NaN and infinity compare so.
         v >= 0.0 && w >= 0.0 && v + w <= 1.0 && t > 0.0
     }
 }
@@ -162,6 +170,7 @@ impl gpu::OccluderTriangle {
 pub fn wgsl_constants() -> String {
     format!(
         "const OCCLUDERS_LEAST_COMPONENT: f32 = {LEAST_COMPONENT:e};\n\
+         const OCCLUDERS_UNCERTAIN: f32 = {UNCERTAIN:e};\n\
          const OCCLUDERS_COUNT_BITS: u32 = {}u;\n\
          const OCCLUDERS_MAX_TRIANGLES: u32 = {}u;\n",
         gpu::OccluderNode::COUNT_BITS,
@@ -227,6 +236,21 @@ mod tests {
         split(&mut nodes, 0, &triangles, 0);
         let occluders = Occluders::new(&nodes, &triangles);
         assert_eq!(occluders.triangles().len(), 200);
+        // A sliver whose corners lie on a line but for rounding blocks nothing from afar.
+        let line = Vec3::new(0.37, 0.11, -0.23);
+        let sliver = [Vec3::ZERO, line, 1.000_000_1 * (0.3 * line)];
+        let one = Node {
+            low: -Vec3::ONE,
+            high: Vec3::ONE,
+            first: 0,
+            count: 1,
+        };
+        let sliver = Occluders::new(&[one], &[sliver]);
+        let far = |ray: u32| 5.0 * vector(ray).normalize();
+        assert!((0..2000).all(|ray| {
+            let through = uniform(ray) * line;
+            !sliver.block(far(ray), (through - far(ray)).normalize())
+        }));
         let mut hits = 0;
         for ray in 0..2000 {
             let (origin, mut direction) = (1.2 * vector(5000 + ray), vector(9000 + ray));

@@ -38,7 +38,9 @@ fn occluders_meet(index: u32, origin: vec3<f32>, direction: vec3<f32>) -> bool {
     let p = cross(direction, ac);
     let q = cross(from_a, ab);
     let determinant = dot(ab, p);
-    if determinant == 0.0 {
+    // Of slivers, and of triangles seen edge-on from afar, rounding alone would decide.
+    let uncertain = OCCLUDERS_UNCERTAIN * OCCLUDERS_UNCERTAIN * dot(from_a, from_a);
+    if determinant * determinant <= uncertain * max(dot(ab, ab), dot(ac, ac)) {
         return false;
     }
     let v = dot(from_a, p) / determinant;

@@ -76,7 +76,7 @@ const GOOD: [Good; 27] = [
     ),
     (
         "scenes/vr-gallery.glb",
-        [2582, 1930, 1, 1],
+        [2582, 1930, 1, 2],
         &["KHR_materials_unlit"],
     ),
     (

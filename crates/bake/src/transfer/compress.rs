@@ -4,8 +4,6 @@
 //! what is left after a dozen of them is noise of the rays, which neighbours do not share.
 
 use nalgebra::DMatrix;
-
-use crate::simd::product;
 use relight_format::MAX_TRANSFER_RANK;
 
 use super::radiosity::hash;

@@ -341,7 +341,12 @@ fn sources_match_twins(gpu: &mut Gpu) -> Outcome {
     let (lights, sources) = (lights(), sources());
     let scene = scenes::sphere_over_plane();
     let uploaded = gpu.upload(&scene)?;
-    for method in [POLAR, Method::Cells(CellsOptions::default())] {
+    // Cells without thresholds: close to one, one of the two may divide a cell and the other not.
+    let even = CellsOptions {
+        uniform: Some([2, 8]),
+        ..CellsOptions::default()
+    };
+    for method in [POLAR, Method::Cells(even)] {
         let without = frame(&lights, method);
         let with = Frame {
             sources: Some(&sources),

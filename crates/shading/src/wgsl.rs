@@ -52,6 +52,7 @@ const LIBRARY: &[&str] = &[
     include_str!("wgsl/ambient.wgsl"),
     include_str!("wgsl/surface.wgsl"),
     include_str!("wgsl/brdf.wgsl"),
+    include_str!("wgsl/reference.wgsl"),
     include_str!("wgsl/glossy.wgsl"),
     include_str!("wgsl/transfer.wgsl"),
 ];
@@ -77,7 +78,6 @@ pub fn source(entry: Entry) -> String {
         }
         Entry::Sources => {
             source.extend(LIBRARY.iter().copied());
-            source += include_str!("wgsl/reference.wgsl");
             source += include_str!("wgsl/occluders.wgsl");
             source += include_str!("wgsl/sources.wgsl");
         }

@@ -10,6 +10,7 @@ fn reference_evaluate(appearance: Appearance, wi: vec3<f32>, wo: vec3<f32>) -> v
     return sum;
 }
 
+// One specular reflection's value, without the cosine.
 fn reference_specular(reflection: Reflection, wi: vec3<f32>, wo: vec3<f32>) -> vec3<f32> {
     let half = normalize(wi + wo);
     let half_cosine = dot(half, wo);

@@ -119,8 +119,9 @@ pub struct SourcePoint {
     pub ray_offset: f32,
     /// Its share of the source's light: ∫ radiance dω, linear Rec.709.
     pub light: [f32; 3],
-    /// Zero.
-    pub reserved: f32,
+    /// Of a source's first entry, whose direction is the axis of a cone around the others: the
+    /// cosine of its half angle. 0 in others.
+    pub cone_cosine: f32,
 }
 
 /// A box of the hierarchy of what blocks rays (32 bytes).
@@ -720,7 +721,7 @@ mod tests {
                 direction,
                 ray_offset,
                 light,
-                reserved
+                cone_cosine
             }
         );
         check_layout!(

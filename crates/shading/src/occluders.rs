@@ -144,9 +144,51 @@ impl Occluders {
         }
         false
     }
+
+    /// Whether anything may lie within a cone with its tip at `origin`, around the unit vector
+    /// `axis`; `cosine` is that of its half angle. Now and then also where something only comes
+    /// close, and always in a cone that is no cone: half of all directions or more.
+    pub fn meet_cone(&self, origin: Vec3, axis: Vec3, cosine: f32) -> bool {
+        if cosine <= 0.0 {
+            return true;
+        }
+        let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
+        let mut place = 0;
+        while let Some(node) = self.nodes.get(place as usize) {
+            let (low, high) = (Vec3::from(node.low), Vec3::from(node.high));
+            let middle = 0.5 * (low + high) - origin;
+            let radius = 0.5 * (high - low).length();
+            let along = axis.dot(middle);
+            let across = (middle.length_squared() - along * along).max(0.0).sqrt();
+            // From the side of the cone; behind its tip, from there.
+            let outside = across * cosine - along * sine;
+            let behind = along * cosine + across * sine < 0.0;
+            if outside > radius || behind && middle.length_squared() > radius * radius {
+                place = node.next;
+                continue;
+            }
+            let count = node.triangles & gpu::OccluderNode::MAX_TRIANGLES;
+            let first = node.triangles >> gpu::OccluderNode::COUNT_BITS;
+            for triangle in &self.triangles[first as usize..][..count as usize] {
+                if triangle.meets_cone(origin, axis, cosine) {
+                    return true;
+                }
+            }
+            place += 1;
+        }
+        false
+    }
 }
 
 impl gpu::OccluderTriangle {
+    /// A cone meets a triangle that its axis hits, or an edge of which enters it.
+    fn meets_cone(&self, origin: Vec3, axis: Vec3, cosine: f32) -> bool {
+        let [ab, ac] = self.edges.map(|[x, y, z, _]| Vec3::new(x, y, z));
+        let a = Vec3::from(self.corner) - origin;
+        let edge = |start, edge| cone_holds_part(start, edge, axis, cosine);
+        edge(a, ab) || edge(a, ac) || edge(a + ab, ac - ab) || self.meets(origin, axis)
+    }
+
     /// Möller & Trumbore 1997.
     fn meets(&self, origin: Vec3, direction: Vec3) -> bool {
         let [ab, ac] = self.edges.map(|[x, y, z, _]| Vec3::new(x, y, z));
@@ -164,6 +206,20 @@ impl gpu::OccluderTriangle {
         let t = ac.dot(q) / determinant;
         v >= 0.0 && w >= 0.0 && v + w <= 1.0 && t > 0.0
     }
+}
+
+/// Whether an edge from `start`, relative to the tip of a cone, enters it. With x along the
+/// edge, axis · x − cosine |x| is concave, and its sign that of a quadratic where axis · x > 0.
+fn cone_holds_part(start: Vec3, edge: Vec3, axis: Vec3, cosine: f32) -> bool {
+    let holds = |x: Vec3| axis.dot(x) >= cosine * x.length();
+    let square = axis.dot(edge).powi(2) - cosine * cosine * edge.length_squared();
+    let linear = axis.dot(start) * axis.dot(edge) - cosine * cosine * start.dot(edge);
+    let best = if square < 0.0 {
+        (-linear / square).clamp(0.0, 1.0)
+    } else {
+        0.0
+    };
+    holds(start) || holds(start + edge) || holds(start + best * edge)
 }
 
 /// The constants of this module, as WGSL.
@@ -263,6 +319,29 @@ mod tests {
             hits += u32::from(found);
         }
         assert!((50..1800).contains(&hits), "{hits}");
+        // A cone is empty only where no ray within it hits, and is often found to be.
+        let mut empty = 0;
+        for cone in 0..400 {
+            let (origin, axis) = (
+                1.2 * vector(20_000 + cone),
+                vector(30_000 + cone).normalize(),
+            );
+            let cosine = 1.0 - 0.1 * uniform(cone).powi(4);
+            let (x, y) = axis.any_orthonormal_pair();
+            let hit = (0..200).any(|ray| {
+                let cosine = 1.0 - (1.0 - cosine) * uniform(200 * cone + ray);
+                let sine = (1.0 - cosine * cosine).sqrt();
+                let (sin, cos) = (6.283 * uniform(700_000 + 200 * cone + ray)).sin_cos();
+                occluders.block(origin, axis * cosine + (x * cos + y * sin) * sine)
+            });
+            let met = occluders.meet_cone(origin, axis, cosine);
+            let expected =
+                (occluders.triangles().iter()).any(|t| t.meets_cone(origin, axis, cosine));
+            assert!(met || !hit, "{origin} {axis} {cosine}");
+            assert_eq!(met, expected, "{origin} {axis} {cosine}");
+            empty += u32::from(!met);
+        }
+        assert!((50..350).contains(&empty), "{empty}");
         assert!(!Occluders::default().block(Vec3::ZERO, Vec3::Y));
     }
 }

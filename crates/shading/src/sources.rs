@@ -1,9 +1,10 @@
 //! Suns, lamps and windows: light with an outline of its own, shadowed by rays.
 //!
 //! A source becomes points of equal luminance, the same for every pixel, so that there is no
-//! noise. A few rays, most to its rim, find out whether a surface point sees all of it, or nothing;
-//! only in between are there rays to all points. The exact reflection models ([`crate::reference`]) weigh what
-//! arrives.
+//! noise. Where nothing meets the cone around them, which one walk through the scene's hierarchy
+//! finds out, all are visible; elsewhere there is a ray to each. Rays end early where the first
+//! points and the rim agree that all of the source is visible, or nothing. The exact reflection models
+//! ([`crate::reference`]) weigh what arrives.
 
 use std::sync::Arc;
 
@@ -16,18 +17,21 @@ use crate::reference;
 use crate::spherical_gaussian::{SphericalGaussian, energy};
 use crate::surface::SurfacePoint;
 
-/// Directions that find out whether a source is partly hidden.
-pub const PROBES: u32 = 16;
-
-/// Of those, on the rim: the outermost points in this many directions.
-const RIM_PROBES: u32 = 12;
+/// Directions on the rim of a source: the outermost points in this many directions.
+pub const RIM: u32 = 12;
 
 /// Points that stand for a source where all of it is visible, and where some of it is hidden. The
-/// fewer are the first of the more.
+/// fewer are the first of the more, and with the rim find out which is the case.
 pub const LEVELS: [u32; 2] = [64, 256];
 
 /// Points of a source.
 pub const POINTS: u32 = LEVELS[1];
+
+/// Entries of [`Sources::points`] for each source: its cone, its rim and its points.
+pub const STRIDE: u32 = 1 + RIM + POINTS;
+
+/// Taken from the cosine of a cone's half angle, so that rounding leaves no point outside.
+const CONE_SLACK: f32 = 1e-6;
 
 /// Sharpness of the lobe that stands for a point where sources are seen blurred.
 const POINT_SHARPNESS: f32 = 1e4;
@@ -62,7 +66,7 @@ impl Sources {
         for grid in &grids {
             let new: Vec<_> = (0..POINTS).map(|index| grid.point(index)).collect();
             scales.push(LEVELS.map(|level| grid.scale(&new[..level as usize])));
-            points.extend(probes(&new));
+            points.extend(cone_and_rim(&new));
             points.extend(new);
         }
         Some(Self {
@@ -78,7 +82,7 @@ impl Sources {
         self.grids.len()
     }
 
-    /// [`PROBES`] directions of no light and then [`POINTS`] points per source.
+    /// Per source the cone around its points, [`RIM`] directions of no light, and [`POINTS`] points.
     pub fn points(&self) -> &[gpu::SourcePoint] {
         &self.points
     }
@@ -104,10 +108,9 @@ impl Sources {
 
     /// The sources as narrow lobes, for what sees them blurred: light that bounces.
     pub fn lobes(&self) -> impl Iterator<Item = SphericalGaussian> {
-        let stride = (PROBES + POINTS) as usize;
-        let sources = self.points.chunks_exact(stride).zip(self.scales.iter());
+        let sources = (self.points.chunks_exact(STRIDE as usize)).zip(self.scales.iter());
         sources.flat_map(|(points, scales)| {
-            let points = &points[PROBES as usize..][..LEVELS[0] as usize];
+            let points = &points[(1 + RIM) as usize..][..LEVELS[0] as usize];
             points.iter().map(|point| SphericalGaussian {
                 axis: point.direction.into(),
                 sharpness: POINT_SHARPNESS,
@@ -124,28 +127,29 @@ impl Sources {
     }
 }
 
-/// Directions among a source's points that tell most about whether something hides some of them.
-fn probes(points: &[gpu::SourcePoint]) -> impl Iterator<Item = gpu::SourcePoint> {
+/// The cone around a source's points, and those that lie farthest out.
+fn cone_and_rim(points: &[gpu::SourcePoint]) -> impl Iterator<Item = gpu::SourcePoint> {
     let directions = points.iter().map(|point| Vec3::from(point.direction));
-    let middle = directions.clone().sum::<Vec3>().normalize_or(Vec3::Y);
-    let (x, y) = middle.any_orthonormal_pair();
-    let rim = (0..RIM_PROBES).map(move |index| {
-        let (sin, cos) = (std::f32::consts::TAU * index as f32 / RIM_PROBES as f32).sin_cos();
+    let axis = directions.clone().sum::<Vec3>().normalize_or(Vec3::Y);
+    let least = directions
+        .clone()
+        .fold(1f32, |least, other| least.min(axis.dot(other)));
+    let dark = |direction: Vec3, cone_cosine| gpu::SourcePoint {
+        direction: direction.into(),
+        ray_offset: 0.0,
+        light: [0.0; 3],
+        cone_cosine,
+    };
+    let (x, y) = axis.any_orthonormal_pair();
+    let rim = (0..RIM).map(move |index| {
+        let (sin, cos) = (std::f32::consts::TAU * index as f32 / RIM as f32).sin_cos();
         let toward = x * cos + y * sin;
         let farthest = directions
             .clone()
             .max_by(|a, b| a.dot(toward).total_cmp(&b.dot(toward)));
-        farthest.unwrap_or(middle)
+        dark(farthest.unwrap_or(axis), 0.0)
     });
-    let inside = points[..(PROBES - RIM_PROBES) as usize]
-        .iter()
-        .map(|point| Vec3::from(point.direction));
-    inside.chain(rim).map(|direction| gpu::SourcePoint {
-        direction: direction.into(),
-        ray_offset: 0.0,
-        light: [0.0; 3],
-        reserved: 0.0,
-    })
+    std::iter::once(dark(axis, least - CONE_SLACK)).chain(rim)
 }
 
 /// A source as stored, to be drawn from.
@@ -212,7 +216,7 @@ impl Grid {
         gpu::SourcePoint {
             direction: direction.into(),
             ray_offset: 0.0,
-            reserved: 0.0,
+            cone_cosine: 0.0,
             light: (light / POINTS as f32).into(),
         }
     }
@@ -277,38 +281,56 @@ pub struct Lit<'a> {
 
 impl Lit<'_> {
     /// Radiance from `point` towards the eye, which is above its horizon; adds the number of
-    /// rays cast.
+    /// rays cast, a cone counting as one.
     pub fn radiance(&self, point: &SurfacePoint, rays: &mut u64) -> Vec3 {
         let origin = point.position + point.geometric_normal * self.ray_offset;
         let wo = point.to_local(point.view);
         let mut radiance = Vec3::ZERO;
-        let all = self.sources.points.chunks_exact((PROBES + POINTS) as usize);
+        let all = self.sources.points.chunks_exact(STRIDE as usize);
         for (all, scales) in all.zip(self.sources.scales.iter()) {
-            let (probes, points) = all.split_at(PROBES as usize);
+            let (cone, all) = (all[0], &all[1..]);
+            let (rim, points) = all.split_at(RIM as usize);
+            let above = |source: &gpu::SourcePoint| point.to_local(source.direction.into()).z > 0.0;
+            if !rim.iter().any(above) && !points[..LEVELS[0] as usize].iter().any(above) {
+                continue;
+            }
             let mut visible = |source: &gpu::SourcePoint| {
                 *rays += 1;
                 !self.occluders.block(origin, source.direction.into())
             };
+            let touched =
+                (self.occluders).meet_cone(origin, cone.direction.into(), cone.cone_cosine);
             let (mut seen, mut hidden) = (false, false);
-            for probe in probes {
-                if point.normal.dot(probe.direction.into()) > 0.0 && !(seen && hidden) {
-                    let visible = visible(probe);
+            let (mut sum, mut level) = (Vec3::ZERO, 1);
+            for (index, source) in points.iter().enumerate() {
+                if index == LEVELS[0] as usize && !(seen && hidden) {
+                    for probe in rim {
+                        if touched && !(seen && hidden) && above(probe) {
+                            let visible = visible(probe);
+                            seen |= visible;
+                            hidden |= !visible;
+                        }
+                    }
+                    if !hidden {
+                        level = 0;
+                        break;
+                    }
+                    if !seen {
+                        break;
+                    }
+                }
+                let wi = point.to_local(source.direction.into());
+                if wi.z > 0.0 {
+                    let visible = !touched || visible(source);
                     seen |= visible;
                     hidden |= !visible;
+                    if visible {
+                        let value = reference::evaluate(&point.appearance, wi, wo);
+                        sum += Vec3::from(source.light) * (wi.z * value);
+                    }
                 }
             }
-            if !seen {
-                continue;
-            }
-            let level = usize::from(hidden);
-            let mut sum = Vec3::ZERO;
-            for source in &points[..LEVELS[level] as usize] {
-                let wi = point.to_local(source.direction.into());
-                if wi.z > 0.0 && (!hidden || visible(source)) {
-                    let value = reference::evaluate(&point.appearance, wi, wo);
-                    sum += Vec3::from(source.light) * (wi.z * value);
-                }
-            }
+            *rays += 1;
             radiance += sum * scales[level];
         }
         radiance
@@ -320,7 +342,7 @@ pub fn wgsl_constants() -> String {
     let [whole, partial] = LEVELS;
     format!(
         "const MAX_SOURCES: u32 = {MAX_SOURCES}u;\n\
-         const SOURCE_PROBES: u32 = {PROBES}u;\n\
+         const SOURCE_RIM: u32 = {RIM}u;\n\
          const SOURCE_POINTS: u32 = {POINTS}u;\n\
          const SOURCE_LEVELS: vec2<u32> = vec2({whole}u, {partial}u);\n"
     )
@@ -390,10 +412,12 @@ mod tests {
         let environment = environment();
         let sources = Sources::new(&environment).unwrap();
         assert_eq!(sources.count(), 2);
-        let all = sources.points().chunks((PROBES + POINTS) as usize);
+        let all = sources.points().chunks(STRIDE as usize);
         for ((points, scales), light) in all.zip(sources.scales()).zip(light(&environment)) {
-            let (probes, points) = points.split_at(PROBES as usize);
-            assert!(probes.iter().all(|probe| probe.light == [0.0; 3]));
+            let (rim, points) = points.split_at(1 + RIM as usize);
+            assert!(rim.iter().all(|probe| probe.light == [0.0; 3]));
+            let cone = Vec3::from(rim[0].direction);
+            assert!((points.iter()).all(|p| cone.dot(p.direction.into()) >= rim[0].cone_cosine));
             for (level, scale) in LEVELS.into_iter().zip(scales) {
                 let sum: Vec3 = points[..level as usize]
                     .iter()
@@ -445,7 +469,7 @@ mod tests {
             let point = local_point(appearance, Vec3::new(0.5, 0.2, 0.8).normalize());
             let mut rays = 0;
             let found = lit.radiance(&point, &mut rays);
-            assert_eq!(rays, u64::from(2 * PROBES));
+            assert_eq!(rays, 2, "one cone for each source");
             // Many random points.
             let count = 1 << 14;
             let mut expected = Vec3::ZERO;

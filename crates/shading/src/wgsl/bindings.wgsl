@@ -64,7 +64,8 @@ struct SourcePoint {
     ray_offset: f32,
     // Its share of the source's light.
     light: vec3<f32>,
-    reserved: f32,
+    // Of a source's first entry: the cosine of the half angle of a cone around the others.
+    cone_cosine: f32,
 }
 
 // A box of the hierarchy of what blocks rays.
@@ -186,7 +187,7 @@ struct Material {
 // TRANSFER_TEXTURE_WIDTH per row.
 @group(0) @binding(7) var transfer_products: texture_2d<f32>;
 
-// Sources alone: SOURCE_PROBES directions and SOURCE_POINTS points of each; and by source and
+// Sources alone: a cone, SOURCE_RIM directions and SOURCE_POINTS points of each; and by source and
 // level, two of each, what a point's light is multiplied by.
 @group(0) @binding(5) var<storage, read> source_points: array<SourcePoint>;
 @group(0) @binding(6) var<uniform> source_scales: array<vec4<f32>, 2 * MAX_SOURCES>;

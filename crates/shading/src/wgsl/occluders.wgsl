@@ -48,3 +48,63 @@ fn occluders_meet(index: u32, origin: vec3<f32>, direction: vec3<f32>) -> bool {
     let t = dot(ac, q) / determinant;
     return v >= 0.0 && w >= 0.0 && v + w <= 1.0 && t > 0.0;
 }
+
+// Whether anything may lie within a cone with its tip at `origin`.
+fn occluders_meet_cone(origin: vec3<f32>, axis: vec3<f32>, cosine: f32) -> bool {
+    if cosine <= 0.0 {
+        return true;
+    }
+    let sine = sqrt(max(1.0 - cosine * cosine, 0.0));
+    let end = arrayLength(&occluder_nodes);
+    var place = 0u;
+    while place < end {
+        let node = occluder_nodes[place];
+        let middle = 0.5 * (node.low + node.high) - origin;
+        let radius = 0.5 * length(node.high - node.low);
+        let along = dot(axis, middle);
+        let across = sqrt(max(dot(middle, middle) - along * along, 0.0));
+        let outside = across * cosine - along * sine;
+        let behind = along * cosine + across * sine < 0.0;
+        if outside > radius || (behind && dot(middle, middle) > radius * radius) {
+            place = node.next;
+            continue;
+        }
+        let first = node.triangles >> OCCLUDERS_COUNT_BITS;
+        let last = first + (node.triangles & OCCLUDERS_MAX_TRIANGLES);
+        for (var i = first; i < last; i++) {
+            if occluders_triangle_meets_cone(i, origin, axis, cosine) {
+                return true;
+            }
+        }
+        place++;
+    }
+    return false;
+}
+
+// A cone meets a triangle that its axis hits, or an edge of which enters it.
+fn occluders_triangle_meets_cone(index: u32, origin: vec3<f32>, axis: vec3<f32>, cosine: f32) -> bool {
+    let ab = occluder_triangles[index].edges[0].xyz;
+    let ac = occluder_triangles[index].edges[1].xyz;
+    let a = occluder_triangles[index].corner - origin;
+    return occluders_cone_holds_part(a, ab, axis, cosine)
+        || occluders_cone_holds_part(a, ac, axis, cosine)
+        || occluders_cone_holds_part(a + ab, ac - ab, axis, cosine)
+        || occluders_meet(index, origin, axis);
+}
+
+fn occluders_cone_holds_part(start: vec3<f32>, edge: vec3<f32>, axis: vec3<f32>, cosine: f32) -> bool {
+    let along = dot(axis, edge);
+    let square = along * along - cosine * cosine * dot(edge, edge);
+    let linear = dot(axis, start) * along - cosine * cosine * dot(start, edge);
+    var best = 0.0;
+    if square < 0.0 {
+        best = clamp(-linear / square, 0.0, 1.0);
+    }
+    return occluders_cone_holds(start, axis, cosine)
+        || occluders_cone_holds(start + edge, axis, cosine)
+        || occluders_cone_holds(start + best * edge, axis, cosine);
+}
+
+fn occluders_cone_holds(x: vec3<f32>, axis: vec3<f32>, cosine: f32) -> bool {
+    return dot(axis, x) >= cosine * length(x);
+}

@@ -31,35 +31,53 @@ fn sources_main(@builtin(global_invocation_id) id: vec3<u32>) {
 
 // Radiance of one source from `point` towards the eye, which is above its horizon.
 fn sources_radiance(source: u32, point: SurfacePoint) -> vec3<f32> {
-    let probes = source * (SOURCE_PROBES + SOURCE_POINTS);
-    let first = probes + SOURCE_PROBES;
+    let cone = source_points[source * (1u + SOURCE_RIM + SOURCE_POINTS)];
+    let rim = source * (1u + SOURCE_RIM + SOURCE_POINTS) + 1u;
+    let first = rim + SOURCE_RIM;
+    var above = false;
+    for (var i = rim; i < first + SOURCE_LEVELS.x; i++) {
+        above = above || surface_to_local(point, source_points[i].direction).z > 0.0;
+    }
+    if !above {
+        return vec3(0.0);
+    }
     let origin = point.position + point.geometric_normal * source_points[first].ray_offset;
     let wo = surface_to_local(point, point.view);
+    let touched = occluders_meet_cone(origin, cone.direction, cone.cone_cosine);
     var seen = false;
     var hidden = false;
-    for (var i = probes; i < first; i++) {
-        let direction = source_points[i].direction;
-        if dot(point.normal, direction) > 0.0 && !(seen && hidden) {
-            if occluders_block(origin, direction) {
-                hidden = true;
-            } else {
-                seen = true;
+    var level = 1u;
+    var sum = vec3(0.0);
+    for (var i = first; i < first + SOURCE_POINTS; i++) {
+        if i == first + SOURCE_LEVELS.x && !(seen && hidden) {
+            for (var j = rim; j < first; j++) {
+                let direction = source_points[j].direction;
+                if touched && !(seen && hidden) && surface_to_local(point, direction).z > 0.0 {
+                    if occluders_block(origin, direction) {
+                        hidden = true;
+                    } else {
+                        seen = true;
+                    }
+                }
+            }
+            if !hidden {
+                level = 0u;
+                break;
+            }
+            if !seen {
+                break;
             }
         }
-    }
-    var sum = vec3(0.0);
-    if !seen {
-        return sum;
-    }
-    let last = first + select(SOURCE_LEVELS.x, SOURCE_LEVELS.y, hidden);
-    for (var i = first; i < last; i++) {
         let direction = source_points[i].direction;
         let wi = surface_to_local(point, direction);
         if wi.z > 0.0 {
-            if !hidden || !occluders_block(origin, direction) {
+            if touched && occluders_block(origin, direction) {
+                hidden = true;
+            } else {
+                seen = true;
                 sum += source_points[i].light * (wi.z * reference_evaluate(point.appearance, wi, wo));
             }
         }
     }
-    return sum * source_scales[2u * source + select(0u, 1u, hidden)].xyz;
+    return sum * source_scales[2u * source + level].xyz;
 }

@@ -99,7 +99,7 @@ fn matches_twin(mesh: &Path) -> Outcome {
     let lights = lights();
     for method in [Method::Ambient, Method::Polar(PolarOptions::default())] {
         let frame = Frame {
-            camera: framing(low, high),
+            camera: framing(low, high).into(),
             lights: &lights,
             rotation: Quat::from_rotation_y(0.4),
             reflections: None,

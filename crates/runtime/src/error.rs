@@ -2,6 +2,8 @@
 
 use relight_shading::gpu::LimitError;
 
+use crate::Placement;
+
 /// Why something could not be created, uploaded or drawn.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -23,6 +25,54 @@ pub enum Error {
         /// Rows.
         height: u32,
     },
+    /// A format that the renderer was asked to draw into and cannot.
+    #[error("target format: expected {expected}, found {format:?}")]
+    Format {
+        /// The format asked for.
+        format: wgpu::TextureFormat,
+        /// What is expected of it.
+        expected: &'static str,
+    },
+    /// A sample count that targets cannot have.
+    #[error("samples of a target: expected 1 or 4, found {found}")]
+    SampleCount {
+        /// The count asked for.
+        found: u32,
+    },
+    /// A target that is not as [`Options`](crate::Options) and the call say.
+    #[error("target: expected {expected}, found {found}")]
+    Target {
+        /// What was expected.
+        expected: String,
+        /// What the target is.
+        found: String,
+    },
+    /// Something that another renderer made, perhaps on another device.
+    #[error(
+        "{what}: expected one made by this renderer or one that shares its pipelines, found another's"
+    )]
+    Foreign {
+        /// What it is.
+        what: &'static str,
+    },
+    /// A view that is drawn before [`Renderer::prepare`](crate::Renderer::prepare) has filled it.
+    #[error("view: expected a call of prepare before composite, found none")]
+    NotPrepared,
+    /// Matrices through which pixels have no rays.
+    #[error("camera: expected matrices that are finite and regular, found {matrix}")]
+    Camera {
+        /// World to clip space.
+        matrix: glam::Mat4,
+    },
+    /// A rotation that is not of unit length.
+    #[error("rotation: expected a quaternion of length 1, found length {length}")]
+    Rotation {
+        /// Its length.
+        length: f32,
+    },
+    /// A scene placed where it cannot be drawn.
+    #[error("placement: expected a scale above 0 and a finite translation, found {0:?}")]
+    Placement(Placement),
     /// A material index beyond the scene's materials.
     #[error("material: expected an index below {count}, found {index}")]
     NoSuchMaterial {

@@ -7,22 +7,15 @@
 //! #     device: &wgpu::Device, queue: &wgpu::Queue, target: &wgpu::TextureView,
 //! #     scene: &relight_format::Scene, environment: &relight_format::Environment,
 //! # ) -> Result<(), relight_runtime::Error> {
-//! use relight_runtime::{Frame, Method, Options, Prefiltered, Renderer, Sources, wgpu};
+//! use relight_runtime::{EnvironmentLight, Frame, Options, Renderer, wgpu};
 //!
 //! let mut renderer = Renderer::new(device, queue, Options::default())?;
 //! let uploaded = renderer.upload(scene)?;
-//! let lights: Vec<_> = environment.lobes.iter().map(Into::into).collect();
-//! let image = Prefiltered::new(&environment.prefiltered, &lights);
-//! let sources = Sources::new(environment);
+//! let light = EnvironmentLight::new(environment);
+//! let camera = scene.camera.expect("this scene brings a camera");
 //! let frame = Frame {
-//!     camera: scene.camera.expect("this scene brings a camera"),
-//!     lights: &lights,
-//!     reflections: image.as_ref(),
-//!     sources: sources.as_ref(),
-//!     local_lights: &[],
 //!     rotation: glam::Quat::from_rotation_y(0.5),
-//!     method: Method::Polar(Default::default()),
-//!     exposure: 1.0,
+//!     ..Frame::under(camera, &light)
 //! };
 //! let mut encoder = device.create_command_encoder(&Default::default());
 //! renderer.render(&mut encoder, &uploaded, &frame, target, [1280, 720])?;
@@ -38,6 +31,7 @@
 //! and tests that have no device of their own (feature `offscreen`). Both features are on by
 //! default; an app needs neither.
 
+mod composite;
 mod error;
 mod frame;
 #[cfg(any(feature = "offscreen", feature = "twin"))]
@@ -45,18 +39,25 @@ mod image;
 mod occluders;
 #[cfg(feature = "offscreen")]
 pub mod offscreen;
+mod options;
 mod pass_times;
+mod placement;
 mod renderer;
+mod resources;
 mod transfer;
 #[cfg(feature = "twin")]
 pub mod twin;
 mod upload;
+mod view;
 
 pub use error::Error;
-pub use frame::Frame;
+pub use frame::{EnvironmentLight, Frame};
 #[cfg(any(feature = "offscreen", feature = "twin"))]
 pub use image::Image;
+pub use options::{Options, Output};
 pub use pass_times::PassTimes;
+pub use placement::{Instance, Placement};
+pub use relight_shading::camera::Viewpoint;
 pub use relight_shading::cells::CellsOptions;
 pub use relight_shading::gpu::{LimitError, MAX_LOCAL_LIGHTS};
 pub use relight_shading::local_light::{LocalLight, Spot};
@@ -65,6 +66,7 @@ pub use relight_shading::prefiltered::Prefiltered;
 pub use relight_shading::shade::Method;
 pub use relight_shading::sources::Sources;
 pub use relight_shading::spherical_gaussian::SphericalGaussian;
-pub use renderer::{Options, Renderer};
+pub use renderer::Renderer;
 pub use upload::GpuScene;
+pub use view::View;
 pub use wgpu;

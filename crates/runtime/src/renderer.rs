@@ -1,53 +1,29 @@
-//! The passes of one frame: visibility buffer, shading, tone mapping.
+//! The passes of one frame: visibility buffer, shading, into the target.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use relight_format::Scene;
 use relight_shading::gpu::{self, LimitError};
 use relight_shading::prefiltered::{self, Prefiltered};
 use relight_shading::shade::{self, Method};
-use relight_shading::sources;
 use relight_shading::wgsl::{Entry, source};
 use wgpu::util::DeviceExt as _;
 
-use crate::frame::check_local_lights;
-use crate::pass_times::{Pass, PassTimes, Timestamps};
+use crate::frame::LocalFrame;
+use crate::pass_times::{Pass, PassTimes, Recording, Timestamps};
+use crate::resources::{Numbered, first_ids};
 use crate::transfer::filled_buffer;
-use crate::upload::{GpuScene, check_storage};
-use crate::{Error, Frame};
+use crate::upload::GpuScene;
+use crate::view::{DEPTH_FORMAT, Images, RADIANCE_FORMAT, Region, VISIBILITY_FORMAT, WORKGROUP};
+use crate::{Error, Frame, Instance, Options, View, composite};
 
-/// Format of the visibility buffer.
-const VISIBILITY_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::R32Uint;
-/// Format of the depth buffer.
-const DEPTH_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
-/// Format of the linear image.
-const RADIANCE_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba32Float;
-/// Side of a compute workgroup in pixels, as in shade.wgsl.
-const WORKGROUP: u32 = 8;
-/// Largest alignment of uniform buffer offsets that WebGPU allows a device to ask for.
-const UNIFORM_STRIDE: usize = 256;
+/// Reflected images that are kept on the GPU.
+const KEPT_IMAGES: usize = 4;
 
-/// How a renderer is set up.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Options {
-    /// Format of the targets that frames are drawn into. Formats that do not encode sRGB
-    /// themselves receive encoded colours.
-    pub target_format: wgpu::TextureFormat,
-    /// Rows shaded per dispatch, rounded up to a multiple of 8: short dispatches keep slow devices
-    /// responsive and clear of watchdogs. Default 128.
-    pub rows_per_dispatch: u32,
-}
+/// Texels and what they are on the GPU.
+type KeptImages = Vec<(Arc<[u32]>, wgpu::TextureView)>;
 
-impl Default for Options {
-    fn default() -> Self {
-        Self {
-            target_format: wgpu::TextureFormat::Rgba8Unorm,
-            rows_per_dispatch: 128,
-        }
-    }
-}
-
-/// Draws scenes with an app's device and queue.
+/// Draws scenes with an app's device and queue. It may be shared by threads.
 #[derive(Debug)]
 pub struct Renderer {
     device: wgpu::Device,
@@ -58,33 +34,37 @@ pub struct Renderer {
     image_layout: wgpu::BindGroupLayout,
     /// Groups 0, 1 and 2 of the pass for sources.
     source_layouts: [wgpu::BindGroupLayout; 3],
-    tonemap_layout: wgpu::BindGroupLayout,
+    composite_layout: wgpu::BindGroupLayout,
     visibility_pipeline: wgpu::RenderPipeline,
     shade_pipeline: wgpu::ComputePipeline,
     /// Made when first asked for: few ask.
-    cells_pipeline: std::sync::OnceLock<wgpu::ComputePipeline>,
+    cells_pipeline: OnceLock<wgpu::ComputePipeline>,
     /// Made when first needed.
-    source_pipeline: std::sync::OnceLock<wgpu::ComputePipeline>,
-    tonemap_pipeline: wgpu::RenderPipeline,
+    source_pipeline: OnceLock<wgpu::ComputePipeline>,
+    /// Into passes of the app's.
+    composite_pipeline: wgpu::RenderPipeline,
+    /// Into a target that is cleared; made when first needed.
+    target_pipeline: OnceLock<wgpu::RenderPipeline>,
     tables: wgpu::Buffer,
-    /// The reflected image of the last frame, or one texel.
-    prefiltered: (Option<Arc<[u32]>>, wgpu::TextureView),
-    images: Option<Images>,
+    /// Reflected images, the last one first.
+    prefiltered: Arc<Mutex<KeptImages>>,
+    /// One texel.
+    no_image: wgpu::TextureView,
+    /// Of [`Self::render`].
+    own: Option<View>,
     timestamps: Option<Timestamps>,
+    owner: Owner,
 }
 
-/// Images between the passes, all of one size.
-#[derive(Debug)]
-struct Images {
-    size: [u32; 2],
-    visibility: wgpu::Texture,
-    visibility_view: wgpu::TextureView,
-    depth_view: wgpu::TextureView,
-    radiance: wgpu::Texture,
-    radiance_view: wgpu::TextureView,
-    bind_group: wgpu::BindGroup,
-    /// Group 2 of the pass for sources, if there was one.
-    sources: Option<wgpu::BindGroup>,
+/// The same for everything that may be used together: scenes, views and renderers of one device,
+/// for which `wgpu` has no name that differs between its instances.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Owner(Arc<()>);
+
+impl PartialEq for Owner {
+    fn eq(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.0, &other.0)
+    }
 }
 
 impl Renderer {
@@ -95,6 +75,7 @@ impl Renderer {
         options: Options,
     ) -> Result<Self, Error> {
         check_device(device)?;
+        options.check(device.features())?;
         let tables = filled_buffer(
             device,
             "relight tables",
@@ -104,7 +85,7 @@ impl Renderer {
         let frame_layout = frame_layout(device);
         let scene_layout = scene_layout(device);
         let image_layout = image_layout(device);
-        let tonemap_layout = tonemap_layout(device);
+        let composite_layout = composite::layout(device);
         Ok(Self {
             visibility_pipeline: visibility_pipeline(device, &frame_layout, &scene_layout),
             shade_pipeline: shade_pipeline(
@@ -112,74 +93,144 @@ impl Renderer {
                 &[&frame_layout, &scene_layout, &image_layout],
                 Entry::Shade,
             ),
-            cells_pipeline: std::sync::OnceLock::new(),
-            source_pipeline: std::sync::OnceLock::new(),
+            cells_pipeline: OnceLock::new(),
+            source_pipeline: OnceLock::new(),
             source_layouts: [
                 source_frame_layout(device),
                 source_scene_layout(device),
                 source_image_layout(device),
             ],
-            tonemap_pipeline: tonemap_pipeline(device, &tonemap_layout, options.target_format),
+            composite_pipeline: composite::pipeline(device, &composite_layout, &options),
+            target_pipeline: OnceLock::new(),
             tables,
-            prefiltered: (None, prefiltered_texture(device, queue, &[0])),
+            prefiltered: Arc::default(),
+            no_image: prefiltered_texture(device, queue, &[0]),
             device: device.clone(),
             queue: queue.clone(),
             options,
             frame_layout,
             scene_layout,
             image_layout,
-            tonemap_layout,
-            images: None,
+            composite_layout,
+            own: None,
             timestamps: Timestamps::new(device, queue),
+            owner: Owner::default(),
         })
     }
 
-    /// Copies a scene to the GPU; the error names the limit that it exceeds. The scene is
-    /// one that [`relight_format::read_scene`] returned or
+    /// A renderer for other targets that shares everything else with this one: scenes and views may be
+    /// used with both. Takes far less time than [`Self::new`].
+    pub fn with_options(&self, options: Options) -> Result<Self, Error> {
+        options.check(self.device.features())?;
+        Ok(Self {
+            device: self.device.clone(),
+            queue: self.queue.clone(),
+            frame_layout: self.frame_layout.clone(),
+            scene_layout: self.scene_layout.clone(),
+            image_layout: self.image_layout.clone(),
+            source_layouts: self.source_layouts.clone(),
+            composite_layout: self.composite_layout.clone(),
+            visibility_pipeline: self.visibility_pipeline.clone(),
+            shade_pipeline: self.shade_pipeline.clone(),
+            cells_pipeline: self.cells_pipeline.clone(),
+            source_pipeline: self.source_pipeline.clone(),
+            composite_pipeline: composite::pipeline(&self.device, &self.composite_layout, &options),
+            target_pipeline: OnceLock::new(),
+            tables: self.tables.clone(),
+            prefiltered: self.prefiltered.clone(),
+            no_image: self.no_image.clone(),
+            own: None,
+            timestamps: Timestamps::new(&self.device, &self.queue),
+            owner: self.owner.clone(),
+            options,
+        })
+    }
+
+    /// Copies a scene to the GPU, on any thread; the error names the limit that it exceeds. The
+    /// scene is one that [`relight_format::read_scene`] returned or
     /// [`relight_format::write_scene`] accepts.
     pub fn upload(&self, scene: &Scene) -> Result<GpuScene, Error> {
         let layouts = [&self.scene_layout, &self.source_layouts[1]];
-        GpuScene::new(&self.device, &self.queue, layouts, scene)
+        GpuScene::new(&self.device, &self.queue, layouts, &self.owner, scene)
+    }
+
+    /// Images of `width` × `height` pixels, for one camera.
+    pub fn view(&self, [width, height]: [u32; 2]) -> Result<View, Error> {
+        self.check_size(width, height)?;
+        Ok(View::new(&self.owner, [width, height]))
+    }
+
+    /// Records the drawing and shading of one frame into the view's images, outside of any pass.
+    /// [`Self::composite`] then draws them into a pass recorded after it.
+    ///
+    /// A view holds what it was prepared with last, by the time of a submission: prepare it once per
+    /// submission. Several cameras take several views.
+    ///
+    /// The cost is that of the pixels that instances cover and of the boxes around them: a few
+    /// microseconds of the processor and a dispatch for each instance in sight.
+    ///
+    /// # Errors
+    /// What the frame, an instance or the device cannot; nothing is drawn then.
+    pub fn prepare(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        view: &mut View,
+        instances: &[Instance],
+        frame: &Frame,
+    ) -> Result<(), Error> {
+        let recording = self.timestamps.as_ref().and_then(Timestamps::begin);
+        self.prepare_timed(encoder, view, instances, frame, recording.as_ref())?;
+        if let Some(recording) = recording {
+            recording.end(encoder, 2);
+        }
+        Ok(())
+    }
+
+    /// Draws what the view was prepared with into a pass of the app's: over what is there, or
+    /// behind it where the pass has depth that says so. Where no instance is seen, nothing is drawn.
+    ///
+    /// The pass is as [`Options`] describe it, on the device of the renderer; `wgpu` reports
+    /// one that is not as an invalid pipeline. The view fills the viewport, which a pass may move by
+    /// [`wgpu::RenderPass::set_viewport`]; scissors hold. Pipeline, bind group 0 and nothing else of
+    /// the pass's state are changed.
+    pub fn composite(&self, view: &View, pass: &mut wgpu::RenderPass) -> Result<(), Error> {
+        self.check_view(view)?;
+        let group = view.drawing.group().ok_or(Error::NotPrepared)?;
+        pass.set_pipeline(&self.composite_pipeline);
+        pass.set_bind_group(0, group, &[]);
+        pass.draw(0..3, 0..1);
+        Ok(())
     }
 
     /// Records one frame into `target`, a view of `width` × `height` pixels in the format
-    /// of [`Options::target_format`]. Alpha is coverage; the background is transparent
-    /// black.
+    /// of [`Options::target_format`], without depth and of one sample. Alpha is coverage; the
+    /// background is transparent black.
     pub fn render(
         &mut self,
         encoder: &mut wgpu::CommandEncoder,
         scene: &GpuScene,
         frame: &Frame,
         target: &wgpu::TextureView,
-        [width, height]: [u32; 2],
+        size: [u32; 2],
     ) -> Result<(), Error> {
-        self.check_size(width, height)?;
-        let band = self
-            .options
-            .rows_per_dispatch
-            .max(1)
-            .next_multiple_of(WORKGROUP);
-        let bands = height.div_ceil(band);
-        let buffers = self.frame_buffers(scene, frame, [width, height], band)?;
-        self.upload_reflections(frame)?;
-        let (lights, local) = (frame.bouncing_lights(), frame.packed_local_lights());
-        let products = scene.products(&self.device, &lights, &local)?;
-        let frame_group = self.frame_group(&buffers, &products);
-        let sources = self.source_group(frame, scene, &buffers[0])?;
-        if self.images.as_ref().is_none_or(|images| {
-            images.size != [width, height] || sources.is_some() && images.sources.is_none()
-        }) {
-            let layouts = [&self.image_layout, &self.source_layouts[2]];
-            let size = [width, height];
-            self.images = Some(Images::new(&self.device, layouts, size, sources.is_some()));
-        }
-        let images = self.images.as_ref().expect("just made");
-
+        self.check_target(target.texture(), size)?;
+        let mut view = match self.own.take() {
+            Some(view) if view.size() == size => view,
+            _ => self.view(size)?,
+        };
+        // Several calls may share one encoder.
+        view.resources
+            .iter_mut()
+            .for_each(crate::resources::Resources::renew);
+        view.drawing.renew();
+        let recording = self.timestamps.as_ref().and_then(Timestamps::begin);
+        let instances = [Instance::from(scene)];
+        self.prepare_timed(encoder, &mut view, &instances, frame, recording.as_ref())?;
         {
             let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-                label: Some("relight visibility buffer"),
+                label: Some("relight target"),
                 color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-                    view: &images.visibility_view,
+                    view: target,
                     depth_slice: None,
                     resolve_target: None,
                     ops: wgpu::Operations {
@@ -187,83 +238,164 @@ impl Renderer {
                         store: wgpu::StoreOp::Store,
                     },
                 })],
-                depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
-                    view: &images.depth_view,
-                    depth_ops: Some(wgpu::Operations {
-                        load: wgpu::LoadOp::Clear(0.0),
-                        store: wgpu::StoreOp::Discard,
-                    }),
-                    stencil_ops: None,
-                }),
-                timestamp_writes: (self.timestamps.as_ref())
-                    .map(|timestamps| timestamps.render(Pass::VisibilityBuffer)),
+                timestamp_writes: recording.as_ref().map(|times| times.render(Pass::Tonemap)),
                 ..Default::default()
             });
-            pass.set_pipeline(&self.visibility_pipeline);
-            pass.set_bind_group(0, &frame_group, &[0]);
-            pass.set_bind_group(1, &scene.bind_group, &[]);
-            pass.draw(0..3 * scene.triangle_count, 0..1);
+            pass.set_pipeline(self.target_pipeline());
+            pass.set_bind_group(0, view.drawing.group(), &[]);
+            pass.draw(0..3, 0..1);
         }
+        if let Some(recording) = recording {
+            recording.end(encoder, 3);
+        }
+        self.own = Some(view);
+        Ok(())
+    }
+
+    fn prepare_timed(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        view: &mut View,
+        instances: &[Instance],
+        frame: &Frame,
+        recording: Option<&Recording>,
+    ) -> Result<(), Error> {
+        self.check_view(view)?;
+        let drawn = self.place(view.size(), instances, frame)?;
+        let image = self.reflections(frame)?;
+        view.resources
+            .resize_with(instances.len(), Default::default);
+        for ((instance, resources), (local, numbered)) in
+            instances.iter().zip(&mut view.resources).zip(&drawn)
         {
-            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
-                label: Some("relight shade"),
-                timestamp_writes: (self.timestamps.as_ref())
-                    .map(|timestamps| timestamps.compute(Pass::Shade)),
-            });
+            if let Some(numbered) = numbered {
+                resources.fill(self, instance.scene, frame, local, *numbered, &image)?;
+            }
+        }
+        self.make_images(view, frame.sources.is_some());
+        let images = view.images.as_ref().expect("just made");
+        let encoding = (self.options.output).encoding(self.options.target_format);
+        let flipped = (drawn.first()).is_some_and(|(local, _)| local.view.flipped_depth);
+        let uniform = composite::uniform(view.size(), frame.exposure, encoding, flipped);
+        (view.drawing).fill(self, &self.composite_layout, images, uniform)?;
+
+        let drawn = instances.iter().zip(&view.resources).zip(&drawn);
+        let drawn = drawn.filter(|(_, (_, numbered))| numbered.is_some());
+        clear(encoder, &images.radiance_view);
+        {
+            let mut pass = visibility_pass(encoder, images, recording);
+            pass.set_pipeline(&self.visibility_pipeline);
+            for ((instance, resources), _) in drawn.clone() {
+                pass.set_bind_group(0, resources.frame_group(), &[0]);
+                pass.set_bind_group(1, &instance.scene.bind_group, &[]);
+                pass.draw(0..3 * instance.scene.triangle_count, 0..1);
+            }
+        }
+        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+            label: Some("relight shade"),
+            timestamp_writes: recording.map(|times| times.compute(Pass::Shade)),
+        });
+        let pipeline = match frame.method {
+            Method::Cells(_) => self.cells_pipeline(),
+            Method::Ambient | Method::Polar(_) => &self.shade_pipeline,
+        };
+        for ((Instance { scene, .. }, resources), _) in drawn {
             let mut dispatch = |pipeline: &wgpu::ComputePipeline, groups: [&wgpu::BindGroup; 3]| {
                 pass.set_pipeline(pipeline);
                 pass.set_bind_group(1, groups[1], &[]);
                 pass.set_bind_group(2, groups[2], &[]);
-                for index in 0..bands {
-                    let rows = band.min(height - index * band);
-                    pass.set_bind_group(0, groups[0], &[index * UNIFORM_STRIDE as u32]);
-                    let [x, y] = [width, rows].map(|side| side.div_ceil(WORKGROUP));
+                for (offset, [x, y]) in resources.dispatches() {
+                    pass.set_bind_group(0, groups[0], &[offset]);
                     pass.dispatch_workgroups(x, y, 1);
                 }
             };
-            if let (Some((frame, scene)), Some(images)) = (&sources, &images.sources) {
-                dispatch(self.source_pipeline(), [frame, scene, images]);
+            if let (Some(group), Ok(scene), Some(images)) =
+                (resources.source_group(), &scene.sources, &images.sources)
+            {
+                dispatch(self.source_pipeline(), [group, scene, images]);
             }
-            let pipeline = match frame.method {
-                Method::Cells(_) => self.cells_pipeline(),
-                Method::Ambient | Method::Polar(_) => &self.shade_pipeline,
-            };
+            let frame_group = resources.frame_group();
             dispatch(
                 pipeline,
-                [&frame_group, &scene.bind_group, &images.bind_group],
+                [frame_group, &scene.bind_group, &images.bind_group],
             );
-        }
-        self.tonemap(encoder, &images.radiance_view, frame.exposure, target)?;
-        if let Some(timestamps) = &self.timestamps {
-            timestamps.resolve(encoder);
         }
         Ok(())
     }
 
-    /// How long the passes of the last frame took, once it has been submitted; waits for it.
-    /// `None` where the device was made without [`wgpu::Features::TIMESTAMP_QUERY`].
-    pub fn pass_times(&self) -> Result<Option<PassTimes>, Error> {
-        (self.timestamps.as_ref())
-            .map(|timestamps| timestamps.read(&self.device))
-            .transpose()
+    /// Every instance's frame, and its number and where it is seen; `None` if nowhere.
+    fn place(
+        &self,
+        size: [u32; 2],
+        instances: &[Instance],
+        frame: &Frame,
+    ) -> Result<Vec<(LocalFrame, Option<Numbered>)>, Error> {
+        let ids = first_ids(
+            instances
+                .iter()
+                .map(|instance| instance.scene.triangle_count),
+        )?;
+        // One for all, or their depths would not compare.
+        let near = (instances.iter())
+            .map(|instance| instance.scene.near * instance.placement.scale)
+            .fold(f32::INFINITY, f32::min);
+        let place = |(instance, first_id): (&Instance, u32)| {
+            if instance.scene.owner != self.owner {
+                return Err(Error::Foreign { what: "scene" });
+            }
+            let local = frame.seen_from(&instance.placement, size, near)?;
+            let region = Region::of_box(&local.view, instance.scene.bounds, size);
+            let numbered = region.map(|region| Numbered { first_id, region });
+            Ok((local, numbered))
+        };
+        instances.iter().zip(ids).map(place).collect()
     }
 
-    /// The linear radiance of the last frame recorded (rgba32float, alpha is coverage),
-    /// not exposed; sampled or copied by commands after it. It is replaced when the size
-    /// of frames changes.
+    /// Makes the images of a view that has none, or none for sources where they are needed.
+    fn make_images(&self, view: &mut View, with_sources: bool) {
+        if (view.images.as_ref()).is_none_or(|images| with_sources && images.sources.is_none()) {
+            let layouts = [&self.image_layout, &self.source_layouts[2]];
+            view.images = Some(Images::new(
+                &self.device,
+                layouts,
+                view.size(),
+                with_sources,
+            ));
+            view.drawing.forget_images();
+        }
+    }
+
+    /// How long the passes of a frame took: the last one whose times are known, some frames after
+    /// it was submitted. Never waits. `None` before that, and where the device was made without
+    /// [`wgpu::Features::TIMESTAMP_QUERY`].
+    pub fn pass_times(&self) -> Option<PassTimes> {
+        self.timestamps.as_ref().and_then(Timestamps::last)
+    }
+
+    /// [`View::radiance`] of the last frame that [`Self::render`] recorded. It is replaced when the
+    /// size of frames changes.
     pub fn radiance(&self) -> Option<&wgpu::Texture> {
-        self.images.as_ref().map(|images| &images.radiance)
+        self.own.as_ref().and_then(View::radiance)
     }
 
-    /// The triangle under each pixel of the last frame recorded (r32uint): its index + 1,
-    /// or 0 on the background.
+    /// [`View::visibility_buffer`] of the last frame that [`Self::render`] recorded.
     pub fn visibility_buffer(&self) -> Option<&wgpu::Texture> {
-        self.images.as_ref().map(|images| &images.visibility)
+        self.own.as_ref().and_then(View::visibility_buffer)
     }
 
     /// The options that the renderer was made with.
     pub fn options(&self) -> &Options {
         &self.options
+    }
+
+    /// The device that the renderer was made on.
+    pub fn device(&self) -> &wgpu::Device {
+        &self.device
+    }
+
+    /// Its queue.
+    pub fn queue(&self) -> &wgpu::Queue {
+        &self.queue
     }
 
     pub(crate) fn check_size(&self, width: u32, height: u32) -> Result<(), Error> {
@@ -279,6 +411,48 @@ impl Renderer {
         .map_err(Error::Frame)
     }
 
+    fn check_view(&self, view: &View) -> Result<(), Error> {
+        if view.owner == self.owner {
+            Ok(())
+        } else {
+            Err(Error::Foreign { what: "view" })
+        }
+    }
+
+    fn check_target(&self, target: &wgpu::Texture, size: [u32; 2]) -> Result<(), Error> {
+        self.check_size(size[0], size[1])?;
+        let format = self.options.target_format;
+        // Views may add or leave out the encoding of sRGB.
+        let same_format = target.format() == format
+            || target.format().remove_srgb_suffix() == format.remove_srgb_suffix();
+        let drawn = wgpu::TextureUsages::RENDER_ATTACHMENT;
+        let found = [target.width(), target.height()];
+        // A view may be of another level than the first.
+        let fits = found == size || target.mip_level_count() > 1;
+        if same_format && target.sample_count() == 1 && target.usage().contains(drawn) && fits {
+            return Ok(());
+        }
+        let text = |[width, height]: [u32; 2], format, samples, usage| {
+            format!("{format:?}, {width}x{height}, {samples} samples, {usage:?}")
+        };
+        Err(Error::Target {
+            expected: text(size, format, 1, drawn),
+            found: text(
+                found,
+                target.format(),
+                target.sample_count(),
+                target.usage(),
+            ),
+        })
+    }
+
+    /// Rows per dispatch.
+    pub(crate) fn band(&self) -> u32 {
+        let rows = self.options.rows_per_dispatch.max(1);
+        rows.checked_next_multiple_of(WORKGROUP)
+            .unwrap_or(u32::MAX - (WORKGROUP - 1))
+    }
+
     fn cells_pipeline(&self) -> &wgpu::ComputePipeline {
         let layouts = [&self.frame_layout, &self.scene_layout, &self.image_layout];
         (self.cells_pipeline)
@@ -292,33 +466,22 @@ impl Renderer {
         })
     }
 
-    /// Groups 0 and 1 of the pass for sources; `None` where the frame has none.
-    fn source_group<'a>(
-        &self,
-        frame: &Frame,
-        scene: &'a GpuScene,
-        uniforms: &wgpu::Buffer,
-    ) -> Result<Option<(wgpu::BindGroup, &'a wgpu::BindGroup)>, Error> {
-        let Some(sources) = frame.rotated_sources() else {
-            return Ok(None);
-        };
-        let scene_group = (scene.sources.as_ref()).map_err(|error| Error::Scene(error.clone()))?;
-        let points: Vec<gpu::SourcePoint> = (sources.points().iter())
-            .map(|point| gpu::SourcePoint {
-                ray_offset: scene.ray_offset,
-                ..*point
-            })
-            .collect();
-        let mut scales: Vec<[f32; 4]> = (sources.scales().iter().flatten())
-            .map(|scale| scale.extend(0.0).into())
-            .collect();
-        scales.resize(2 * sources::MAX_SOURCES as usize, [0.0; 4]);
-        let buffer = |label, contents, usage| filled_buffer(&self.device, label, contents, usage);
-        let points = bytemuck::cast_slice(&points);
-        let points = buffer("relight sources", points, wgpu::BufferUsages::STORAGE)?;
-        let scales = bytemuck::cast_slice(&scales);
-        let scales = buffer("relight source scales", scales, wgpu::BufferUsages::UNIFORM)?;
-        let frame_group = self.device.create_bind_group(&wgpu::BindGroupDescriptor {
+    fn target_pipeline(&self) -> &wgpu::RenderPipeline {
+        (self.target_pipeline).get_or_init(|| {
+            let options = Options {
+                depth_stencil: None,
+                multisample: wgpu::MultisampleState::default(),
+                blend: None,
+                ..self.options.clone()
+            };
+            composite::pipeline(&self.device, &self.composite_layout, &options)
+        })
+    }
+
+    /// Group 0 of the pass for sources: uniforms, points, scales.
+    pub(crate) fn source_group(&self, buffers: [&wgpu::Buffer; 3]) -> wgpu::BindGroup {
+        let [uniforms, points, scales] = buffers;
+        self.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("relight sources"),
             layout: &self.source_layouts[0],
             entries: &[
@@ -332,107 +495,47 @@ impl Renderer {
                     resource: scales.as_entire_binding(),
                 },
             ],
-        });
-        Ok(Some((frame_group, scene_group)))
+        })
     }
 
-    /// Copies the reflected image to the GPU unless the last frame had the same.
-    fn upload_reflections(&mut self, frame: &Frame) -> Result<(), Error> {
+    /// The reflected image on the GPU; one texel without.
+    fn reflections(&self, frame: &Frame) -> Result<wgpu::TextureView, Error> {
         let Some(image) = frame.reflections else {
-            return Ok(());
+            return Ok(self.no_image.clone());
         };
-        let (uploaded, view) = &mut self.prefiltered;
-        if uploaded
-            .as_ref()
-            .is_none_or(|texels| !Arc::ptr_eq(texels, image.texels()))
-        {
-            let rows = image
-                .texels()
-                .len()
-                .div_ceil(prefiltered::TEXTURE_WIDTH as usize);
-            LimitError::check(
-                "max_texture_dimension_2d",
-                rows as u64,
-                u64::from(self.device.limits().max_texture_dimension_2d),
-            )
-            .map_err(Error::Frame)?;
-            *view = prefiltered_texture(&self.device, &self.queue, image.texels());
-            *uploaded = Some(image.texels().clone());
-        }
-        Ok(())
-    }
-
-    /// Uniforms, lights and local lights of one call, in buffers of its own, so that several calls
-    /// may share one encoder.
-    fn frame_buffers(
-        &self,
-        scene: &GpuScene,
-        frame: &Frame,
-        [width, height]: [u32; 2],
-        band: u32,
-    ) -> Result<[wgpu::Buffer; 3], Error> {
-        let view = frame.view(width, height, scene.near);
-        let mut uniform = gpu::Frame::new(&view, &scene.atlas, scene.distance_clamp);
-        match frame.method {
-            Method::Ambient => uniform.method = gpu::METHOD_AMBIENT,
-            Method::Polar(options) => {
-                uniform.method = gpu::METHOD_POLAR;
-                uniform.spokes = options.spokes.max(1);
-            }
-            Method::Cells(options) => {
-                uniform.method = gpu::METHOD_CELLS;
-                uniform.boundary_error = options.boundary_error;
-                uniform.lobe_error = options.lobe_error;
-                uniform.cells = options.partition().unwrap_or([0; 2]);
-            }
-        }
-        uniform.light_count = frame.lights.len() as u32;
-        uniform.source_count = frame.sources.map_or(0, |sources| sources.count() as u32);
-        uniform.local_light_count = frame.local_lights.len() as u32;
-        uniform.prefiltered_levels = frame.reflections.map_or(0, Prefiltered::levels);
-        uniform.environment_rotation = frame
-            .reflection_rotation()
-            .to_cols_array_2d()
-            .map(|[x, y, z]| [x, y, z, 0.0]);
-        check_local_lights(frame.local_lights.len()).map_err(Error::Frame)?;
-        let mut local_lights = frame.packed_local_lights();
-        local_lights.resize(gpu::MAX_LOCAL_LIGHTS as usize, bytemuck::Zeroable::zeroed());
-        let mut uniforms = Vec::new();
-        for first_row in (0..height).step_by(band as usize) {
-            uniform.first_row = first_row;
-            uniforms.extend_from_slice(bytemuck::bytes_of(&uniform));
-            uniforms.resize(uniforms.len().next_multiple_of(UNIFORM_STRIDE), 0);
-        }
-        let mut lights: Vec<gpu::Light> = frame
-            .rotated_lights()
+        let mut kept = (self.prefiltered.lock()).unwrap_or_else(PoisonError::into_inner);
+        let found = kept
             .iter()
-            .map(|light| gpu::Light {
-                axis: light.axis.into(),
-                sharpness: light.sharpness,
-                amplitude: light.amplitude.into(),
-                reserved: 0.0,
-            })
-            .collect();
-        if lights.is_empty() {
-            // A binding must not be empty.
-            lights.push(bytemuck::Zeroable::zeroed());
-        }
-        check_storage(&self.device, size_of_val(&lights[..]) as u64).map_err(Error::Frame)?;
-        let buffer = |label, contents, usage| filled_buffer(&self.device, label, contents, usage);
-        let uniform = wgpu::BufferUsages::UNIFORM;
-        let local_lights = bytemuck::cast_slice(&local_lights);
-        let (lights, storage) = (bytemuck::cast_slice(&lights), wgpu::BufferUsages::STORAGE);
-        Ok([
-            buffer("relight frame", &uniforms, uniform)?,
-            buffer("relight lights", lights, storage)?,
-            buffer("relight local lights", local_lights, uniform)?,
-        ])
+            .position(|(texels, _)| Arc::ptr_eq(texels, image.texels()));
+        let entry = match found {
+            Some(index) => kept.remove(index),
+            None => (image.texels().clone(), self.upload_reflections(image)?),
+        };
+        let view = entry.1.clone();
+        kept.insert(0, entry);
+        kept.truncate(KEPT_IMAGES);
+        Ok(view)
     }
 
-    fn frame_group(
+    fn upload_reflections(&self, image: &Prefiltered) -> Result<wgpu::TextureView, Error> {
+        let width = prefiltered::TEXTURE_WIDTH as usize;
+        let rows = image.texels().len().div_ceil(width);
+        let allowed = self.device.limits().max_texture_dimension_2d;
+        LimitError::check("max_texture_dimension_2d", rows as u64, u64::from(allowed))
+            .map_err(Error::Frame)?;
+        Ok(prefiltered_texture(
+            &self.device,
+            &self.queue,
+            image.texels(),
+        ))
+    }
+
+    /// Group 0: uniforms, lights and local lights; the reflected image and the products of bounced
+    /// light.
+    pub(crate) fn frame_group(
         &self,
-        [uniforms, lights, local_lights]: &[wgpu::Buffer; 3],
-        products: &wgpu::TextureView,
+        [uniforms, lights, local_lights]: [&wgpu::Buffer; 3],
+        [prefiltered, products]: &[wgpu::TextureView; 2],
     ) -> wgpu::BindGroup {
         self.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("relight frame"),
@@ -453,7 +556,7 @@ impl Renderer {
                 },
                 wgpu::BindGroupEntry {
                     binding: 4,
-                    resource: wgpu::BindingResource::TextureView(&self.prefiltered.1),
+                    resource: wgpu::BindingResource::TextureView(prefiltered),
                 },
                 wgpu::BindGroupEntry {
                     binding: 7,
@@ -462,147 +565,52 @@ impl Renderer {
             ],
         })
     }
-
-    fn tonemap(
-        &self,
-        encoder: &mut wgpu::CommandEncoder,
-        radiance: &wgpu::TextureView,
-        exposure: f32,
-        target: &wgpu::TextureView,
-    ) -> Result<(), Error> {
-        let uniform = gpu::Tonemap {
-            exposure,
-            encode_srgb: u32::from(!self.options.target_format.is_srgb()),
-        };
-        let uniform = filled_buffer(
-            &self.device,
-            "relight tonemap",
-            bytemuck::bytes_of(&uniform),
-            wgpu::BufferUsages::UNIFORM,
-        )?;
-        let bind_group = self.device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some("relight tonemap"),
-            layout: &self.tonemap_layout,
-            entries: &[
-                wgpu::BindGroupEntry {
-                    binding: 0,
-                    resource: uniform.as_entire_binding(),
-                },
-                wgpu::BindGroupEntry {
-                    binding: 1,
-                    resource: wgpu::BindingResource::TextureView(radiance),
-                },
-            ],
-        });
-        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-            label: Some("relight tonemap"),
-            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-                view: target,
-                depth_slice: None,
-                resolve_target: None,
-                ops: wgpu::Operations {
-                    load: wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT),
-                    store: wgpu::StoreOp::Store,
-                },
-            })],
-            timestamp_writes: (self.timestamps.as_ref())
-                .map(|timestamps| timestamps.render(Pass::Tonemap)),
-            ..Default::default()
-        });
-        pass.set_pipeline(&self.tonemap_pipeline);
-        pass.set_bind_group(0, &bind_group, &[]);
-        pass.draw(0..3, 0..1);
-        Ok(())
-    }
 }
 
-impl Images {
-    fn new(
-        device: &wgpu::Device,
-        [layout, source_layout]: [&wgpu::BindGroupLayout; 2],
-        size: [u32; 2],
-        with_sources: bool,
-    ) -> Self {
-        let sized = |label, format, usage, [width, height]: [u32; 2]| {
-            device.create_texture(&wgpu::TextureDescriptor {
-                label: Some(label),
-                size: wgpu::Extent3d {
-                    width,
-                    height,
-                    depth_or_array_layers: 1,
-                },
-                mip_level_count: 1,
-                sample_count: 1,
-                dimension: wgpu::TextureDimension::D2,
-                format,
-                usage,
-                view_formats: &[],
-            })
-        };
-        let texture = |label, format, usage| sized(label, format, usage, size);
-        let drawn = wgpu::TextureUsages::RENDER_ATTACHMENT;
-        let read = wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_SRC;
-        let written = wgpu::TextureUsages::STORAGE_BINDING;
-        let visibility = texture("relight visibility buffer", VISIBILITY_FORMAT, drawn | read);
-        let depth = texture("relight depth", DEPTH_FORMAT, drawn);
-        let radiance = texture("relight radiance", RADIANCE_FORMAT, written | read);
-        let view =
-            |texture: &wgpu::Texture| texture.create_view(&wgpu::TextureViewDescriptor::default());
-        let visibility_view = view(&visibility);
-        let radiance_view = view(&radiance);
-        let source_size = if with_sources { size } else { [1; 2] };
-        let source_radiance = sized(
-            "relight source radiance",
-            RADIANCE_FORMAT,
-            written | wgpu::TextureUsages::TEXTURE_BINDING,
-            source_size,
-        );
-        let source_view = view(&source_radiance);
-        let sources = with_sources.then(|| {
-            device.create_bind_group(&wgpu::BindGroupDescriptor {
-                label: Some("relight source images"),
-                layout: source_layout,
-                entries: &[
-                    wgpu::BindGroupEntry {
-                        binding: 0,
-                        resource: wgpu::BindingResource::TextureView(&visibility_view),
-                    },
-                    wgpu::BindGroupEntry {
-                        binding: 1,
-                        resource: wgpu::BindingResource::TextureView(&source_view),
-                    },
-                ],
-            })
-        });
-        let bind_group = device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some("relight images"),
-            layout,
-            entries: &[
-                wgpu::BindGroupEntry {
-                    binding: 0,
-                    resource: wgpu::BindingResource::TextureView(&visibility_view),
-                },
-                wgpu::BindGroupEntry {
-                    binding: 1,
-                    resource: wgpu::BindingResource::TextureView(&radiance_view),
-                },
-                wgpu::BindGroupEntry {
-                    binding: 2,
-                    resource: wgpu::BindingResource::TextureView(&source_view),
-                },
-            ],
-        });
-        Self {
-            sources,
-            size,
-            visibility,
-            visibility_view,
-            depth_view: view(&depth),
-            radiance,
-            radiance_view,
-            bind_group,
-        }
-    }
+/// Nothing is shaded where nothing is seen.
+fn clear(encoder: &mut wgpu::CommandEncoder, image: &wgpu::TextureView) {
+    encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+        label: Some("relight clear"),
+        color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+            view: image,
+            depth_slice: None,
+            resolve_target: None,
+            ops: wgpu::Operations {
+                load: wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT),
+                store: wgpu::StoreOp::Store,
+            },
+        })],
+        ..Default::default()
+    });
+}
+
+fn visibility_pass<'a>(
+    encoder: &'a mut wgpu::CommandEncoder,
+    images: &Images,
+    recording: Option<&Recording>,
+) -> wgpu::RenderPass<'a> {
+    encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+        label: Some("relight visibility buffer"),
+        color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+            view: &images.visibility_view,
+            depth_slice: None,
+            resolve_target: None,
+            ops: wgpu::Operations {
+                load: wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT),
+                store: wgpu::StoreOp::Store,
+            },
+        })],
+        depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
+            view: &images.depth_view,
+            depth_ops: Some(wgpu::Operations {
+                load: wgpu::LoadOp::Clear(0.0),
+                store: wgpu::StoreOp::Store,
+            }),
+            stencil_ops: None,
+        }),
+        timestamp_writes: recording.map(|times| times.render(Pass::VisibilityBuffer)),
+        ..Default::default()
+    })
 }
 
 /// Checks the limits that do not depend on a scene; WebGPU's defaults satisfy them.
@@ -756,7 +764,7 @@ fn scene_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
     })
 }
 
-fn frame_uniform_entry(uniforms: &wgpu::Buffer) -> wgpu::BindGroupEntry<'_> {
+pub(crate) fn frame_uniform_entry(uniforms: &wgpu::Buffer) -> wgpu::BindGroupEntry<'_> {
     wgpu::BindGroupEntry {
         binding: 0,
         resource: wgpu::BindingResource::Buffer(wgpu::BufferBinding {
@@ -828,28 +836,6 @@ fn image_entries() -> [wgpu::BindGroupLayoutEntry; 3] {
         layout_entry(1, compute, radiance),
         layout_entry(2, compute, texture(sources)),
     ]
-}
-
-/// Group 0 of tonemap.wgsl.
-fn tonemap_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
-    let uniform = wgpu::BindingType::Buffer {
-        ty: wgpu::BufferBindingType::Uniform,
-        has_dynamic_offset: false,
-        min_binding_size: None,
-    };
-    let radiance = wgpu::BindingType::Texture {
-        // 32-bit floats cannot be filtered at default limits, and are not.
-        sample_type: wgpu::TextureSampleType::Float { filterable: false },
-        view_dimension: wgpu::TextureViewDimension::D2,
-        multisampled: false,
-    };
-    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-        label: Some("relight tonemap"),
-        entries: &[
-            layout_entry(0, wgpu::ShaderStages::FRAGMENT, uniform),
-            layout_entry(1, wgpu::ShaderStages::FRAGMENT, radiance),
-        ],
-    })
 }
 
 fn shader(device: &wgpu::Device, entry: Entry) -> wgpu::ShaderModule {
@@ -930,35 +916,6 @@ fn compute_pipeline(
         module: &shader(device, entry),
         entry_point: Some(entry_point),
         compilation_options: wgpu::PipelineCompilationOptions::default(),
-        cache: None,
-    })
-}
-
-fn tonemap_pipeline(
-    device: &wgpu::Device,
-    layout: &wgpu::BindGroupLayout,
-    target_format: wgpu::TextureFormat,
-) -> wgpu::RenderPipeline {
-    let module = shader(device, Entry::Tonemap);
-    device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-        label: Some("relight tonemap"),
-        layout: Some(&pipeline_layout(device, &[layout])),
-        vertex: wgpu::VertexState {
-            module: &module,
-            entry_point: Some("tonemap_vertex"),
-            compilation_options: wgpu::PipelineCompilationOptions::default(),
-            buffers: &[],
-        },
-        primitive: wgpu::PrimitiveState::default(),
-        depth_stencil: None,
-        multisample: wgpu::MultisampleState::default(),
-        fragment: Some(wgpu::FragmentState {
-            module: &module,
-            entry_point: Some("tonemap_fragment"),
-            compilation_options: wgpu::PipelineCompilationOptions::default(),
-            targets: &[Some(target_format.into())],
-        }),
-        multiview_mask: None,
         cache: None,
     })
 }

@@ -1,19 +1,20 @@
 //! Asset to GPU buffers and atlas.
 
-use std::sync::{Mutex, PoisonError};
-
 use bytemuck::Pod;
+use glam::Vec3;
 use relight_format::{Material, Scene};
 use relight_shading::gpu::{self, AtlasLayout, LimitError, PackedTexture, pack_scene};
 use relight_shading::spherical_gaussian::SphericalGaussian;
 use relight_shading::transfer::{self, DistantLight, PackedTransfer};
 use wgpu::util::{DeviceExt as _, TextureDataOrder};
 
-use crate::frame::near_plane;
+use crate::frame::{bounds, near_plane};
+use crate::renderer::Owner;
 use crate::transfer::filled_buffer;
 use crate::{Error, occluders};
 
-/// A scene on the GPU. Dropping it frees its memory.
+/// A scene on the GPU, for any number of views and threads. Dropping it
+/// frees its memory.
 #[derive(Debug)]
 pub struct GpuScene {
     pub(crate) bind_group: wgpu::BindGroup,
@@ -24,20 +25,24 @@ pub struct GpuScene {
     pub(crate) atlas: AtlasLayout,
     pub(crate) distance_clamp: f32,
     pub(crate) near: f32,
+    /// Lowest and highest corner; infinite if empty.
+    pub(crate) bounds: [Vec3; 2],
+    pub(crate) owner: Owner,
     queue: wgpu::Queue,
     materials: wgpu::Buffer,
     material_count: usize,
     textures: Vec<PackedTexture>,
-    bounced: Option<BouncedLight>,
+    bounced: Option<PackedTransfer>,
     /// Where light does not bounce.
     no_products: wgpu::TextureView,
 }
 
-/// Light that bounces, and what it was last.
+/// What groups of a scene have of some bounced light.
 #[derive(Debug)]
-struct BouncedLight {
-    packed: PackedTransfer,
-    last: Mutex<Option<(DistantLight, wgpu::TextureView)>>,
+pub(crate) struct ProductsOfLight {
+    scene: wgpu::BindGroup,
+    light: DistantLight,
+    view: wgpu::TextureView,
 }
 
 impl GpuScene {
@@ -51,6 +56,7 @@ impl GpuScene {
         device: &wgpu::Device,
         queue: &wgpu::Queue,
         [layout, source_layout]: [&wgpu::BindGroupLayout; 2],
+        owner: &Owner,
         scene: &Scene,
     ) -> Result<Self, Error> {
         for material in &scene.materials {
@@ -166,42 +172,46 @@ impl GpuScene {
             triangle_count: packed.triangles.len() as u32,
             atlas,
             distance_clamp: packed.distance_clamp,
-            near: near_plane(scene),
+            near: near_plane(bounds(scene)),
+            bounds: bounds(scene),
+            owner: owner.clone(),
             queue: queue.clone(),
             materials,
             material_count: packed.materials.len(),
             textures: packed.textures,
-            bounced: packed.transfer.map(|packed| BouncedLight {
-                packed,
-                last: Mutex::new(None),
-            }),
+            bounced: packed.transfer,
             no_products,
         })
     }
 
-    /// Texture of the colours that groups have under some light; the last one where the light is
-    /// the same.
+    /// Texture of the colours that groups have under some light; the last one where scene and
+    /// light are the same.
     pub(crate) fn products(
         &self,
         device: &wgpu::Device,
-        lights: &[SphericalGaussian],
+        last: &mut Option<ProductsOfLight>,
+        lights: impl FnOnce() -> Vec<SphericalGaussian>,
         local: &[gpu::LocalLight],
     ) -> Result<wgpu::TextureView, Error> {
-        let Some(BouncedLight { packed, last }) = &self.bounced else {
+        let Some(packed) = &self.bounced else {
             return Ok(self.no_products.clone());
         };
-        let light = packed.light(lights, local);
-        let mut last = last.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((before, view)) = &*last
-            && *before == light
+        let light = packed.light(&lights(), local);
+        if let Some(last) = last
+            && last.scene == self.bind_group
+            && last.light == light
         {
-            return Ok(view.clone());
+            return Ok(last.view.clone());
         }
         let texels = packed.products(&light);
         let format = wgpu::TextureFormat::Rgba32Float;
         let view = bounced_texture(device, &self.queue, format, &texels, [0.0; 4])
             .map_err(Error::Frame)?;
-        *last = Some((light, view.clone()));
+        *last = Some(ProductsOfLight {
+            scene: self.bind_group.clone(),
+            light,
+            view: view.clone(),
+        });
         Ok(view)
     }
 

@@ -28,17 +28,17 @@ pub const MAX_ATLAS_LAYERS: u32 = 256;
 /// Largest side of the basis atlas in texels: WebGPU's default limit.
 pub const MAX_ATLAS_SIZE: u32 = 8192;
 
-/// What changes from frame to frame (uniform, 224 bytes).
+/// What changes from frame to frame (uniform, 240 bytes).
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct Frame {
     /// World to clip space, column after column.
     pub view_projection: [[f32; 4]; 4],
-    /// Centre of projection, world space.
+    /// Centre of projection, world space; direction towards the viewer if `perspective` is 0.
     pub eye: [f32; 3],
     /// Number of lights.
     pub light_count: u32,
-    /// Direction through the upper left corner of the image.
+    /// [`View::corner`].
     pub corner: [f32; 3],
     /// [`METHOD_AMBIENT`], [`METHOD_POLAR`] or [`METHOD_CELLS`].
     pub method: u32,
@@ -70,8 +70,16 @@ pub struct Frame {
     pub cells: [u32; 2],
     /// Number of sources.
     pub source_count: u32,
-    /// Zero.
-    pub reserved: u32,
+    /// What the visibility buffer has where the first triangle is seen; the next has one more.
+    pub first_id: u32,
+    /// Number of triangles.
+    pub triangle_count: u32,
+    /// First column of a dispatch.
+    pub first_column: u32,
+    /// 1; 0 where all rays have one direction.
+    pub perspective: f32,
+    /// 1 where triangles that face the viewer turn clockwise in the picture.
+    pub mirrored: u32,
 }
 
 /// Most local lights of a frame.
@@ -282,14 +290,20 @@ pub struct Material {
     pub layers: [Layer; MAX_REFLECTIONS],
 }
 
-/// How radiance becomes display colour (uniform, 8 bytes).
+/// How radiance becomes what a target holds (uniform, 24 bytes).
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
-pub struct Tonemap {
+pub struct Composite {
+    /// Columns and rows of the images.
+    pub size: [f32; 2],
     /// Multiplies radiance.
     pub exposure: f32,
-    /// 1 where the target stores what it is given; 0 where the target encodes sRGB.
-    pub encode_srgb: u32,
+    /// 0 for linear radiance, 1 for tone-mapped colour, 2 for that encoded as sRGB.
+    pub encoding: u32,
+    /// 1 where the target's depth grows with distance.
+    pub flipped_depth: u32,
+    /// Zero.
+    pub reserved: u32,
 }
 
 /// What a packed scene looks like to [`Frame`].
@@ -549,7 +563,11 @@ impl Frame {
             lobe_error: 0.0,
             cells: [0; 2],
             source_count: 0,
-            reserved: 0,
+            first_id: 1,
+            triangle_count: u32::MAX,
+            first_column: 0,
+            perspective: view.homogeneous_eye().w,
+            mirrored: u32::from(view.mirrored),
         }
     }
 }
@@ -689,6 +707,17 @@ mod tests {
     #[test]
     #[allow(clippy::too_many_lines, reason = "a table of structures")]
     fn structures_match_wgsl() {
+        let module = naga::front::wgsl::parse_str(&source(Entry::Composite)).expect("valid WGSL");
+        check_layout!(
+            module,
+            Composite {
+                size,
+                exposure,
+                encoding,
+                flipped_depth,
+                reserved,
+            }
+        );
         let module = naga::front::wgsl::parse_str(&source(Entry::Library)).expect("valid WGSL");
         check_layout!(
             module,
@@ -712,7 +741,11 @@ mod tests {
                 lobe_error,
                 cells,
                 source_count,
-                reserved,
+                first_id,
+                triangle_count,
+                first_column,
+                perspective,
+                mirrored,
             }
         );
         check_layout!(

@@ -327,16 +327,25 @@ impl SurfacePoint {
 ///
 /// # Panics
 /// If `triangle` is not a triangle of `scene`.
-#[allow(
-    clippy::too_many_lines,
-    reason = "stays beside its twin, surface.wgsl, line by line"
-)]
 pub fn surface_point(
     scene: &Scene,
     triangle: usize,
     barycentrics: Vec3,
     eye: Vec3,
 ) -> SurfacePoint {
+    surface_seen(scene, triangle, barycentrics, eye.extend(1.0))
+}
+
+/// The same, seen from an eye in homogeneous coordinates: where w is 0, the unit direction towards
+/// a viewer at infinity.
+///
+/// # Panics
+/// If `triangle` is not a triangle of `scene`.
+#[allow(
+    clippy::too_many_lines,
+    reason = "stays beside its twin, surface.wgsl, line by line"
+)]
+pub fn surface_seen(scene: &Scene, triangle: usize, barycentrics: Vec3, eye: Vec4) -> SurfacePoint {
     let triangle = &scene.triangles[triangle];
     let material = &scene.materials[triangle.material as usize];
     let [a, b, c] = triangle
@@ -368,7 +377,7 @@ pub fn surface_point(
         tangent = orthogonal_unit(tangent, normal);
     }
 
-    let view = unit_or(eye - position, normal);
+    let view = unit_or(eye.xyz() - position * eye.w, normal);
     if geometric_normal.dot(view) > 0.0 && normal.dot(view) < LEAST_VIEW_COSINE {
         // Interpolated or mapped, the normal turned away from an eye that sees the surface:
         // it is bent back as far as models reflect at all.

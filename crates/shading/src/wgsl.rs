@@ -20,8 +20,9 @@ pub enum Entry {
     /// Visibility buffer to what sources add to the radiance: `sources_main`, workgroups of 8 × 8
     /// pixels.
     Sources,
-    /// Linear radiance to display colour: `tonemap_vertex`, `tonemap_fragment`.
-    Tonemap,
+    /// Linear radiance into a target: `composite_vertex`; `composite_fragment` or, where the target
+    /// has depth, `composite_depth_fragment`.
+    Composite,
     /// Functions and bindings without an entry point, to append kernels to.
     Library,
 }
@@ -33,7 +34,7 @@ impl Entry {
         Self::Shade,
         Self::ShadeCells,
         Self::Sources,
-        Self::Tonemap,
+        Self::Composite,
         Self::Library,
     ];
 }
@@ -81,7 +82,10 @@ pub fn source(entry: Entry) -> String {
             source += include_str!("wgsl/occluders.wgsl");
             source += include_str!("wgsl/sources.wgsl");
         }
-        Entry::Tonemap => source += include_str!("wgsl/tonemap.wgsl"),
+        Entry::Composite => {
+            source += include_str!("wgsl/tonemap.wgsl");
+            source += include_str!("wgsl/composite.wgsl");
+        }
         Entry::Library => source.extend(LIBRARY.iter().copied()),
     }
     source

@@ -134,7 +134,7 @@ pub fn draw(
             let uploaded = gpu.upload(scene)?;
             Box::new(move || {
                 let image = gpu.render(&uploaded, frame, width, height)?.linear;
-                Ok((image, gpu.renderer.pass_times()?))
+                Ok((image, gpu.renderer.pass_times()))
             })
         }
         Renderer::Cpu => Box::new(|| Ok((twin::render(scene, frame, width, height)?, None))),

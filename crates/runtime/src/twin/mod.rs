@@ -8,34 +8,68 @@ use glam::Vec3;
 use rayon::prelude::*;
 use relight_format::Scene;
 use relight_shading::occluders::Occluders;
+use relight_shading::prefiltered::Prefiltered;
 use relight_shading::shade::{self, Lighting, Reflections};
 use relight_shading::sources::Lit;
 use relight_shading::ssdf::{Basis, SignedDistance, Ssdf};
-use relight_shading::surface::{SurfacePoint, emission, surface_point};
+use relight_shading::surface::{SurfacePoint, emission, surface_seen};
 use relight_shading::transfer::{Bounced, PackedTransfer};
 
 pub use visibility_buffer::visibility_buffer;
 
-use crate::frame::{check_local_lights, near_plane};
-use crate::{Error, Frame, Image, occluders};
+use crate::frame::{LocalFrame, bounds, near_plane};
+use crate::resources::first_ids;
+use crate::{Error, Frame, Image, Placement, occluders};
+
+/// A scene in a place.
+#[derive(Clone, Copy, Debug)]
+pub struct Placed<'a> {
+    /// One that [`relight_format::read_scene`] returned or [`relight_format::write_scene`] accepts.
+    pub scene: &'a Scene,
+    /// Where it stands.
+    pub placement: Placement,
+}
+
+impl<'a> From<&'a Scene> for Placed<'a> {
+    fn from(scene: &'a Scene) -> Self {
+        Self {
+            scene,
+            placement: Placement::IDENTITY,
+        }
+    }
+}
 
 /// The linear radiance of one frame, not exposed. The scene is one that
 /// [`relight_format::read_scene`] returned or [`relight_format::write_scene`] accepts.
 pub fn render(scene: &Scene, frame: &Frame, width: u32, height: u32) -> Result<Image, Error> {
-    let bounced = BouncedLight::new(scene, frame);
+    render_instances(&[scene.into()], frame, width, height)
+}
+
+/// The same of several instances, which occlude one another, but neither shadow nor light one
+/// another.
+pub fn render_instances(
+    instances: &[Placed],
+    frame: &Frame,
+    width: u32,
+    height: u32,
+) -> Result<Image, Error> {
+    let stage = Stage::new(instances, frame, [width, height])?;
+    let bounced: Vec<_> = (stage.instances.iter())
+        .map(|instance| BouncedLight::new(instance.scene, &instance.local))
+        .collect();
     let shade_pixel = |seen: &Seen, lighting: &Lighting, field: &Ssdf| {
+        let scene = stage.instances[seen.instance].scene;
         let direct = shade::shade(&seen.point, lighting, field, &frame.method);
         let emitted = emission(scene, seen.triangle, seen.barycentrics);
-        let bounced = bounced.as_ref().map_or(Vec3::ZERO, |light| {
+        let bounced = bounced[seen.instance].as_ref().map_or(Vec3::ZERO, |light| {
             light.at(scene, seen).reflected(&seen.point, field)
         });
         (direct + bounced + emitted).extend(1.0).to_array()
     };
-    let pixels = map_seen(scene, frame, [width, height], shade_pixel)?;
     Ok(Image {
         width,
         height,
-        pixels,
+        pixels: stage.map(shade_pixel),
     })
 }
 
@@ -47,9 +81,9 @@ struct BouncedLight {
 
 impl BouncedLight {
     /// `None` where the asset has none.
-    fn new(scene: &Scene, frame: &Frame) -> Option<Self> {
+    fn new(scene: &Scene, frame: &LocalFrame) -> Option<Self> {
         let packed = PackedTransfer::new(scene)?;
-        let light = packed.light(&frame.bouncing_lights(), &frame.packed_local_lights());
+        let light = packed.light(&frame.bouncing_lights(), &frame.local_lights);
         let products = packed.products(&light);
         Some(Self { packed, products })
     }
@@ -64,6 +98,7 @@ impl BouncedLight {
 
 /// What is under a pixel.
 struct Seen {
+    instance: usize,
     point: SurfacePoint,
     triangle: usize,
     barycentrics: Vec3,
@@ -136,68 +171,134 @@ pub fn map_pixels<T: Default + Send>(
     size: [u32; 2],
     shade: impl Fn(&SurfacePoint, &Lighting, &Ssdf) -> T + Sync,
 ) -> Result<Vec<T>, Error> {
-    map_seen(scene, frame, size, |seen, lighting, field| {
-        shade(&seen.point, lighting, field)
-    })
+    let stage = Stage::new(&[scene.into()], frame, size)?;
+    Ok(stage.map(|seen, lighting, field| shade(&seen.point, lighting, field)))
 }
 
-fn map_seen<T: Default + Send>(
-    scene: &Scene,
-    frame: &Frame,
-    [width, height]: [u32; 2],
-    shade: impl Fn(&Seen, &Lighting, &Ssdf) -> T + Sync,
-) -> Result<Vec<T>, Error> {
-    if width == 0 || height == 0 {
-        return Err(Error::EmptyImage { width, height });
+/// A frame ready to be shaded.
+struct Stage<'a> {
+    width: u32,
+    instances: Vec<Staged<'a>>,
+    ids: Vec<u32>,
+    reflections: Option<&'a Prefiltered>,
+}
+
+/// One of its instances.
+struct Staged<'a> {
+    scene: &'a Scene,
+    first_id: u32,
+    local: LocalFrame,
+    occluders: Occluders,
+    basis: Basis,
+}
+
+impl<'a> Stage<'a> {
+    fn new(
+        instances: &[Placed<'a>],
+        frame: &Frame<'a>,
+        [width, height]: [u32; 2],
+    ) -> Result<Self, Error> {
+        if width == 0 || height == 0 {
+            return Err(Error::EmptyImage { width, height });
+        }
+        let near = (instances.iter())
+            .map(|placed| near_plane(bounds(placed.scene)) * placed.placement.scale)
+            .fold(f32::INFINITY, f32::min);
+        let ids = first_ids(
+            instances
+                .iter()
+                .map(|placed| placed.scene.triangles.len() as u32),
+        )?;
+        let mut visible = visibility_buffer::Nearest::new([width, height]);
+        let stage = |(placed, first_id): (&Placed<'a>, u32)| {
+            let scene = placed.scene;
+            let local = frame.seen_from(&placed.placement, [width, height], near)?;
+            visible.draw(scene, &local.view, first_id);
+            Ok(Staged {
+                scene,
+                first_id,
+                occluders: match local.sources {
+                    Some(_) => occluders::build(scene),
+                    None => Occluders::default(),
+                },
+                local,
+                basis: Basis::new(scene),
+            })
+        };
+        Ok(Self {
+            width,
+            instances: (instances.iter().zip(ids).map(stage)).collect::<Result<_, Error>>()?,
+            ids: visible.ids,
+            reflections: frame.reflections,
+        })
     }
-    let view = frame.view(width, height, near_plane(scene));
-    let visible = visibility_buffer(scene, &view, width, height);
-    let lights = frame.rotated_lights();
-    let local = frame.packed_local_lights();
-    check_local_lights(local.len()).map_err(Error::Frame)?;
-    let sources = frame.rotated_sources();
-    let occluders = match sources {
-        Some(_) => occluders::build(scene),
-        None => Occluders::default(),
-    };
-    let lighting = Lighting {
-        sources: sources.as_ref().map(|sources| Lit {
-            sources,
-            occluders: &occluders,
-            ray_offset: scene.visibility.ray_offset,
-        }),
-        lights: &lights,
-        local: &local,
-        reflections: frame.reflections.map(|image| Reflections {
-            image,
-            rotation: frame.reflection_rotation(),
-        }),
-    };
-    let basis = Basis::new(scene);
-    let shade_pixel = |(index, &id): (usize, &u32)| {
-        let Some(triangle) = (id as usize).checked_sub(1) else {
-            return T::default();
+
+    /// What `shade` makes of what every pixel sees, row by row; the default where that is nothing.
+    fn map<T: Default + Send>(
+        &self,
+        shade: impl Fn(&Seen, &Lighting, &Ssdf) -> T + Sync,
+    ) -> Vec<T> {
+        let lightings: Vec<_> = self
+            .instances
+            .iter()
+            .map(|staged| self.lighting(staged))
+            .collect();
+        let shade_pixel = |(index, &id): (usize, &u32)| {
+            if id == 0 {
+                return T::default();
+            }
+            let (x, y) = (index as u32 % self.width, index as u32 / self.width);
+            // The last one that begins there: those without triangles begin there too.
+            let instance = self
+                .instances
+                .partition_point(|staged| staged.first_id <= id)
+                - 1;
+            let Staged {
+                scene,
+                first_id,
+                local,
+                basis,
+                ..
+            } = &self.instances[instance];
+            let triangle = (id - first_id) as usize;
+            let corners = scene.triangles[triangle]
+                .vertices
+                .map(|vertex| scene.vertices[vertex as usize].position.into());
+            let weights = local.view.pixel_ray(x, y).barycentrics(corners);
+            let eye = local.view.homogeneous_eye();
+            let seen = Seen {
+                instance,
+                point: surface_seen(scene, triangle, weights, eye),
+                triangle,
+                barycentrics: weights,
+            };
+            let field = Ssdf::interpolate(scene, basis, triangle, weights);
+            shade(&seen, &lightings[instance], &field)
         };
-        let [a, b, c] = scene.triangles[triangle]
-            .vertices
-            .map(|vertex| scene.vertices[vertex as usize].position.into());
-        let (x, y) = (index as u32 % width, index as u32 / width);
-        let weights = view.barycentrics([a, b, c], view.pixel_direction(x, y));
-        let seen = Seen {
-            point: surface_point(scene, triangle, weights, view.eye),
-            triangle,
-            barycentrics: weights,
-        };
-        let field = Ssdf::interpolate(scene, &basis, triangle, weights);
-        shade(&seen, &lighting, &field)
-    };
-    Ok(visible
-        .par_iter()
-        .enumerate()
-        // Short runs of pixels: some cost a hundred times what others do.
-        .with_max_len(256)
-        .map(shade_pixel)
-        .collect())
+        (self.ids.par_iter())
+            .enumerate()
+            // Short runs of pixels: some cost a hundred times what others do.
+            .with_max_len(256)
+            .map(shade_pixel)
+            .collect()
+    }
+
+    fn lighting<'b>(&'b self, staged: &'b Staged) -> Lighting<'b> {
+        let local = &staged.local;
+        Lighting {
+            sources: local.sources.as_ref().map(|sources| Lit {
+                sources,
+                occluders: &staged.occluders,
+                ray_offset: staged.scene.visibility.ray_offset,
+            }),
+            lights: &local.lights,
+            local: &local.local_lights,
+            reflections: self.reflections.map(|image| Reflections {
+                image,
+                rotation: local.reflection_rotation,
+            }),
+        }
+    }
 }
 
 /// Tone-mapped sRGB RGBA8 of a linear image, row 0 first.

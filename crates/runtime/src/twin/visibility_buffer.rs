@@ -17,7 +17,7 @@ const MAX_COORDINATE: f32 = (1 << 29) as f32;
 
 /// A triangle ready to be sampled.
 struct Projected {
-    /// Index of the triangle + 1.
+    /// What pixels that see it have.
     id: u32,
     /// Edge functions a x + b y + c in subpixels, positive inside; edge i is opposite to
     /// vertex i.
@@ -32,34 +32,66 @@ struct Projected {
 
 /// For every pixel, row 0 first: index of the visible triangle + 1, or 0 on the background.
 pub fn visibility_buffer(scene: &Scene, view: &View, width: u32, height: u32) -> Vec<u32> {
-    let size = [width as usize, height as usize];
+    let mut nearest = Nearest::new([width, height]);
+    nearest.draw(scene, view, 1);
+    nearest.ids
+}
+
+/// What is nearest in every pixel.
+pub(super) struct Nearest {
+    size: [usize; 2],
+    pub(super) ids: Vec<u32>,
+    /// Reversed; 0 on the background.
+    depths: Vec<f32>,
+}
+
+impl Nearest {
+    pub(super) fn new(size: [u32; 2]) -> Self {
+        let size = size.map(|side| side as usize);
+        Self {
+            size,
+            ids: vec![0; size[0] * size[1]],
+            depths: vec![0.0; size[0] * size[1]],
+        }
+    }
+
+    /// Draws a scene whose first triangle has the id `first_id`.
+    pub(super) fn draw(&mut self, scene: &Scene, view: &View, first_id: u32) {
+        let projected = project_scene(scene, view, first_id, self.size);
+        let row = self.size[0];
+        (self.ids.par_chunks_mut(row * BAND))
+            .zip(self.depths.par_chunks_mut(row * BAND))
+            .enumerate()
+            .for_each(|(band, (ids, depths))| {
+                for triangle in &projected {
+                    draw(triangle, band * BAND, row, ids, depths);
+                }
+            });
+    }
+}
+
+fn project_scene(scene: &Scene, view: &View, first_id: u32, size: [usize; 2]) -> Vec<Projected> {
     let clip: Vec<Vec4> = scene
         .vertices
         .par_iter()
         .map(|vertex| view.view_projection * Vec3::from(vertex.position).extend(1.0))
         .collect();
-    let projected: Vec<Projected> = scene
+    scene
         .triangles
         .par_iter()
         .enumerate()
         .flat_map_iter(|(index, triangle)| {
             let polygon = clip_near(triangle.vertices.map(|vertex| clip[vertex as usize]));
             (2..polygon.len()).filter_map(move |i| {
-                let corners = [polygon[0], polygon[i - 1], polygon[i]];
-                project(index as u32 + 1, corners, size)
+                let mut corners = [polygon[0], polygon[i - 1], polygon[i]];
+                if view.mirrored {
+                    // Front faces turn the other way.
+                    corners.swap(0, 2);
+                }
+                project(index as u32 + first_id, corners, size)
             })
         })
-        .collect();
-    let mut ids = vec![0; size[0] * size[1]];
-    ids.par_chunks_mut(size[0] * BAND)
-        .enumerate()
-        .for_each(|(band, ids)| {
-            let mut depths = vec![0.0; ids.len()];
-            for triangle in &projected {
-                draw(triangle, band * BAND, size[0], ids, &mut depths);
-            }
-        });
-    ids
+        .collect()
 }
 
 /// Cuts away what lies in front of the near plane: reversed depth z/w above 1.

@@ -1,6 +1,7 @@
 //! The GPU against its twin, stage by stage. Without an adapter these fail, unless
 //! `RELIGHT_NO_GPU=1` says that there is none: then they count as skipped.
 
+mod engine;
 mod probe;
 mod reflection;
 mod scenes;
@@ -14,7 +15,7 @@ use relight_format::{Camera, Environment, FieldOfView, Material, Surface};
 use relight_runtime::offscreen::{Gpu, Picture};
 use relight_runtime::{
     CellsOptions, Error, Frame, Image, LocalLight, MAX_LOCAL_LIGHTS, Method, Options, PolarOptions,
-    Prefiltered, Renderer, Sources, SphericalGaussian, Spot, twin, wgpu,
+    Prefiltered, Sources, SphericalGaussian, Spot, twin, wgpu,
 };
 use relight_shading::camera::View;
 use relight_shading::prefiltered::encode;
@@ -97,6 +98,34 @@ fn main() -> ExitCode {
             materials_change_without_upload,
         ),
         with_gpu("passes_are_timed", passes_are_timed),
+        with_gpu("engine::matrices_match_twin", engine::matrices_match_twin),
+        with_gpu("engine::cameras_agree", engine::cameras_agree),
+        with_gpu("engine::instances_match_twin", engine::instances_match_twin),
+        with_gpu(
+            "engine::turning_the_world_changes_nothing",
+            engine::turning_the_world_changes_nothing,
+        ),
+        with_gpu(
+            "engine::scenes_stand_among_the_apps_objects",
+            engine::scenes_stand_among_the_apps_objects,
+        ),
+        with_gpu(
+            "engine::float_targets_hold_linear_radiance",
+            engine::float_targets_hold_linear_radiance,
+        ),
+        with_gpu("engine::views_are_used_again", engine::views_are_used_again),
+        with_gpu(
+            "engine::wrong_uses_are_errors",
+            engine::wrong_uses_are_errors,
+        ),
+        with_gpu(
+            "engine::any_number_of_rows_is_dispatched",
+            engine::any_number_of_rows_is_dispatched,
+        ),
+        with_gpu(
+            "engine::times_are_known_without_waiting",
+            engine::times_are_known_without_waiting,
+        ),
         with_gpu("errors_name_what_is_wrong", errors_name_what_is_wrong),
         with_gpu("limits_are_checked", limits_are_checked),
         with_gpu("large_scenes_are_drawn", large_scenes_are_drawn),
@@ -122,7 +151,7 @@ fn lights() -> Vec<SphericalGaussian> {
 
 fn frame(lights: &[SphericalGaussian], method: Method) -> Frame<'_> {
     Frame {
-        camera: scenes::camera(),
+        camera: scenes::camera().into(),
         lights,
         rotation: Quat::from_rotation_y(0.4),
         reflections: None,
@@ -145,7 +174,7 @@ fn different_pixels(gpu: &mut Gpu, camera: Camera) -> Result<f32, Failed> {
     let scene = scenes::sphere_over_plane();
     let uploaded = gpu.upload(&scene)?;
     let frame = Frame {
-        camera,
+        camera: camera.into(),
         ..frame(&[], Method::Ambient)
     };
     gpu.render(&uploaded, &frame, width, height)?;
@@ -523,7 +552,7 @@ fn with_options<T>(
     options: Options,
     run: impl FnOnce(&mut Gpu) -> Result<T, Failed>,
 ) -> Result<T, Failed> {
-    let renderer = Renderer::new(&gpu.device, &gpu.queue, options)?;
+    let renderer = gpu.renderer.with_options(options)?;
     let shared = std::mem::replace(&mut gpu.renderer, renderer);
     let result = run(gpu);
     gpu.renderer = shared;
@@ -637,7 +666,7 @@ fn passes_are_timed(gpu: &mut Gpu) -> Outcome {
         let start = std::time::Instant::now();
         render(gpu, &frame(&lights, POLAR), size, size)?;
         let elapsed = start.elapsed();
-        match gpu.renderer.pass_times()? {
+        match gpu.renderer.pass_times() {
             Some(times) => {
                 println!("{times:?} of {elapsed:?}");
                 assert!(times.total() <= elapsed, "{times:?} of {elapsed:?}");

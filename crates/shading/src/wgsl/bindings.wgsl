@@ -3,12 +3,14 @@
 
 // What changes from frame to frame.
 struct Frame {
-    // World to clip space: reversed depth, infinite far plane.
+    // World to clip space: reversed depth. The world is the scene's own: what stands turned, moved
+    // or scaled is seen through a camera turned, moved and scaled.
     view_projection: mat4x4<f32>,
-    // Centre of projection, world space.
+    // Centre of projection, world space; direction towards the viewer if perspective is 0.
     eye: vec3<f32>,
     light_count: u32,
-    // The ray of pixel (x, y) has direction corner + (x + 1/2) right + (y + 1/2) down.
+    // The ray of pixel (x, y) has direction, or passes through, corner + (x + 1/2) right +
+    // (y + 1/2) down.
     corner: vec3<f32>,
     // METHOD_AMBIENT or another; pipelines tell the others apart.
     method: u32,
@@ -16,7 +18,7 @@ struct Frame {
     // polar: number of spokes.
     spokes: u32,
     down: vec3<f32>,
-    // First row of this dispatch; add it to global_invocation_id.y.
+    // First row and column of this dispatch; add them to global_invocation_id.
     first_row: u32,
     // 1 / width and 1 / height of the basis atlas.
     atlas_texel: vec2<f32>,
@@ -35,7 +37,15 @@ struct Frame {
     // cells: rows and columns of the uniform partition, or zero.
     cells: vec2<u32>,
     source_count: u32,
-    reserved: u32,
+    // What visibility_buffer has where the first triangle is seen; the next has one more.
+    first_id: u32,
+    triangle_count: u32,
+    // See first_row.
+    first_column: u32,
+    // 1.0; 0.0: all rays have one direction.
+    perspective: f32,
+    // 1: triangles that face the viewer turn clockwise in the picture.
+    mirrored: u32,
 }
 
 // A sphere that emits.
@@ -209,7 +219,7 @@ struct Material {
 // PackedTransfer::words, TRANSFER_TEXTURE_WIDTH per row.
 @group(1) @binding(10) var transfer_words: texture_2d<u32>;
 
-// Triangle index + 1; 0 is background.
+// first_id + triangle, 0 is background; and at which point of the image, see seen_ray.
 @group(2) @binding(0) var visibility_buffer: texture_2d<u32>;
 // Linear radiance; alpha is 1 where a surface was shaded and 0 on the background.
 @group(2) @binding(1) var radiance: texture_storage_2d<rgba32float, write>;

@@ -2,22 +2,23 @@
 
 @compute @workgroup_size(8, 8)
 fn shade_main(@builtin(global_invocation_id) id: vec3<u32>) {
-    let pixel = vec2(id.x, id.y + frame.first_row);
+    let pixel = id.xy + vec2(frame.first_column, frame.first_row);
     if any(pixel >= textureDimensions(visibility_buffer)) {
         return;
     }
-    let covering = textureLoad(visibility_buffer, pixel, 0).x;
-    if covering == 0u {
-        textureStore(radiance, pixel, vec4(0.0));
+    let seen = textureLoad(visibility_buffer, pixel, 0).xy;
+    // Background, and what belongs to others, wraps to more than there is.
+    let number = seen.x - frame.first_id;
+    if number >= frame.triangle_count {
         return;
     }
-    let triangle = triangles[covering - 1u];
+    let triangle = triangles[number];
     let corners = triangle.xyz;
     let weights = barycentrics(
         vertices[corners.x].position,
         vertices[corners.y].position,
         vertices[corners.z].position,
-        pixel_direction(pixel),
+        seen_ray(pixel, seen.y),
     );
     let point = surface_point(corners, triangle.w & 0xffffu, weights);
     ssdf_load(clusters[triangle.w >> 16u], corners, weights);

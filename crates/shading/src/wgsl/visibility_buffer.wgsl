@@ -9,9 +9,14 @@ struct Corner {
 @vertex
 fn visibility_buffer_vertex(@builtin(vertex_index) index: u32) -> Corner {
     let triangle = index / 3u;
-    let vertex = triangles[triangle][index % 3u];
+    var corner = index % 3u;
+    if frame.mirrored == 1u {
+        // Front faces turn the other way.
+        corner = 2u - corner;
+    }
+    let vertex = triangles[triangle][corner];
     let position = vec4(vertices[vertex].position, 1.0);
-    return Corner(frame.view_projection * position, triangle + 1u);
+    return Corner(frame.view_projection * position, triangle + frame.first_id);
 }
 
 @fragment

@@ -5,7 +5,6 @@ use std::time::Instant;
 use relight_bake::report::plot::Curve;
 use relight_format::Scene;
 use relight_runtime::{CellsOptions, Frame, Method, PolarOptions};
-use relight_shading::camera::View;
 use relight_shading::shade::Lighting;
 
 use super::report::{Section, Table};
@@ -186,7 +185,13 @@ fn families() -> Vec<Family> {
 /// Seconds without building the tree, and the picture with its noise as part of its error.
 fn ray_trace(scene: &Scene, frame: &Frame, size: [u32; 2], samples: u32) -> (f64, Image) {
     let [width, height] = size;
-    let geometry = Geometry::new(scene, View::new(&frame.camera, width, height, 1.0));
+    let geometry = Geometry::new(
+        scene,
+        frame
+            .camera
+            .view(width, height, 1.0)
+            .expect("a camera with rays"),
+    );
     let lighting = Lighting {
         lights: frame.lights,
         ..Lighting::default()

@@ -7,7 +7,6 @@ use std::f32::consts::TAU;
 use glam::{Vec2, Vec3};
 use relight_format::Scene;
 use relight_runtime::Frame;
-use relight_shading::camera::View;
 use relight_shading::gpu;
 use relight_shading::occluders::Occluders;
 use relight_shading::octahedral;
@@ -42,7 +41,13 @@ pub fn of_frame(
     visibility: Visibility,
     row_done: &(dyn Fn() + Sync),
 ) -> Image {
-    let geometry = Geometry::new(scene, View::new(&frame.camera, width, height, 1.0));
+    let geometry = Geometry::new(
+        scene,
+        frame
+            .camera
+            .view(width, height, 1.0)
+            .expect("a camera with rays"),
+    );
     let local: Vec<gpu::LocalLight> = frame.local_lights.iter().map(Into::into).collect();
     let sources = frame.rotated_sources();
     // Rays are cast by `geometry`.

@@ -1,0 +1,244 @@
+//! What shading one instance takes, kept from frame to frame.
+
+use relight_shading::gpu::{self, LimitError};
+use relight_shading::prefiltered::Prefiltered;
+use relight_shading::shade::Method;
+use relight_shading::sources;
+
+use crate::frame::LocalFrame;
+use crate::transfer::filled_buffer;
+use crate::upload::{ProductsOfLight, check_storage};
+use crate::view::Region;
+use crate::{Error, Frame, GpuScene, Renderer};
+
+/// Largest alignment of uniform buffer offsets that WebGPU allows a device to ask for.
+pub(crate) const UNIFORM_STRIDE: usize = 256;
+
+/// A buffer that is filled again and again.
+#[derive(Debug, Default)]
+pub(crate) struct Slot(Option<wgpu::Buffer>);
+
+impl Slot {
+    /// Fills it, by the next submission; makes a new one if it does not fit. Returns whether it is
+    /// new.
+    pub(crate) fn fill(
+        &mut self,
+        renderer: &Renderer,
+        label: &str,
+        contents: &[u8],
+        usage: wgpu::BufferUsages,
+    ) -> Result<bool, Error> {
+        match &self.0 {
+            Some(buffer) if buffer.size() >= contents.len() as u64 => {
+                renderer.queue().write_buffer(buffer, 0, contents);
+                Ok(false)
+            }
+            _ => {
+                let usage = usage | wgpu::BufferUsages::COPY_DST;
+                self.0 = Some(filled_buffer(renderer.device(), label, contents, usage)?);
+                Ok(true)
+            }
+        }
+    }
+
+    pub(crate) fn buffer(&self) -> &wgpu::Buffer {
+        self.0.as_ref().expect("filled before it is bound")
+    }
+}
+
+/// Buffers and bind groups of one instance in one view.
+#[derive(Debug, Default)]
+pub(crate) struct Resources {
+    uniforms: Slot,
+    lights: Slot,
+    local_lights: Slot,
+    points: Slot,
+    scales: Slot,
+    products: Option<ProductsOfLight>,
+    /// What it was made with, and group 0.
+    frame_group: Option<([wgpu::TextureView; 2], wgpu::BindGroup)>,
+    /// Group 0 of the pass for sources.
+    source_group: Option<wgpu::BindGroup>,
+    /// Dispatches, by the uniforms' order.
+    bands: Vec<Region>,
+}
+
+/// An instance in the order of a frame.
+#[derive(Clone, Copy)]
+pub(crate) struct Numbered {
+    /// What the visibility buffer has for its first triangle.
+    pub(crate) first_id: u32,
+    /// Where it may be seen.
+    pub(crate) region: Region,
+}
+
+impl Resources {
+    /// Lets go of the buffers, so that what is recorded already keeps what it was recorded with.
+    pub(crate) fn renew(&mut self) {
+        let products = self.products.take();
+        *self = Self {
+            products,
+            ..Self::default()
+        };
+    }
+
+    /// Fills everything for one frame.
+    pub(crate) fn fill(
+        &mut self,
+        renderer: &Renderer,
+        scene: &GpuScene,
+        frame: &Frame,
+        local: &LocalFrame,
+        numbered: Numbered,
+        prefiltered: &wgpu::TextureView,
+    ) -> Result<(), Error> {
+        let mut uniform = uniforms(scene, frame, local);
+        uniform.first_id = numbered.first_id;
+        self.bands = numbered.region.bands(renderer.band()).collect();
+        let mut uniforms = Vec::with_capacity(self.bands.len() * UNIFORM_STRIDE);
+        for band in &self.bands {
+            uniforms.extend_from_slice(bytemuck::bytes_of(&band.uniform(uniform)));
+            uniforms.resize(uniforms.len().next_multiple_of(UNIFORM_STRIDE), 0);
+        }
+        let mut lights: Vec<gpu::Light> = (local.lights.iter())
+            .map(|light| gpu::Light {
+                axis: light.axis.into(),
+                sharpness: light.sharpness,
+                amplitude: light.amplitude.into(),
+                reserved: 0.0,
+            })
+            .collect();
+        if lights.is_empty() {
+            // A binding must not be empty.
+            lights.push(bytemuck::Zeroable::zeroed());
+        }
+        let bytes = size_of_val(&lights[..]) as u64;
+        check_storage(renderer.device(), bytes).map_err(Error::Frame)?;
+        let mut local_lights = local.local_lights.clone();
+        local_lights.resize(gpu::MAX_LOCAL_LIGHTS as usize, bytemuck::Zeroable::zeroed());
+        let (uniform, storage) = (wgpu::BufferUsages::UNIFORM, wgpu::BufferUsages::STORAGE);
+        let lights = bytemuck::cast_slice(&lights);
+        let local_lights = bytemuck::cast_slice(&local_lights);
+        let new = [
+            (self.uniforms).fill(renderer, "relight frame", &uniforms, uniform)?,
+            (self.lights).fill(renderer, "relight lights", lights, storage)?,
+            (self.local_lights).fill(renderer, "relight local lights", local_lights, uniform)?,
+        ];
+        let products = scene.products(
+            renderer.device(),
+            &mut self.products,
+            || local.bouncing_lights(),
+            &local.local_lights,
+        )?;
+        let views = [prefiltered.clone(), products];
+        if new.contains(&true)
+            || self
+                .frame_group
+                .as_ref()
+                .is_none_or(|(made, _)| *made != views)
+        {
+            let buffers = [&self.uniforms, &self.lights, &self.local_lights].map(Slot::buffer);
+            let group = renderer.frame_group(buffers, &views);
+            self.frame_group = Some((views, group));
+        }
+        self.fill_sources(renderer, scene, local, new[0])
+    }
+
+    /// The same for the pass for sources.
+    fn fill_sources(
+        &mut self,
+        renderer: &Renderer,
+        scene: &GpuScene,
+        local: &LocalFrame,
+        new_uniforms: bool,
+    ) -> Result<(), Error> {
+        let Some(sources) = &local.sources else {
+            self.source_group = None;
+            return Ok(());
+        };
+        (scene.sources.as_ref()).map_err(|error| Error::Scene(error.clone()))?;
+        let points: Vec<gpu::SourcePoint> = (sources.points().iter())
+            .map(|point| gpu::SourcePoint {
+                ray_offset: scene.ray_offset,
+                ..*point
+            })
+            .collect();
+        let mut scales: Vec<[f32; 4]> = (sources.scales().iter().flatten())
+            .map(|scale| scale.extend(0.0).into())
+            .collect();
+        scales.resize(2 * sources::MAX_SOURCES as usize, [0.0; 4]);
+        let (uniform, storage) = (wgpu::BufferUsages::UNIFORM, wgpu::BufferUsages::STORAGE);
+        let points = bytemuck::cast_slice(&points);
+        let scales = bytemuck::cast_slice(&scales);
+        let new = [
+            new_uniforms,
+            (self.points).fill(renderer, "relight sources", points, storage)?,
+            (self.scales).fill(renderer, "relight source scales", scales, uniform)?,
+        ];
+        if new.contains(&true) || self.source_group.is_none() {
+            let buffers = [&self.uniforms, &self.points, &self.scales].map(Slot::buffer);
+            self.source_group = Some(renderer.source_group(buffers));
+        }
+        Ok(())
+    }
+
+    /// Group 0.
+    pub(crate) fn frame_group(&self) -> &wgpu::BindGroup {
+        let (_, group) = self
+            .frame_group
+            .as_ref()
+            .expect("filled before it is drawn");
+        group
+    }
+
+    /// Group 0 of the pass for sources; `None` where the frame has none.
+    pub(crate) fn source_group(&self) -> Option<&wgpu::BindGroup> {
+        self.source_group.as_ref()
+    }
+
+    /// Dispatches: offset of the uniforms, and workgroups.
+    pub(crate) fn dispatches(&self) -> impl Iterator<Item = (u32, [u32; 2])> {
+        (0..)
+            .step_by(UNIFORM_STRIDE)
+            .zip(self.bands.iter().map(|band| band.workgroups()))
+    }
+}
+
+/// All but what changes from dispatch to dispatch and from instance to instance.
+fn uniforms(scene: &GpuScene, frame: &Frame, local: &LocalFrame) -> gpu::Frame {
+    let mut uniform = gpu::Frame::new(&local.view, &scene.atlas, scene.distance_clamp);
+    match frame.method {
+        Method::Ambient => uniform.method = gpu::METHOD_AMBIENT,
+        Method::Polar(options) => {
+            uniform.method = gpu::METHOD_POLAR;
+            uniform.spokes = options.spokes.max(1);
+        }
+        Method::Cells(options) => {
+            uniform.method = gpu::METHOD_CELLS;
+            uniform.boundary_error = options.boundary_error;
+            uniform.lobe_error = options.lobe_error;
+            uniform.cells = options.partition().unwrap_or([0; 2]);
+        }
+    }
+    uniform.light_count = local.lights.len() as u32;
+    uniform.source_count = (local.sources.as_ref()).map_or(0, |sources| sources.count() as u32);
+    uniform.local_light_count = local.local_lights.len() as u32;
+    uniform.prefiltered_levels = frame.reflections.map_or(0, Prefiltered::levels);
+    uniform.environment_rotation =
+        (local.reflection_rotation.to_cols_array_2d()).map(|[x, y, z]| [x, y, z, 0.0]);
+    uniform.triangle_count = scene.triangle_count;
+    uniform
+}
+
+/// What the visibility buffer has for the first triangle of every instance.
+pub(crate) fn first_ids(counts: impl Iterator<Item = u32>) -> Result<Vec<u32>, Error> {
+    let mut next = 1u64;
+    let mut first = Vec::new();
+    for count in counts {
+        first.push(next as u32);
+        next += u64::from(count);
+        LimitError::check("triangles of a frame", next, u64::from(u32::MAX))
+            .map_err(Error::Frame)?;
+    }
+    Ok(first)
+}

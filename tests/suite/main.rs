@@ -10,6 +10,7 @@
     reason = "every trial has the same signature"
 )]
 
+mod browser;
 mod cli;
 mod command;
 mod demo;
@@ -22,11 +23,13 @@ mod meshes;
 mod real_meshes;
 mod support;
 mod truth;
+mod viewer;
 
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
     let trials = [
+        browser::trials(),
         cli::trials(),
         demo::trials(),
         determinism::trials(),
@@ -36,6 +39,7 @@ fn main() -> ExitCode {
         lab::trials(),
         real_meshes::trials(),
         truth::trials(),
+        viewer::trials(),
     ];
     let trials = trials.into_iter().flatten().collect();
     libtest_mimic::run(&libtest_mimic::Arguments::from_args(), trials).exit_code()

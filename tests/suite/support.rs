@@ -1,8 +1,9 @@
 //! What trials share: the data folder, the binaries, skipping.
 
 use std::ffi::OsStr;
+use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Stdio};
 use std::sync::OnceLock;
 
 use libtest_mimic::{Completion, Failed, Trial};
@@ -68,6 +69,49 @@ pub fn with_browser(
         });
         let browser = found.ok_or("no Chromium, and no RELIGHT_NO_BROWSER=1")?;
         run(browser).map(|()| Completion::Completed)
+    })
+}
+
+/// A trial that opens a window, on a screen of its own that Xvfb makes, whose name it gets. Where
+/// there is no Xvfb it fails, unless `RELIGHT_NO_DISPLAY=1` skips it.
+pub fn with_display(
+    name: impl Into<String>,
+    run: impl FnOnce(&str) -> Outcome + Send + 'static,
+) -> Trial {
+    Trial::ignorable_test(name, move || {
+        if std::env::var_os("RELIGHT_NO_DISPLAY").is_some_and(|value| value == "1") {
+            return Ok(Completion::ignored_with("RELIGHT_NO_DISPLAY=1"));
+        }
+        // It chooses a free number itself and writes it down once it can be used.
+        let mut xvfb = Command::new("Xvfb")
+            .args([
+                "-displayfd",
+                "1",
+                "-screen",
+                "0",
+                "1280x800x24",
+                "-nolisten",
+                "tcp",
+            ])
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .map_err(|error| format!("Xvfb: {error}, and no RELIGHT_NO_DISPLAY=1"))?;
+        let mut number = String::new();
+        let stdout = xvfb.stdout.take();
+        let read = stdout.map(|stdout| BufReader::new(stdout).read_line(&mut number));
+        let result = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| match read {
+            Some(Ok(length)) if length > 1 => run(&format!(":{}", number.trim())),
+            _ => Err("Xvfb did not start".into()),
+        }));
+        // It is ours and has to go, whatever happened.
+        let _ = xvfb.kill();
+        let _ = xvfb.wait();
+        match result {
+            Ok(outcome) => outcome.map(|()| Completion::Completed),
+            Err(payload) => std::panic::resume_unwind(payload),
+        }
     })
 }
 

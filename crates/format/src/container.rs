@@ -8,6 +8,7 @@ use std::path::Path;
 use bytemuck::Pod;
 use serde::{Serialize, de::DeserializeOwned};
 
+use crate::compression::{self, Decoder};
 use crate::{Error, Issue};
 
 /// First eight bytes of every asset. The line feed catches text-mode transfers.
@@ -19,10 +20,6 @@ const HEADER_LENGTH: usize = 24;
 const ENTRY_LENGTH: usize = 32;
 /// More sections than any version defines; bounds the table before it is read.
 const MAX_SECTIONS: u32 = 64;
-/// Speed matters little offline and decoding speed does not depend on it.
-const ZSTD_LEVEL: i32 = 15;
-/// log2 of the largest zstd window a reader allocates for; level 15 uses 22 at most.
-const ZSTD_MAX_WINDOW_LOG: u32 = 23;
 /// Most bytes of metadata, whatever [`Limits`] say.
 const MAX_METADATA_BYTES: usize = 16 << 20;
 /// Bytes decompressed at a time: what a lying raw length can make a reader allocate.
@@ -348,12 +345,7 @@ impl<'a> Reader<'a> {
                 found,
             )
         };
-        let mut decoder = zstd::stream::read::Decoder::with_buffer(stored)
-            .map_err(|error| bad(&error))?
-            .single_frame();
-        decoder
-            .window_log_max(ZSTD_MAX_WINDOW_LOG)
-            .map_err(|error| bad(&error))?;
+        let mut decoder = Decoder::new(stored).map_err(|error| bad(&error))?;
         // Grows as bytes arrive, by doubling up to the exact length: neither a lying raw
         // length nor a second copy of the section costs memory.
         let mut values: Vec<T> = Vec::new();
@@ -377,7 +369,7 @@ impl<'a> Reader<'a> {
         if excess > 0 {
             return Err(bad(&"more bytes"));
         }
-        match decoder.finish().len() {
+        match decoder.unused() {
             0 => Ok(values),
             unused => Err(bad(&format_args!("{unused} bytes after it"))),
         }
@@ -479,7 +471,7 @@ impl Writer {
             );
         };
         let raw: &[u8] = bytemuck::cast_slice(values);
-        let stored = zstd::bulk::compress(raw, ZSTD_LEVEL).map_err(|error| {
+        let stored = compression::compress(raw).map_err(|error| {
             Error::section(
                 Issue::BadCompression,
                 kind,

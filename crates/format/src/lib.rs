@@ -10,6 +10,7 @@
 #![doc = ""]
 #![doc = include_str!("../FORMAT.md")]
 
+mod compression;
 mod container;
 mod environment;
 mod error;

@@ -97,20 +97,7 @@ impl Gpu {
     ) -> Result<Picture, Error> {
         self.renderer.check_size(width, height)?;
         let guard = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
-        let target = self.device.create_texture(&wgpu::TextureDescriptor {
-            label: Some("relight offscreen target"),
-            size: wgpu::Extent3d {
-                width,
-                height,
-                depth_or_array_layers: 1,
-            },
-            mip_level_count: 1,
-            sample_count: 1,
-            dimension: wgpu::TextureDimension::D2,
-            format: self.renderer.options().target_format,
-            usage: wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC,
-            view_formats: &[],
-        });
+        let target = self.target([width, height]);
         let view = target.create_view(&wgpu::TextureViewDescriptor::default());
         let mut encoder = self
             .device
@@ -130,6 +117,24 @@ impl Gpu {
                 pixels,
             },
             display,
+        })
+    }
+
+    /// A texture to draw into with the renderer. The size is one that the device can have.
+    pub fn target(&self, [width, height]: [u32; 2]) -> wgpu::Texture {
+        self.device.create_texture(&wgpu::TextureDescriptor {
+            label: Some("relight offscreen target"),
+            size: wgpu::Extent3d {
+                width,
+                height,
+                depth_or_array_layers: 1,
+            },
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format: self.renderer.options().target_format,
+            usage: wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC,
+            view_formats: &[],
         })
     }
 

@@ -1,5 +1,6 @@
 //! The passes of one frame: visibility buffer, shading, into the target.
 
+use std::ops::Range;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use relight_format::Scene;
@@ -179,11 +180,28 @@ impl Renderer {
         frame: &Frame,
     ) -> Result<(), Error> {
         let recording = self.timestamps.as_ref().and_then(Timestamps::begin);
-        self.prepare_timed(encoder, view, instances, frame, recording.as_ref())?;
+        let rows = 0..view.size()[1];
+        self.prepare_timed(encoder, view, instances, frame, rows, recording.as_ref())?;
         if let Some(recording) = recording {
             recording.end(encoder, 2);
         }
         Ok(())
+    }
+
+    /// [`Self::prepare`] of a part of a frame, for apps that submit long frames in parts and may
+    /// stop between them. The part that begins with row 0 draws all triangles; each shades the bands
+    /// of [`Options::rows_per_dispatch`] that begin within `rows`. All parts are of the same frame,
+    /// each is submitted by itself, and nothing else is prepared into the view between them. They are
+    /// not timed.
+    pub fn prepare_rows(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        view: &mut View,
+        instances: &[Instance],
+        frame: &Frame,
+        rows: Range<u32>,
+    ) -> Result<(), Error> {
+        self.prepare_timed(encoder, view, instances, frame, rows, None)
     }
 
     /// Draws what the view was prepared with into a pass of the app's: over what is there, or
@@ -225,7 +243,15 @@ impl Renderer {
         view.drawing.renew();
         let recording = self.timestamps.as_ref().and_then(Timestamps::begin);
         let instances = [Instance::from(scene)];
-        self.prepare_timed(encoder, &mut view, &instances, frame, recording.as_ref())?;
+        let rows = 0..size[1];
+        self.prepare_timed(
+            encoder,
+            &mut view,
+            &instances,
+            frame,
+            rows,
+            recording.as_ref(),
+        )?;
         {
             let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
                 label: Some("relight target"),
@@ -258,6 +284,7 @@ impl Renderer {
         view: &mut View,
         instances: &[Instance],
         frame: &Frame,
+        rows: Range<u32>,
         recording: Option<&Recording>,
     ) -> Result<(), Error> {
         self.check_view(view)?;
@@ -281,8 +308,8 @@ impl Renderer {
 
         let drawn = instances.iter().zip(&view.resources).zip(&drawn);
         let drawn = drawn.filter(|(_, (_, numbered))| numbered.is_some());
-        clear(encoder, &images.radiance_view);
-        {
+        if rows.start == 0 {
+            clear(encoder, &images.radiance_view);
             let mut pass = visibility_pass(encoder, images, recording);
             pass.set_pipeline(&self.visibility_pipeline);
             for ((instance, resources), _) in drawn.clone() {
@@ -304,7 +331,7 @@ impl Renderer {
                 pass.set_pipeline(pipeline);
                 pass.set_bind_group(1, groups[1], &[]);
                 pass.set_bind_group(2, groups[2], &[]);
-                for (offset, [x, y]) in resources.dispatches() {
+                for (offset, [x, y]) in resources.dispatches(&rows) {
                     pass.set_bind_group(0, groups[0], &[offset]);
                     pass.dispatch_workgroups(x, y, 1);
                 }

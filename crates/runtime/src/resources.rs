@@ -1,5 +1,7 @@
 //! What shading one instance takes, kept from frame to frame.
 
+use std::ops::Range;
+
 use relight_shading::gpu::{self, LimitError};
 use relight_shading::prefiltered::Prefiltered;
 use relight_shading::shade::Method;
@@ -196,11 +198,13 @@ impl Resources {
         self.source_group.as_ref()
     }
 
-    /// Dispatches: offset of the uniforms, and workgroups.
-    pub(crate) fn dispatches(&self) -> impl Iterator<Item = (u32, [u32; 2])> {
+    /// Dispatches of the bands that begin within some rows: offset of the uniforms, and workgroups.
+    pub(crate) fn dispatches(&self, rows: &Range<u32>) -> impl Iterator<Item = (u32, [u32; 2])> {
         (0..)
             .step_by(UNIFORM_STRIDE)
-            .zip(self.bands.iter().map(|band| band.workgroups()))
+            .zip(&self.bands)
+            .filter(|(_, band)| rows.contains(&band.row))
+            .map(|(offset, band)| (offset, band.workgroups()))
     }
 }
 

@@ -85,7 +85,7 @@ pub fn run(options: &Options, monitor: Monitor) -> anyhow::Result<Report> {
         seconds.push((stage, clock.elapsed().as_secs_f64()));
         clock = Instant::now();
     };
-    let (baked, _) = scene::bake(scene_input()?, &options.bake, monitor)?;
+    let (baked, _) = scene::bake(scene_input(1.0)?, &options.bake, monitor)?;
     let scene_path = options.folder.join("demo.relight");
     let bytes = format::write_scene(&baked)?;
     format::write_file(&scene_path, &bytes)?;
@@ -170,8 +170,10 @@ fn read(path: &Path) -> anyhow::Result<Vec<u8>> {
     std::fs::read(path).with_context(|| path.display().to_string())
 }
 
-/// A knot, a sphere of brushed gold and a post over a glossy plane.
-fn scene_input() -> anyhow::Result<SceneInput> {
+/// A knot, a sphere of brushed gold and a post over a glossy plane. `detail` is that of the demo
+/// at 1, with a quarter of its vertices at ½.
+pub fn scene_input(detail: f32) -> anyhow::Result<SceneInput> {
+    let count = |of_demo: f32| (detail * of_demo).round().max(3.0) as u32;
     let mut mesh = Mesh::default();
     let material = |name: &str, diffuse, f0, alpha: [f32; 2]| Material {
         name: name.into(),
@@ -192,15 +194,17 @@ fn scene_input() -> anyhow::Result<SceneInput> {
         material("gold", [0.0; 3], [1.0, 0.71, 0.29], [0.12, 0.4]),
         material("post", [0.55, 0.5, 0.45], [0.04; 3], [0.5; 2]),
     ];
-    tube(&mut mesh, 0, 320, 20, 0.13, |t| {
+    tube(&mut mesh, 0, count(320.0), count(20.0), 0.13, |t| {
         let (a, b) = (2.0 * TAU * t, 3.0 * TAU * t);
         let ring = 0.62 + 0.26 * b.cos();
         Vec3::new(ring * a.cos(), 0.78 + 0.3 * b.sin(), ring * a.sin())
     });
-    sphere(&mut mesh, 1, Vec3::new(1.35, 0.42, 0.35), 0.42, 48);
+    sphere(&mut mesh, 1, Vec3::new(1.35, 0.42, 0.35), 0.42, count(48.0));
     for x in [-1.5, -1.2] {
         let base = Vec3::new(x, 0.0, 0.3);
-        tube(&mut mesh, 2, 24, 12, 0.05, |t| base + 1.5 * Vec3::Y * t);
+        tube(&mut mesh, 2, count(24.0), count(12.0), 0.05, |t| {
+            base + 1.5 * Vec3::Y * t
+        });
     }
     let surface = Surface::Layered {
         diffuse: [0.45; 3],
@@ -213,7 +217,7 @@ fn scene_input() -> anyhow::Result<SceneInput> {
         size: Some(6.0),
         height: Some(0.0),
         center: None,
-        spacing: Some(0.06),
+        spacing: Some(0.06 / detail),
         material: None,
     };
     let camera = Camera {
@@ -226,7 +230,7 @@ fn scene_input() -> anyhow::Result<SceneInput> {
 }
 
 /// Three coloured lights of different size over a dim sky, lat-long.
-fn sky(width: u32, height: u32) -> LatLong {
+pub fn sky(width: u32, height: u32) -> LatLong {
     // Direction, sharpness, radiance.
     let lights = [
         (

@@ -18,7 +18,8 @@ environment:
   RELIGHT_DATA=FOLDER   test data; default ../shared/data beside the checkout
   RELIGHT_NO_GPU=1      skip the tests that need a Vulkan adapter; without it they fail
                         where there is none
-  RELIGHT_NO_BROWSER=1  skip the test that needs Chromium, likewise";
+  RELIGHT_NO_BROWSER=1  skip the tests that need Chromium, likewise
+  RELIGHT_NO_DISPLAY=1  skip the test that needs Xvfb, likewise";
 
 fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -204,6 +205,18 @@ fn install(root: &Path) -> Outcome {
     let browsers = ["chromium", "chromium-browser", "google-chrome"];
     if !no_browser && !(browsers.iter()).any(|name| succeeds(Command::new(name).arg("--version"))) {
         packages.push("chromium");
+    }
+    let no_display = std::env::var_os("RELIGHT_NO_DISPLAY").is_some_and(|value| value == "1");
+    if !no_display && !succeeds(Command::new("Xvfb").arg("-help")) {
+        packages.push("xvfb");
+        // What a window loads when it opens.
+        packages.extend([
+            "libxkbcommon-x11-0",
+            "libxcursor1",
+            "libxi6",
+            "libxrandr2",
+            "libx11-xcb1",
+        ]);
     }
     if packages.is_empty() {
         return Outcome::Passed;

@@ -42,7 +42,19 @@ impl<'a> From<&'a Scene> for Placed<'a> {
 /// The linear radiance of one frame, not exposed. The scene is one that
 /// [`relight_format::read_scene`] returned or [`relight_format::write_scene`] accepts.
 pub fn render(scene: &Scene, frame: &Frame, width: u32, height: u32) -> Result<Image, Error> {
-    render_instances(&[scene.into()], frame, width, height)
+    render_while(scene, frame, width, height, &|| true)
+}
+
+/// The same for as long as it is `wanted`, which is asked at every pixel: once it is not, the rest
+/// stays black.
+pub fn render_while(
+    scene: &Scene,
+    frame: &Frame,
+    width: u32,
+    height: u32,
+    wanted: &(dyn Fn() -> bool + Sync),
+) -> Result<Image, Error> {
+    render_instances_while(&[scene.into()], frame, width, height, wanted)
 }
 
 /// The same of several instances, which occlude one another, but neither shadow nor light one
@@ -53,11 +65,24 @@ pub fn render_instances(
     width: u32,
     height: u32,
 ) -> Result<Image, Error> {
+    render_instances_while(instances, frame, width, height, &|| true)
+}
+
+fn render_instances_while(
+    instances: &[Placed],
+    frame: &Frame,
+    width: u32,
+    height: u32,
+    wanted: &(dyn Fn() -> bool + Sync),
+) -> Result<Image, Error> {
     let stage = Stage::new(instances, frame, [width, height])?;
     let bounced: Vec<_> = (stage.instances.iter())
         .map(|instance| BouncedLight::new(instance.scene, &instance.local))
         .collect();
     let shade_pixel = |seen: &Seen, lighting: &Lighting, field: &Ssdf| {
+        if !wanted() {
+            return [0.0; 4];
+        }
         let scene = stage.instances[seen.instance].scene;
         let direct = shade::shade(&seen.point, lighting, field, &frame.method);
         let emitted = emission(scene, seen.triangle, seen.barycentrics);

@@ -14,8 +14,8 @@ use libtest_mimic::{Completion, Failed, Trial};
 use relight_format::{Camera, Environment, FieldOfView, Material, Surface};
 use relight_runtime::offscreen::{Gpu, Picture};
 use relight_runtime::{
-    CellsOptions, Error, Frame, Image, LocalLight, MAX_LOCAL_LIGHTS, Method, Options, PolarOptions,
-    Prefiltered, Sources, SphericalGaussian, Spot, twin, wgpu,
+    CellsOptions, Error, Frame, Image, Instance, LocalLight, MAX_LOCAL_LIGHTS, Method, Options,
+    PolarOptions, Prefiltered, Sources, SphericalGaussian, Spot, twin, wgpu,
 };
 use relight_shading::camera::View;
 use relight_shading::prefiltered::encode;
@@ -543,6 +543,26 @@ fn bands_do_not_show(gpu: &mut Gpu) -> Outcome {
     };
     let bands = with_options(gpu, options, |gpu| render(gpu, &frame, 100, 101))?;
     assert!(whole == bands);
+    parts_make_the_whole(gpu, &frame, &whole)
+}
+
+/// A frame that is submitted in parts is the one submitted whole.
+fn parts_make_the_whole(gpu: &mut Gpu, frame: &Frame, whole: &Picture) -> Outcome {
+    let size = [whole.linear.width, whole.linear.height];
+    let scene = gpu.upload(&scenes::sphere_over_plane())?;
+    let mut view = gpu.renderer.view(size)?;
+    for rows in [0..8, 8..40, 40..90, 90..101] {
+        let mut encoder = gpu
+            .device
+            .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        let instances = [Instance::from(&scene)];
+        (gpu.renderer).prepare_rows(&mut encoder, &mut view, &instances, frame, rows)?;
+        gpu.queue.submit([encoder.finish()]);
+    }
+    let radiance = view.radiance().expect("a frame was recorded");
+    let bytes = gpu.read_texture(radiance)?;
+    let pixels: Vec<[f32; 4]> = bytemuck::pod_collect_to_vec(&bytes);
+    assert!(pixels == whole.linear.pixels);
     Ok(())
 }
 

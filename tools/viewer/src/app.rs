@@ -1,0 +1,831 @@
+//! The application: state, what goes on in the background, and when to ask for what.
+
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, mpsc};
+use std::time::{Duration, Instant};
+
+use glam::Quat;
+use relight_format::{Camera, Material, Scene};
+use relight_runtime::{Image, LocalLight, SphericalGaussian};
+use relight_shading::ssdf::Basis;
+
+use crate::compose::{self, Look, Sky};
+use crate::engine::{self, Device, Engine, Picture, Request, Shot};
+use crate::inspect::{self, Inspection};
+use crate::jobs::{self, FileKind, Jobs, Kind, Loaded};
+use crate::orbit::Orbit;
+use crate::state::{Document, Integrator, Layout, Light, LightTurn, Settings};
+use crate::turntable::{self, Turntable};
+use crate::watch::{self, Watch};
+use crate::worker::Worker;
+use crate::{panels, save, settings, viewport};
+
+/// Messages that are kept.
+const MOST_MESSAGES: usize = 50;
+/// Texels per side of the inspector's map.
+const INSPECTION_SIDE: u32 = 160;
+
+/// How the application starts.
+#[derive(Clone, Debug, Default)]
+pub struct Start {
+    /// What to open, in this order; without a scene among them the built-in one is shown.
+    pub files: Vec<PathBuf>,
+    /// Where to draw.
+    pub device: Device,
+    /// In place of the default ones.
+    pub settings: Option<Settings>,
+    /// Write a picture of the whole window here once nothing is under way, and end.
+    pub capture: Option<PathBuf>,
+}
+
+/// A picture of the window: waited for, asked for, or there.
+enum Capture {
+    Waiting(PathBuf),
+    Asked(mpsc::Receiver<()>),
+}
+
+/// Something to tell.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Message {
+    /// For people.
+    pub text: String,
+    /// Whether something went wrong.
+    pub is_error: bool,
+}
+
+/// What a file that was chosen in a dialog is for.
+#[derive(Clone, Debug)]
+pub enum Purpose {
+    /// To be opened.
+    Open,
+    /// For the picture, as PNG or OpenEXR by its ending.
+    SavePicture,
+    /// For the camera.
+    SaveCamera,
+    /// For a scene file.
+    SaveScene,
+    /// For the baked scene.
+    SaveAsset,
+    /// A folder for a turntable.
+    SaveTurntable,
+}
+
+/// Everything that a picture depends on, to tell when one has to be drawn.
+#[derive(Clone, PartialEq)]
+struct Wanted {
+    scene: *const Scene,
+    materials: *const Vec<Material>,
+    lights: *const SphericalGaussian,
+    image_reflections: bool,
+    bounce: bool,
+    camera: Camera,
+    rotation: Quat,
+    local_lights: Vec<LocalLight>,
+    integrators: Vec<Integrator>,
+    size: [u32; 2],
+}
+
+/// A request under way.
+struct Flight {
+    number: u64,
+    asked: Instant,
+    /// Panes of which a picture has come.
+    seen: [bool; 2],
+    panes: usize,
+}
+
+/// What to compose.
+struct Composition {
+    images: [Option<Arc<Image>>; 2],
+    look: Look,
+    light: Light,
+    camera: Camera,
+    rotation: Quat,
+    size: [u32; 2],
+}
+
+#[derive(Clone, PartialEq)]
+struct ComposedKey {
+    images: [Option<*const Image>; 2],
+    look: Look,
+    sky: Option<*const crate::state::SkyImage>,
+    lights: *const SphericalGaussian,
+    size: [u32; 2],
+}
+
+/// A file and what it was chosen for.
+type Choice = (Purpose, PathBuf);
+/// A file that a dialog may bring.
+type Chosen = std::pin::Pin<Box<dyn Future<Output = Option<rfd::FileHandle>> + Send>>;
+
+/// The application.
+#[expect(
+    clippy::struct_excessive_bools,
+    reason = "switches that do not depend on each other"
+)]
+pub struct Viewer {
+    /// Remembered.
+    pub settings: Settings,
+    /// The scene, once there is one.
+    pub document: Option<Document>,
+    /// Distant light.
+    pub light: Light,
+    /// How far it is turned.
+    pub turn: LightTurn,
+    /// Whether it turns by itself.
+    pub playing: bool,
+    /// The camera.
+    pub orbit: Orbit,
+    /// What goes on in the background.
+    pub jobs: Jobs,
+    /// What there is to tell, oldest first.
+    pub messages: Vec<Message>,
+    /// Newest pictures.
+    pub pictures: [Option<Picture>; 2],
+    /// Whether clicks look at visibility.
+    pub inspecting: bool,
+    /// Whether the inspector's section opens with the next frame.
+    pub reveal_inspector: bool,
+    /// What the inspector shows.
+    pub inspection: Option<(Inspection, egui::TextureHandle)>,
+    /// Turntable to draw.
+    pub turntable: Turntable,
+    /// Text of the path to open.
+    pub path: String,
+    /// Name of the device that draws.
+    pub device_name: String,
+    /// From asking for pictures to the first of them, the last few times.
+    pub answers: Vec<Duration>,
+    pub(crate) texture: Option<egui::TextureHandle>,
+    pub(crate) size: [u32; 2],
+    device: Device,
+    engine: Engine,
+    wanted: Option<Wanted>,
+    flight: Option<Flight>,
+    composer: Worker<Composition, ([u32; 2], Vec<u8>)>,
+    composing: Option<ComposedKey>,
+    composed: Option<([u32; 2], Vec<u8>)>,
+    waiting_for_composer: bool,
+    basis: Option<(Arc<Scene>, Basis)>,
+    /// A scene and its copy without light that bounces.
+    direct: Option<(Arc<Scene>, Arc<Scene>)>,
+    choices: (mpsc::Sender<Choice>, mpsc::Receiver<Choice>),
+    watch: [Watch; 2],
+    /// Whether the next scene to come brings its own camera and light.
+    fresh: bool,
+    capture: Option<Capture>,
+    context: egui::Context,
+}
+
+impl Viewer {
+    /// Starts the threads and the first jobs.
+    pub fn new(context: &egui::Context, start: &Start) -> Self {
+        let wake = || {
+            let context = context.clone();
+            move || context.request_repaint()
+        };
+        let compose = |task: Composition| {
+            let sky = Sky {
+                image: task.light.image.as_deref(),
+                prefiltered: task.light.prefiltered.as_ref(),
+                rotation: task.rotation,
+            };
+            let images = [0, 1].map(|i: usize| task.images[i].as_deref());
+            let pixels = compose::compose(images, &task.look, &sky, &task.camera, task.size);
+            (task.size, pixels)
+        };
+        let mut viewer = Self {
+            settings: start.settings.unwrap_or_default(),
+            document: None,
+            light: Light::default(),
+            turn: LightTurn::default(),
+            playing: false,
+            orbit: Orbit::new(&Camera {
+                position: [0.0, 0.0, 1.0],
+                target: [0.0; 3],
+                up: [0.0, 1.0, 0.0],
+                field_of_view: relight_format::FieldOfView::Y(0.7),
+            }),
+            jobs: Jobs::new(wake()),
+            messages: Vec::new(),
+            pictures: [None, None],
+            inspecting: false,
+            reveal_inspector: false,
+            inspection: None,
+            turntable: Turntable::default(),
+            path: String::new(),
+            device_name: String::new(),
+            answers: Vec::new(),
+            texture: None,
+            size: [0; 2],
+            device: start.device,
+            engine: Engine::new(start.device, wake()),
+            wanted: None,
+            flight: None,
+            composer: Worker::new("composer", compose, wake()),
+            composing: None,
+            composed: None,
+            waiting_for_composer: false,
+            basis: None,
+            direct: None,
+            choices: mpsc::channel(),
+            watch: Default::default(),
+            fresh: true,
+            capture: start.capture.clone().map(Capture::Waiting),
+            context: context.clone(),
+        };
+        for file in &start.files {
+            viewer.open(file);
+        }
+        let started =
+            |viewer: &Self, kind| viewer.jobs.running().iter().any(|job| job.kind == kind);
+        if !started(&viewer, Kind::Light) {
+            let lobes = viewer.settings.lobes;
+            viewer
+                .jobs
+                .start("built-in light", Kind::Light, move |context| {
+                    jobs::built_in_light(&jobs::fit_stages_to(lobes), context)
+                });
+        }
+        if !started(&viewer, Kind::Scene) {
+            viewer.open_built_in();
+        }
+        viewer
+    }
+
+    /// Bakes the built-in scene and shows it.
+    pub fn open_built_in(&mut self) {
+        let best = self.settings.quality;
+        self.fresh = true;
+        self.jobs
+            .start("built-in scene", Kind::Scene, move |context| {
+                jobs::built_in_scene(best.stages(), context)
+            });
+    }
+
+    /// Opens whatever a file is.
+    pub fn open(&mut self, path: &Path) {
+        match FileKind::of(path) {
+            Some(FileKind::Scene) => {
+                self.fresh = true;
+                self.load_scene(path);
+            }
+            Some(FileKind::Light) => self.load_light(path),
+            Some(FileKind::Material) => {
+                let (path, name) = (path.to_owned(), jobs::file_name(path));
+                self.jobs.start(name, Kind::Material, move |context| {
+                    jobs::material_from_file(&path, context)
+                });
+            }
+            None => self.error(format!(
+                "{}: expected a scene (.toml, .gltf, .glb, .obj), an image (.hdr, .exr), a BRDF \
+                 (.bsdf, .binary) or an asset (.relight)",
+                path.display()
+            )),
+        }
+    }
+
+    fn load_scene(&mut self, path: &Path) {
+        let (path, best) = (path.to_owned(), self.settings.quality);
+        self.jobs
+            .start(jobs::file_name(&path), Kind::Scene, move |context| {
+                jobs::scene_from_file(&path, best.stages(), context)
+            });
+    }
+
+    fn load_light(&mut self, path: &Path) {
+        let (path, lobes) = (path.to_owned(), self.settings.lobes);
+        self.jobs
+            .start(jobs::file_name(&path), Kind::Light, move |context| {
+                jobs::light_from_file(&path, &jobs::fit_stages_to(lobes), context)
+            });
+    }
+
+    /// Fits the environment again, with as many lobes as are asked for now.
+    pub fn fit_again(&mut self) {
+        if let Some(path) = self.light.source.clone() {
+            return self.load_light(&path);
+        }
+        let lobes = self.settings.lobes;
+        self.jobs
+            .start("built-in light", Kind::Light, move |context| {
+                jobs::built_in_light(&jobs::fit_stages_to(lobes), context)
+            });
+    }
+
+    /// Bakes the scene again, at the quality asked for now.
+    pub fn bake_again(&mut self) {
+        let source = self
+            .document
+            .as_ref()
+            .and_then(|document| document.source.clone());
+        if let Some(path) = source {
+            self.load_scene(&path);
+        } else {
+            self.open_built_in();
+            self.fresh = self.document.is_none();
+        }
+    }
+
+    /// Tells something that went wrong.
+    pub fn error(&mut self, text: impl Into<String>) {
+        self.tell(text.into(), true);
+    }
+
+    fn tell(&mut self, text: String, is_error: bool) {
+        let message = Message { text, is_error };
+        if self.messages.last() != Some(&message) {
+            self.messages.push(message);
+        }
+        let surplus = self.messages.len().saturating_sub(MOST_MESSAGES);
+        self.messages.drain(..surplus);
+    }
+
+    /// One frame: takes what has come, draws the window, and asks for what is missing.
+    pub fn show(&mut self, ui: &mut egui::Ui) {
+        self.receive();
+        self.take_dropped(ui);
+        self.follow_files();
+        if self.playing {
+            let step = ui.input(|input| input.stable_dt).min(0.1);
+            self.turn.yaw = (self.turn.yaw + step * self.settings.light_speed)
+                .rem_euclid(std::f32::consts::TAU);
+            ui.ctx().request_repaint();
+        }
+        panels::show(ui, self);
+        viewport::show(ui, self);
+        self.ask_for_pictures();
+        self.ask_for_pixels();
+        self.capture();
+    }
+
+    fn capture(&mut self) {
+        let context = self.context.clone();
+        match &self.capture {
+            Some(Capture::Asked(done)) if done.try_recv().is_ok() => {
+                self.capture = None;
+                context.send_viewport_cmd(egui::ViewportCommand::Close);
+            }
+            Some(Capture::Waiting(path)) if self.is_settled() => {
+                let (sender, done) = mpsc::channel();
+                let path = path.clone();
+                let wake = context.clone();
+                context.request_screenshot(move |image| {
+                    let size = image.size.map(|side| side as u32);
+                    let pixels: Vec<u8> = image
+                        .pixels
+                        .iter()
+                        .flat_map(egui::Color32::to_array)
+                        .collect();
+                    if let Err(error) = save::png(&path, size, &pixels) {
+                        eprintln!("error: {error:#}");
+                    }
+                    // The window may be gone.
+                    let _ = sender.send(());
+                    wake.request_repaint();
+                });
+                self.capture = Some(Capture::Asked(done));
+            }
+            Some(Capture::Waiting(_)) => context.request_repaint_after(Duration::from_millis(100)),
+            None | Some(Capture::Asked(_)) => {}
+        }
+    }
+
+    fn take_dropped(&mut self, ui: &egui::Ui) {
+        let dropped = ui.input(|input| input.raw.dropped_files.clone());
+        for file in dropped {
+            self.open(file.path());
+        }
+    }
+
+    fn follow_files(&mut self) {
+        if !self.settings.watch {
+            return;
+        }
+        let [scene, light] = &mut self.watch;
+        let (scene, light) = (scene.changed(), light.changed());
+        let source = |document: &Document| document.source.clone();
+        if scene && let Some(path) = self.document.as_ref().and_then(source) {
+            self.load_scene(&path);
+        }
+        if light && let Some(path) = self.light.source.clone() {
+            self.load_light(&path);
+        }
+        self.context.request_repaint_after(watch::INTERVAL);
+    }
+
+    /// Takes what threads have made.
+    pub fn receive(&mut self) {
+        for event in self.jobs.events() {
+            match event {
+                jobs::Event::Failed(error) => self.error(error),
+                jobs::Event::Loaded(loaded) => self.take(*loaded),
+            }
+        }
+        let events: Vec<_> = self.engine.events().collect();
+        for event in events {
+            match event {
+                engine::Event::Device(name) => self.device_name = name,
+                engine::Event::Failed(error) => {
+                    self.flight = None;
+                    self.error(error);
+                }
+                engine::Event::Picture(picture) => self.take_picture(picture),
+            }
+        }
+        let choices: Vec<_> = self.choices.1.try_iter().collect();
+        for (purpose, path) in choices {
+            self.chosen(&purpose, &path);
+        }
+        if let Some((size, pixels)) = self.composer.newest() {
+            self.waiting_for_composer = false;
+            let image =
+                egui::ColorImage::from_rgba_premultiplied(size.map(|side| side as usize), &pixels);
+            let options = egui::TextureOptions::LINEAR;
+            match &mut self.texture {
+                Some(texture) => texture.set(image, options),
+                empty => *empty = Some(self.context.load_texture("picture", image, options)),
+            }
+            self.composed = Some((size, pixels));
+        }
+    }
+
+    fn take_picture(&mut self, picture: Picture) {
+        if let Some(flight) = &mut self.flight
+            && flight.number == picture.request
+        {
+            if flight.seen == [false; 2] {
+                self.answers.push(flight.asked.elapsed());
+                let surplus = self.answers.len().saturating_sub(100);
+                self.answers.drain(..surplus);
+            }
+            flight.seen[picture.pane] = true;
+        }
+        let pane = picture.pane;
+        self.pictures[pane] = Some(picture);
+    }
+
+    /// Takes what a job has made.
+    fn take(&mut self, loaded: Loaded) {
+        match loaded {
+            Loaded::Scene {
+                scene,
+                source,
+                quality,
+                lights,
+                environment,
+                files,
+                warnings,
+            } => {
+                for warning in warnings {
+                    self.tell(format!("{}: {warning}", scene.name), false);
+                }
+                self.watch[0].set(&files);
+                if self.fresh || self.document.is_none() {
+                    self.fresh = false;
+                    let document = Document::new(scene, source, quality, lights);
+                    self.orbit = document.camera();
+                    self.document = Some(document);
+                    if let Some(environment) = environment
+                        && self.light.source.as_ref() != Some(&environment)
+                        && !self.is_loading_named_light()
+                    {
+                        self.load_light(&environment);
+                    }
+                } else if let Some(document) = &mut self.document {
+                    document.improve(scene, quality, source);
+                    self.inspection = None;
+                }
+            }
+            Loaded::Light(light) => {
+                let files: Vec<_> = light.source.iter().cloned().collect();
+                self.watch[1].set(&files);
+                self.light = light;
+            }
+            Loaded::Material { source, surface } => {
+                let selected = self.document.as_mut().and_then(|document| {
+                    let selected = document.selected?;
+                    Arc::make_mut(&mut document.materials).get_mut(selected)
+                });
+                match selected {
+                    Some(material) => {
+                        material.surface = surface;
+                        material.base_color_texture = None;
+                        material.metallic_roughness_texture = None;
+                    }
+                    None => self.error(format!(
+                        "{}: click the surface that it is for, then open it again",
+                        source.display()
+                    )),
+                }
+            }
+            Loaded::Saved(what) => self.tell(format!("saved {what}"), false),
+        }
+    }
+
+    /// Whether a light that somebody named is still being loaded.
+    fn is_loading_named_light(&self) -> bool {
+        (self.jobs.running().iter())
+            .any(|job| job.kind == Kind::Light && job.name != "built-in light")
+    }
+
+    /// What pictures are wanted of, in the order of the panes.
+    pub fn integrators(&self) -> Vec<Integrator> {
+        match self.settings.layout {
+            Layout::One => vec![self.settings.integrators[0]],
+            Layout::Split | Layout::Difference => self.settings.integrators.to_vec(),
+        }
+    }
+
+    /// What the first picture shows.
+    pub fn shot(&self, integrator: Integrator) -> Option<Shot> {
+        let document = self.document.as_ref()?;
+        let reflections = self.settings.image_reflections && integrator != Integrator::Truth;
+        let direct = (self.direct.as_ref())
+            .filter(|(of, _)| !self.settings.bounce && Arc::ptr_eq(of, &document.scene));
+        Some(Shot {
+            scene: direct.map_or(&document.scene, |(_, direct)| direct).clone(),
+            materials: document.materials.clone(),
+            camera: self.orbit.camera(),
+            lights: self.light.lobes.clone(),
+            reflections: self.light.prefiltered.clone().filter(|_| reflections),
+            sources: self.light.sources.clone(),
+            rotation: self.turn.rotation(),
+            local_lights: document.local_lights.clone(),
+            integrator,
+        })
+    }
+
+    /// Keeps a copy of the scene that nothing bounces in, where one is asked for.
+    fn keep_direct(&mut self) {
+        let Some(document) = &self.document else {
+            return;
+        };
+        let scene = &document.scene;
+        let kept = (self.direct.as_ref()).is_some_and(|(of, _)| Arc::ptr_eq(of, scene));
+        if !self.settings.bounce && scene.transfer.is_some() && !kept {
+            let mut direct = Scene::clone(scene);
+            direct.transfer = None;
+            self.direct = Some((scene.clone(), direct.into()));
+        }
+    }
+
+    fn ask_for_pictures(&mut self) {
+        self.keep_direct();
+        let Some(document) = &self.document else {
+            return;
+        };
+        if self.size.contains(&0) {
+            return;
+        }
+        let integrators = self.integrators();
+        let wanted = Wanted {
+            scene: Arc::as_ptr(&document.scene),
+            materials: Arc::as_ptr(&document.materials),
+            lights: self.light.lobes.as_ptr(),
+            image_reflections: self.settings.image_reflections,
+            bounce: self.settings.bounce,
+            camera: self.orbit.camera(),
+            rotation: self.turn.rotation(),
+            local_lights: document.local_lights.clone(),
+            integrators: integrators.clone(),
+            size: self.size,
+        };
+        // Whoever drags sees the coarse pictures of a request before the next one replaces it.
+        let waiting = (self.flight.as_ref())
+            .is_some_and(|flight| flight.seen[..flight.panes].contains(&false));
+        if waiting || self.wanted.as_ref() == Some(&wanted) {
+            return;
+        }
+        let shots: Vec<_> = integrators.iter().filter_map(|i| self.shot(*i)).collect();
+        let panes = shots.len();
+        let number = self.engine.request(Request {
+            shots,
+            size: self.size,
+            progressive: true,
+        });
+        self.flight = Some(Flight {
+            number,
+            asked: Instant::now(),
+            seen: [false; 2],
+            panes,
+        });
+        self.wanted = Some(wanted);
+    }
+
+    fn ask_for_pixels(&mut self) {
+        let Some(newest) = &self.pictures[0] else {
+            return;
+        };
+        let images = [0, 1]
+            .map(|pane: usize| (self.pictures[pane].as_ref()).map(|picture| picture.image.clone()));
+        let look = Look::from(&self.settings);
+        let key = ComposedKey {
+            images: [0, 1].map(|pane: usize| images[pane].as_ref().map(Arc::as_ptr)),
+            look,
+            sky: self.light.image.as_ref().map(Arc::as_ptr),
+            lights: self.light.lobes.as_ptr(),
+            size: self.size,
+        };
+        if self.composing.as_ref() == Some(&key) || self.size.contains(&0) {
+            return;
+        }
+        self.waiting_for_composer = true;
+        self.composer.ask(Composition {
+            images,
+            look,
+            light: self.light.clone(),
+            camera: newest.camera,
+            rotation: newest.rotation,
+            size: self.size,
+        });
+        self.composing = Some(key);
+    }
+
+    /// Whether nothing is under way: the window shows the best there is.
+    pub fn is_settled(&self) -> bool {
+        let panes = self.integrators().len();
+        let newest = self.flight.as_ref().map(|flight| flight.number);
+        let complete = |pane: usize| {
+            self.pictures[pane].as_ref().is_some_and(|picture| {
+                let traced = self.settings.integrators[pane] == Integrator::Truth;
+                Some(picture.request) == newest
+                    && (picture.complete || (traced && picture.samples > 8))
+            })
+        };
+        self.jobs.running().is_empty() && (0..panes).all(complete) && !self.waiting_for_composer
+    }
+
+    /// What is on the screen: size and premultiplied RGBA8.
+    pub fn screen(&self) -> Option<&([u32; 2], Vec<u8>)> {
+        self.composed.as_ref()
+    }
+
+    /// Whether clicks look at visibility from now on; its section opens when they do.
+    pub fn set_inspecting(&mut self, inspecting: bool) {
+        self.inspecting = inspecting;
+        self.reveal_inspector = inspecting;
+    }
+
+    /// Looks at the visibility of the point that was clicked.
+    pub fn inspect(&mut self) {
+        let Some(document) = &self.document else {
+            return;
+        };
+        let Some(hit) = document.inspected else {
+            self.inspection = None;
+            return;
+        };
+        let scene = &document.scene;
+        if !self
+            .basis
+            .as_ref()
+            .is_some_and(|(known, _)| Arc::ptr_eq(known, scene))
+        {
+            self.basis = Some((scene.clone(), Basis::new(scene)));
+        }
+        let Some((_, basis)) = &self.basis else {
+            return;
+        };
+        let rotation = glam::Mat3::from_quat(self.turn.rotation());
+        let lights: Vec<_> = self
+            .light
+            .lobes
+            .iter()
+            .map(|light| light.rotate(&rotation))
+            .collect();
+        let inspection = inspect::inspect(scene, basis, &hit, &lights, INSPECTION_SIDE);
+        let pixels = inspect::picture(&inspection);
+        let image =
+            egui::ColorImage::from_rgba_premultiplied([INSPECTION_SIDE as usize; 2], &pixels);
+        let texture = self
+            .context
+            .load_texture("inspection", image, egui::TextureOptions::LINEAR);
+        self.inspection = Some((inspection, texture));
+    }
+
+    /// Asks for a file in a dialog of the system.
+    pub fn choose(&self, purpose: Purpose) {
+        let dialog = rfd::AsyncFileDialog::new();
+        let name = self
+            .document
+            .as_ref()
+            .map_or("scene", |document| document.scene.name.as_str());
+        let future: Chosen = match &purpose {
+            Purpose::Open => {
+                let endings: Vec<&str> = (jobs::SCENE_ENDINGS.iter())
+                    .chain(&jobs::LIGHT_ENDINGS)
+                    .chain(&jobs::MATERIAL_ENDINGS)
+                    .copied()
+                    .collect();
+                Box::pin(
+                    dialog
+                        .add_filter("scenes, images, materials", &endings)
+                        .pick_file(),
+                )
+            }
+            Purpose::SavePicture => Box::pin(
+                dialog
+                    .add_filter("PNG or OpenEXR", &["png", "exr"])
+                    .set_file_name(format!("{name}.png"))
+                    .save_file(),
+            ),
+            Purpose::SaveCamera => Box::pin(
+                dialog
+                    .set_file_name(format!("{name}-camera.toml"))
+                    .save_file(),
+            ),
+            Purpose::SaveScene => {
+                Box::pin(dialog.set_file_name(format!("{name}.toml")).save_file())
+            }
+            Purpose::SaveAsset => {
+                Box::pin(dialog.set_file_name(format!("{name}.relight")).save_file())
+            }
+            Purpose::SaveTurntable => Box::pin(dialog.pick_folder()),
+        };
+        let (sender, context) = (self.choices.0.clone(), self.context.clone());
+        // Detached: a dialog that is never answered must not keep the application alive.
+        std::thread::spawn(move || {
+            if let Some(file) = pollster::block_on(future) {
+                // Nobody listens any more while the application ends.
+                let _ = sender.send((purpose, file.path().to_owned()));
+                context.request_repaint();
+            }
+        });
+    }
+
+    /// Does what a file was chosen for.
+    pub fn chosen(&mut self, purpose: &Purpose, path: &Path) {
+        let saved = match purpose {
+            Purpose::Open => return self.open(path),
+            Purpose::SaveTurntable => return self.draw_turntable(path),
+            Purpose::SaveAsset => return self.save_asset(path),
+            Purpose::SavePicture => self.save_picture(path),
+            Purpose::SaveCamera => save::camera(path, &self.orbit.camera()),
+            Purpose::SaveScene => match &self.document {
+                Some(document) => save::scene(path, document, &self.light, &self.orbit.camera()),
+                None => Err(anyhow::anyhow!("there is no scene")),
+            },
+        };
+        match saved {
+            Ok(()) => self.tell(format!("saved {}", path.display()), false),
+            Err(error) => self.error(format!("{error:#}")),
+        }
+    }
+
+    fn save_picture(&self, path: &Path) -> anyhow::Result<()> {
+        let nothing = || anyhow::anyhow!("nothing is drawn yet");
+        if path
+            .extension()
+            .is_some_and(|ending| ending.eq_ignore_ascii_case("exr"))
+        {
+            let picture = self.pictures[0].as_ref().ok_or_else(nothing)?;
+            return save::exr(path, &picture.image);
+        }
+        let (size, pixels) = self.composed.as_ref().ok_or_else(nothing)?;
+        save::png(path, *size, pixels)
+    }
+
+    fn save_asset(&mut self, path: &Path) {
+        let Some(document) = &self.document else {
+            return self.error("there is no scene");
+        };
+        let (scene, materials) = (document.scene.clone(), document.materials.clone());
+        let path = path.to_owned();
+        self.jobs
+            .start(jobs::file_name(&path), Kind::Save, move |context| {
+                context.monitor.step("write", 0.0)?;
+                let mut scene = Arc::unwrap_or_clone(scene);
+                scene.materials = materials.to_vec();
+                let bytes = relight_format::write_scene(&scene)?;
+                relight_format::write_file(&path, &bytes)?;
+                (context.deliver)(Loaded::Saved(path.display().to_string()));
+                Ok(())
+            });
+    }
+
+    fn draw_turntable(&mut self, folder: &Path) {
+        let Some(shot) = self.shot(self.settings.integrators[0]) else {
+            return self.error("there is no scene");
+        };
+        let (options, light, device) = (self.turntable.clone(), self.light.clone(), self.device);
+        let look = Look {
+            layout: Layout::One,
+            ..Look::from(&self.settings)
+        };
+        let folder = folder.to_owned();
+        self.jobs.start("turntable", Kind::Save, move |context| {
+            turntable::draw(&options, &shot, &light, &look, &folder, device, context)
+        });
+    }
+}
+
+impl eframe::App for Viewer {
+    fn ui(&mut self, ui: &mut egui::Ui, _frame: &mut eframe::Frame) {
+        self.show(ui);
+    }
+
+    fn on_exit(&mut self) {
+        settings::write(&self.settings);
+    }
+}

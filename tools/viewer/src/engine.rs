@@ -1,0 +1,632 @@
+//! What is asked for to linear pictures, coarse ones first.
+//!
+//! One thread draws. A new request ends the one at hand, whatever it was doing: on a graphics
+//! device rows are submitted in groups that take a fraction of a second, on the processor every
+//! pixel looks whether it is still wanted. The first picture of a request is as large as can be
+//! drawn within [`FIRST`], by what pixels took before.
+
+use std::collections::HashMap;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Condvar, Mutex, PoisonError, mpsc};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use glam::Quat;
+use relight_format::{Camera, Material, Scene};
+use relight_lab::truth::{self, lobes};
+use relight_runtime::offscreen::Gpu;
+use relight_runtime::{
+    Frame, GpuScene, Image, Instance, LocalLight, Method, Options, PassTimes, Prefiltered, Sources,
+    SphericalGaussian, View, twin, wgpu,
+};
+
+use crate::state::Integrator;
+
+/// How soon the first picture of a request shall be there.
+const FIRST: Duration = Duration::from_millis(50);
+/// How long a group of rows on a graphics device may take.
+const GROUP: Duration = Duration::from_millis(40);
+/// Rows of the smallest group.
+const BAND: u32 = 8;
+/// A picture is drawn at this fraction of its width at least.
+const COARSEST: f32 = 1.0 / 16.0;
+/// Samples per pixel of one pass of the ray tracer.
+const PASS_SAMPLES: u32 = truth::REPLICAS;
+/// Passes after which the ray tracer rests.
+const MOST_PASSES: u32 = 64;
+
+/// Where pictures are drawn.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Device {
+    /// A graphics card if there is one, else the processor: software Vulkan is slower than the
+    /// twin is.
+    #[default]
+    Auto,
+    /// A graphics device, if only in software.
+    Gpu,
+    /// The processor.
+    Cpu,
+}
+
+/// Everything that a picture depends on.
+#[derive(Clone, Debug)]
+pub struct Shot {
+    /// The scene as baked.
+    pub scene: Arc<Scene>,
+    /// In place of the scene's.
+    pub materials: Arc<Vec<Material>>,
+    /// From where.
+    pub camera: Camera,
+    /// Distant light.
+    pub lights: Arc<[SphericalGaussian]>,
+    /// Its image, to be reflected in place of it.
+    pub reflections: Option<Prefiltered>,
+    /// Suns, lamps and windows, apart from the lobes.
+    pub sources: Option<Arc<Sources>>,
+    /// Turns all of it.
+    pub rotation: Quat,
+    /// Lights inside the scene.
+    pub local_lights: Vec<LocalLight>,
+    /// How light is integrated.
+    pub integrator: Integrator,
+}
+
+impl Shot {
+    /// The same for the runtime. `method` stands for the ray tracer as well.
+    pub fn frame(&self, method: Method) -> Frame<'_> {
+        Frame {
+            reflections: self.reflections.as_ref(),
+            sources: self.sources.as_deref(),
+            rotation: self.rotation,
+            local_lights: &self.local_lights,
+            method,
+            ..Frame::new(self.camera, &self.lights)
+        }
+    }
+}
+
+/// One or two pictures of one size.
+#[derive(Clone, Debug)]
+pub struct Request {
+    /// What is to be seen.
+    pub shots: Vec<Shot>,
+    /// Size of the best pictures.
+    pub size: [u32; 2],
+    /// Whether coarse pictures come first; else only the best ones come.
+    pub progressive: bool,
+}
+
+/// One picture of a request.
+#[derive(Clone, Debug)]
+pub struct Picture {
+    /// Counts requests.
+    pub request: u64,
+    /// Which shot of the request.
+    pub pane: usize,
+    /// Linear radiance times coverage, and coverage.
+    pub image: Arc<Image>,
+    /// The camera that it is seen by.
+    pub camera: Camera,
+    /// The turn of its light.
+    pub rotation: Quat,
+    /// Whether none better comes.
+    pub complete: bool,
+    /// Samples per pixel, where it is ray-traced.
+    pub samples: u32,
+    /// How long it took.
+    pub time: Duration,
+    /// How long the passes took, on a graphics device that tells.
+    pub passes: Option<PassTimes>,
+}
+
+/// What comes from the engine.
+#[derive(Clone, Debug)]
+pub enum Event {
+    /// A picture.
+    Picture(Picture),
+    /// Name of the device, once it is open.
+    Device(String),
+    /// What went wrong, for people.
+    Failed(String),
+}
+
+struct Mailbox {
+    request: Mutex<(Option<(u64, Request)>, bool)>,
+    posted: Condvar,
+    /// Number of the newest request; older ones are not worth finishing.
+    newest: AtomicU64,
+}
+
+/// Draws in a thread of its own.
+pub struct Engine {
+    mailbox: Arc<Mailbox>,
+    events: mpsc::Receiver<Event>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Engine {
+    /// Starts the thread. `wake` is called after every event.
+    pub fn new(device: Device, wake: impl Fn() + Send + Sync + 'static) -> Self {
+        let mailbox = Arc::new(Mailbox {
+            request: Mutex::new((None, false)),
+            posted: Condvar::new(),
+            newest: AtomicU64::new(0),
+        });
+        let (sender, events) = mpsc::channel();
+        let inbox = mailbox.clone();
+        let post = move |event| {
+            // Nobody listens any more while the application ends.
+            let _ = sender.send(event);
+            wake();
+        };
+        let thread = std::thread::Builder::new()
+            .name("pictures".into())
+            .spawn(move || work(&inbox, device, &post))
+            .ok();
+        Self {
+            mailbox,
+            events,
+            thread,
+        }
+    }
+
+    /// Asks for pictures in place of those asked for before; returns the number of the request.
+    pub fn request(&self, request: Request) -> u64 {
+        let number = self.mailbox.newest.fetch_add(1, Ordering::Relaxed) + 1;
+        let mut slot = lock(&self.mailbox.request);
+        slot.0 = Some((number, request));
+        self.mailbox.posted.notify_one();
+        number
+    }
+
+    /// What came since it was asked last.
+    pub fn events(&self) -> impl Iterator<Item = Event> + '_ {
+        self.events.try_iter()
+    }
+}
+
+impl Drop for Engine {
+    fn drop(&mut self) {
+        lock(&self.mailbox.request).1 = true;
+        self.mailbox.newest.fetch_add(1, Ordering::Relaxed);
+        self.mailbox.posted.notify_one();
+        if let Some(thread) = self.thread.take() {
+            // What it panicked of was told when it did.
+            let _ = thread.join();
+        }
+    }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// The thread.
+fn work(mailbox: &Mailbox, device: Device, post: &(dyn Fn(Event) + Sync)) {
+    let mut artist = Artist::open(device);
+    post(Event::Device(artist.name()));
+    loop {
+        let (number, request) = {
+            let mut slot = lock(&mailbox.request);
+            loop {
+                if slot.1 {
+                    return;
+                }
+                if let Some(next) = slot.0.take() {
+                    break next;
+                }
+                slot = (mailbox.posted.wait(slot)).unwrap_or_else(PoisonError::into_inner);
+            }
+        };
+        let wanted = || mailbox.newest.load(Ordering::Relaxed) == number;
+        let result = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+            artist.draw(number, &request, &wanted, post)
+        }));
+        match result {
+            Ok(Ok(())) => {}
+            Ok(Err(error)) => {
+                post(Event::Failed(error));
+                artist.forget();
+            }
+            Err(_) => {
+                post(Event::Failed(
+                    "this picture could not be drawn; the terminal says why".into(),
+                ));
+                artist = Artist::open(device);
+            }
+        }
+    }
+}
+
+/// A scene, materials in place of its own, and both together.
+type Edited = (Arc<Scene>, Arc<Vec<Material>>, Arc<Scene>);
+
+/// Draws, and remembers how long it takes.
+pub struct Artist {
+    gpu: Option<Box<Gpu>>,
+    uploaded: Option<(Arc<Scene>, Arc<Vec<Material>>, GpuScene)>,
+    view: Option<View>,
+    /// With the materials of the last shot, for the processor.
+    edited: Option<Edited>,
+    /// Seconds per pixel.
+    rates: HashMap<Integrator, f64>,
+}
+
+/// A picture that was finished, and how.
+pub struct Drawn {
+    /// The picture.
+    pub image: Image,
+    /// How long the passes took, on a graphics device that tells.
+    pub passes: Option<PassTimes>,
+}
+
+impl Artist {
+    /// Opens a device.
+    pub fn open(device: Device) -> Self {
+        let mut gpu = match device {
+            Device::Cpu => None,
+            Device::Auto | Device::Gpu => Gpu::new(&wgpu::Limits::default())
+                .ok()
+                .filter(|gpu| device == Device::Gpu || !gpu.is_software()),
+        };
+        // Programs on the processor gain nothing from long dispatches, and cannot be stopped in them.
+        if let Some(gpu) = gpu.as_mut().filter(|gpu| gpu.is_software()) {
+            let options = Options {
+                rows_per_dispatch: BAND,
+                ..gpu.renderer.options().clone()
+            };
+            if let Ok(renderer) = gpu.renderer.with_options(options) {
+                gpu.renderer = renderer;
+            }
+        }
+        Self {
+            gpu: gpu.map(Box::new),
+            uploaded: None,
+            view: None,
+            edited: None,
+            rates: HashMap::new(),
+        }
+    }
+
+    /// For people.
+    pub fn name(&self) -> String {
+        match &self.gpu {
+            Some(gpu) => gpu.name().to_owned(),
+            None => format!("processor, {} threads", rayon::current_num_threads()),
+        }
+    }
+
+    /// After a failure: what is on the device may be lost.
+    fn forget(&mut self) {
+        self.uploaded = None;
+        self.view = None;
+    }
+
+    /// Draws a request, coarse pictures first, for as long as it is wanted.
+    fn draw(
+        &mut self,
+        number: u64,
+        request: &Request,
+        wanted: &(dyn Fn() -> bool + Sync),
+        post: &(dyn Fn(Event) + Sync),
+    ) -> Result<(), String> {
+        let count = request.shots.len();
+        let first = |artist: &Self| {
+            request
+                .shots
+                .iter()
+                .map(|shot| artist.first_scale(shot.integrator, request.size, count))
+                .fold(1.0, f32::min)
+        };
+        let mut scale = if request.progressive {
+            first(self)
+        } else {
+            1.0
+        };
+        loop {
+            let size = (request.size).map(|side| ((side as f32 * scale).round() as u32).max(1));
+            let full = scale >= 1.0;
+            for (pane, shot) in request.shots.iter().enumerate() {
+                let traced = shot.integrator == Integrator::Truth;
+                if traced && full && request.progressive {
+                    // Its passes come below.
+                    continue;
+                }
+                let start = Instant::now();
+                let Some(drawn) = self.picture(shot, size, 0, wanted)? else {
+                    return Ok(());
+                };
+                let time = start.elapsed();
+                let pixels = f64::from(size[0]) * f64::from(size[1]);
+                let rate = time.as_secs_f64() / pixels;
+                self.rates.insert(shot.integrator, rate);
+                post(Event::Picture(Picture {
+                    request: number,
+                    pane,
+                    image: Arc::new(drawn.image),
+                    camera: shot.camera,
+                    rotation: shot.rotation,
+                    complete: full && !traced,
+                    samples: if traced { PASS_SAMPLES } else { 0 },
+                    time,
+                    passes: drawn.passes,
+                }));
+                if !wanted() {
+                    return Ok(());
+                }
+            }
+            if full {
+                break;
+            }
+            scale = if scale > 0.4 { 1.0 } else { 2.0 * scale };
+        }
+        self.accumulate(number, request, wanted, post)
+    }
+
+    /// Further passes of the ray tracer.
+    fn accumulate(
+        &mut self,
+        number: u64,
+        request: &Request,
+        wanted: &(dyn Fn() -> bool + Sync),
+        post: &(dyn Fn(Event) + Sync),
+    ) -> Result<(), String> {
+        let traced = || {
+            (request.shots.iter().enumerate())
+                .filter(|(_, shot)| shot.integrator == Integrator::Truth)
+        };
+        let mut sums: Vec<Option<Image>> = vec![None; request.shots.len()];
+        let start = Instant::now();
+        for pass in 0..MOST_PASSES {
+            for (pane, shot) in traced() {
+                let Some(drawn) = self.picture(shot, request.size, pass, wanted)? else {
+                    return Ok(());
+                };
+                let sum = match &mut sums[pane] {
+                    Some(sum) => {
+                        for (sum, pixel) in sum.pixels.iter_mut().zip(&drawn.image.pixels) {
+                            for (sum, value) in sum.iter_mut().zip(pixel) {
+                                *sum += value;
+                            }
+                        }
+                        sum
+                    }
+                    empty => empty.insert(drawn.image),
+                };
+                let mut mean = sum.clone();
+                for value in mean.pixels.iter_mut().flatten() {
+                    *value /= (pass + 1) as f32;
+                }
+                post(Event::Picture(Picture {
+                    request: number,
+                    pane,
+                    image: Arc::new(mean),
+                    camera: shot.camera,
+                    rotation: shot.rotation,
+                    complete: pass + 1 == MOST_PASSES,
+                    samples: (pass + 1) * PASS_SAMPLES,
+                    time: start.elapsed(),
+                    passes: None,
+                }));
+            }
+            if traced().next().is_none() || !wanted() {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    fn first_scale(&self, integrator: Integrator, [width, height]: [u32; 2], count: usize) -> f32 {
+        let Some(rate) = self.rates.get(&integrator) else {
+            // The paper's method takes ten times as long as ours.
+            let slow = matches!(integrator, Integrator::Cells | Integrator::Truth);
+            return if slow { COARSEST } else { 2.0 * COARSEST };
+        };
+        let pixels = f64::from(width) * f64::from(height) * count as f64;
+        let scale = (FIRST.as_secs_f64() / (rate * pixels)).sqrt() as f32;
+        // A picture a little smaller than the best is not worth drawing first.
+        if scale > 0.8 {
+            1.0
+        } else {
+            scale.max(COARSEST)
+        }
+    }
+
+    /// Draws one picture for as long as it takes; of the ray tracer the mean of some passes.
+    pub fn finished(&mut self, shot: &Shot, size: [u32; 2], passes: u32) -> Result<Image, String> {
+        let passes = if shot.integrator == Integrator::Truth {
+            passes.max(1)
+        } else {
+            1
+        };
+        let mut mean: Option<Image> = None;
+        for pass in 0..passes {
+            let drawn = self
+                .picture(shot, size, pass, &|| true)?
+                .ok_or("nothing was drawn")?;
+            mean = Some(match mean {
+                None => drawn.image,
+                Some(mut mean) => {
+                    let part = 1.0 / (pass + 1) as f32;
+                    let pairs = mean
+                        .pixels
+                        .iter_mut()
+                        .flatten()
+                        .zip(drawn.image.pixels.iter().flatten());
+                    for (mean, value) in pairs {
+                        *mean += part * (value - *mean);
+                    }
+                    mean
+                }
+            });
+        }
+        mean.ok_or_else(|| "nothing was drawn".into())
+    }
+
+    /// Draws one picture; `None` where it was not wanted any more. `pass` chooses the random
+    /// numbers of the ray tracer.
+    pub fn picture(
+        &mut self,
+        shot: &Shot,
+        size: [u32; 2],
+        pass: u32,
+        wanted: &(dyn Fn() -> bool + Sync),
+    ) -> Result<Option<Drawn>, String> {
+        let Some(method) = shot.integrator.method() else {
+            let image = self.trace(shot, size, pass, wanted);
+            return Ok(image.map(|image| Drawn {
+                image,
+                passes: None,
+            }));
+        };
+        if self.gpu.is_some() {
+            return self.gpu_picture(shot, method, size, wanted);
+        }
+        let scene = self.edited(shot);
+        let frame = shot.frame(method);
+        let image = twin::render_while(&scene, &frame, size[0], size[1], wanted)
+            .map_err(|error| error.to_string())?;
+        Ok(wanted().then_some(Drawn {
+            image,
+            passes: None,
+        }))
+    }
+
+    fn gpu_picture(
+        &mut self,
+        shot: &Shot,
+        method: Method,
+        [width, height]: [u32; 2],
+        wanted: &(dyn Fn() -> bool + Sync),
+    ) -> Result<Option<Drawn>, String> {
+        let failed = |error: relight_runtime::Error| error.to_string();
+        let rate = self.rates.get(&shot.integrator).copied().unwrap_or(2e-5);
+        let gpu = self.gpu.as_mut().ok_or("no graphics device")?;
+        let same = |uploaded: &(Arc<Scene>, _, _)| Arc::ptr_eq(&uploaded.0, &shot.scene);
+        if !self.uploaded.as_ref().is_some_and(same) {
+            // The old one first: two may not fit.
+            self.uploaded = None;
+            let uploaded = gpu.upload(&shot.scene).map_err(failed)?;
+            let materials = Arc::new(shot.scene.materials.clone());
+            self.uploaded = Some((shot.scene.clone(), materials, uploaded));
+        }
+        let (_, materials, uploaded) = self.uploaded.as_mut().ok_or("no scene")?;
+        if !Arc::ptr_eq(materials, &shot.materials) {
+            let changed = (materials.iter().zip(shot.materials.iter()).enumerate())
+                .filter(|(_, (old, new))| old != new);
+            for (index, (_, material)) in changed {
+                uploaded.set_material(index, material).map_err(failed)?;
+            }
+            *materials = shot.materials.clone();
+        }
+        let frame = shot.frame(method);
+        let most = gpu.device.limits().max_texture_dimension_2d;
+        if width.max(height) > most {
+            return Err(format!(
+                "pictures of at most {most} pixels a side, not {width}x{height}"
+            ));
+        }
+        match &mut self.view {
+            Some(view) => (view.resize(&gpu.renderer, [width, height])).map_err(failed)?,
+            empty => *empty = Some(gpu.renderer.view([width, height]).map_err(failed)?),
+        }
+        let view = self.view.as_mut().ok_or("no view")?;
+        let instances = [Instance::from(&*uploaded)];
+        let rows = (GROUP.as_secs_f64() / (rate * f64::from(width)).max(1e-12)) as u32;
+        let rows = rows.max(BAND).next_multiple_of(BAND);
+        for first in (0..height).step_by(rows as usize) {
+            if !wanted() {
+                return Ok(None);
+            }
+            let mut encoder =
+                (gpu.device).create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+            let renderer = &gpu.renderer;
+            if rows >= height {
+                renderer.prepare(&mut encoder, view, &instances, &frame)
+            } else {
+                let rows = first..first.saturating_add(rows);
+                renderer.prepare_rows(&mut encoder, view, &instances, &frame, rows)
+            }
+            .map_err(failed)?;
+            gpu.queue.submit([encoder.finish()]);
+            gpu.device
+                .poll(wgpu::PollType::wait_indefinitely())
+                .map_err(|error| error.to_string())?;
+        }
+        // Those of parts are not known.
+        let passes = gpu.renderer.pass_times().filter(|_| rows >= height);
+        let radiance = view.radiance().ok_or("nothing was drawn")?;
+        let bytes = gpu.read_texture(radiance).map_err(failed)?;
+        Ok(Some(Drawn {
+            image: Image {
+                width,
+                height,
+                pixels: bytemuck::pod_collect_to_vec(&bytes),
+            },
+            passes,
+        }))
+    }
+
+    /// One pass of the ray tracer.
+    fn trace(
+        &mut self,
+        shot: &Shot,
+        size: [u32; 2],
+        pass: u32,
+        wanted: &(dyn Fn() -> bool + Sync),
+    ) -> Option<Image> {
+        let scene = self.edited(shot);
+        let frame = shot.frame(Method::Ambient);
+        let options = truth::Options {
+            seed: pass,
+            ..truth::Options::centers(PASS_SAMPLES).of(&scene)
+        };
+        // The tracer knows no other way to be stopped than that the end of a row unwinds.
+        let row_done = || {
+            if !wanted() {
+                std::panic::resume_unwind(Box::new(Unwanted));
+            }
+        };
+        let traced = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+            lobes::of_frame(
+                &scene,
+                &frame,
+                size,
+                &options,
+                lobes::Visibility::Exact,
+                &row_done,
+            )
+        }));
+        match traced {
+            Ok(image) => Some(Image {
+                width: image.width,
+                height: image.height,
+                pixels: image.pixels,
+            }),
+            Err(payload) if payload.is::<Unwanted>() => None,
+            Err(payload) => std::panic::resume_unwind(payload),
+        }
+    }
+
+    /// The scene with the shot's materials.
+    fn edited(&mut self, shot: &Shot) -> Arc<Scene> {
+        if let Some((scene, materials, edited)) = &mut self.edited
+            && Arc::ptr_eq(scene, &shot.scene)
+        {
+            if !Arc::ptr_eq(materials, &shot.materials) {
+                Arc::make_mut(edited).materials = shot.materials.to_vec();
+                *materials = shot.materials.clone();
+            }
+            return edited.clone();
+        }
+        let mut edited = shot.scene.clone();
+        if *shot.materials != edited.materials {
+            Arc::make_mut(&mut edited).materials = shot.materials.to_vec();
+        }
+        self.edited = Some((shot.scene.clone(), shot.materials.clone(), edited.clone()));
+        edited
+    }
+}
+
+/// What unwinds a picture that nobody wants.
+struct Unwanted;

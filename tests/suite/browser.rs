@@ -1,25 +1,33 @@
-//! What only a browser can say: whether its compiler takes the shaders.
+//! What only a browser can say: whether its compiler takes the shaders, and what it draws.
 
-use std::io::{BufRead as _, BufReader, Read as _, Write as _};
-use std::net::{TcpListener, TcpStream};
+use std::io::ErrorKind;
+use std::net::TcpListener;
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use libtest_mimic::Trial;
+use relight_runtime::{EnvironmentLight, Frame, twin};
 use relight_shading::wgsl::{Entry, source};
 
-use crate::support::{Outcome, with_browser};
+use relight_xtask::server;
+
+use crate::support::{Outcome, with_browser, with_page};
 
 /// How long a page may take: the machine may be busy.
 const PATIENCE: Duration = Duration::from_mins(4);
 
 pub fn trials() -> Vec<Trial> {
-    vec![with_browser(
-        "browser::its_compiler_takes_every_shader",
-        shaders,
-    )]
+    vec![
+        with_browser("browser::its_compiler_takes_every_shader", shaders),
+        with_page("browser::the_page_draws_what_the_twin_draws", picture),
+    ]
 }
+
+/// Of a picture by SwiftShader from the twin's, over the brightest value: they round differently.
+const MOST_APART: f32 = 1e-4;
+/// Part of the pixels that may see another triangle, or just not the same light.
+const MOST_ON_EDGES: f64 = 0.01;
 
 /// Makes every module and tells what the compiler says of it. The sources lie in elements that are
 /// no scripts, so that nothing in them is read as a page or as JavaScript.
@@ -58,7 +66,9 @@ fn shaders(browser: &str) -> Outcome {
     // One that must be refused: a browser that takes everything says nothing.
     page += "<script type=wgsl id=Broken>fn f(a: u32) -> u32 { return a >> 9u & 511u; }</script>\n";
     page += PAGE;
-    let told = visit(browser, folder.path(), page.as_bytes())?;
+    std::fs::write(folder.path().join("index.html"), page)?;
+    let told = visit(browser, &[folder.path()])?;
+    let told = String::from_utf8_lossy(&told);
     for entry in Entry::ALL {
         assert!(
             told.contains(&format!("{entry:?}: accepted")),
@@ -69,9 +79,9 @@ fn shaders(browser: &str) -> Outcome {
     Ok(())
 }
 
-/// Opens a page in the browser, which draws by SwiftShader, and returns what it posts. The folder
-/// is for what the browser keeps.
-fn visit(browser: &str, folder: &Path, page: &[u8]) -> Result<String, libtest_mimic::Failed> {
+/// Opens a folder's `index.html` in the browser, which draws by SwiftShader, and returns what it
+/// posts. The first folder is also for what the browser keeps.
+fn visit(browser: &str, folders: &[&Path]) -> Result<Vec<u8>, libtest_mimic::Failed> {
     let listener = TcpListener::bind("127.0.0.1:0")?;
     listener.set_nonblocking(true)?;
     let mut process = Command::new(browser)
@@ -81,10 +91,16 @@ fn visit(browser: &str, folder: &Path, page: &[u8]) -> Result<String, libtest_mi
             "--disable-dev-shm-usage",
             "--enable-unsafe-webgpu",
             "--use-webgpu-adapter=swiftshader",
+            // Or canvases have nowhere to go, and take the device with them.
+            "--enable-features=Vulkan",
+            "--use-vulkan=swiftshader",
+            "--use-angle=swiftshader",
+            "--disable-vulkan-surface",
+            "--enable-unsafe-swiftshader",
         ])
         .arg(format!(
             "--user-data-dir={}",
-            folder.join("profile").display()
+            folders[0].join("profile").display()
         ))
         .arg(format!("http://{}/", listener.local_addr()?))
         .stdin(Stdio::null())
@@ -96,8 +112,8 @@ fn visit(browser: &str, folder: &Path, page: &[u8]) -> Result<String, libtest_mi
     while told.is_none() && start.elapsed() < PATIENCE {
         match listener.accept() {
             // Browsers hang up on connections that they opened for nothing.
-            Ok((stream, _)) => told = answer(stream, page).unwrap_or_default(),
-            Err(error) if error.kind() == std::io::ErrorKind::WouldBlock => {
+            Ok((stream, _)) => told = server::answer(stream, folders).unwrap_or_default(),
+            Err(error) if error.kind() == ErrorKind::WouldBlock => {
                 std::thread::sleep(Duration::from_millis(20));
             }
             Err(error) => return Err(error.into()),
@@ -109,41 +125,85 @@ fn visit(browser: &str, folder: &Path, page: &[u8]) -> Result<String, libtest_mi
     told.ok_or_else(|| "the page told nothing".into())
 }
 
-/// The page to whoever asks for it; what was posted, if anything was.
-fn answer(stream: TcpStream, page: &[u8]) -> std::io::Result<Option<String>> {
-    stream.set_nonblocking(false)?;
-    stream.set_read_timeout(Some(Duration::from_secs(5)))?;
-    let mut stream = BufReader::new(stream);
-    let mut request = String::new();
-    stream.read_line(&mut request)?;
-    let mut length = 0;
-    loop {
-        let mut line = String::new();
-        stream.read_line(&mut line)?;
-        let line = line.trim().to_ascii_lowercase();
-        if line.is_empty() {
-            break;
-        }
-        if let Some(value) = line.strip_prefix("content-length:") {
-            length = value.trim().parse().unwrap_or(0);
-        }
+/// Shows a scene by the module that the page is made of, and posts the picture's radiance.
+const PICTURE: &str = r#"<!doctype html><meta charset="utf-8"><canvas></canvas>
+<script type="module">
+const told = (body) => fetch("told", { method: "POST", body });
+let errors = "";
+console.error = (text) => { errors += `${text}\n`; };
+try {
+  const { default: init, Stage } = await import("./relight.js");
+  await init();
+  const stage = await Stage.open(document.querySelector("canvas"));
+  for (const name of ["light.relight", "scene.relight"]) {
+    const response = await fetch(name);
+    stage.load(new Uint8Array(await response.arrayBuffer()));
+  }
+  let refused = false;
+  try { stage.load(new Uint8Array([1, 2, 3])); } catch { refused = true; }
+  if (!refused) throw new Error("three bytes are no asset");
+  stage.turn_light(0.5, 0);
+  for (let row = 0; row < 72; row += 16) {
+    stage.draw_rows(96, 72, row, 16);
+    await stage.finished();
+  }
+  stage.present();
+  await told(await stage.pixels());
+} catch (error) {
+  await told(`failed: ${error.message ?? error} ${errors}`);
+}
+</script>
+"#;
+
+/// The page's module draws what the twin draws.
+fn picture(browser: &str) -> Outcome {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let folder = tempfile::tempdir()?;
+    std::fs::write(folder.path().join("index.html"), PICTURE)?;
+    let (scene, environment) = crate::viewer::prepared_assets();
+    let files = [
+        ("scene.relight", relight_format::write_scene(&scene)?),
+        (
+            "light.relight",
+            relight_format::write_environment(&environment)?,
+        ),
+    ];
+    for (name, bytes) in files {
+        std::fs::write(folder.path().join(name), bytes)?;
     }
-    let mut told = None;
-    let mut body = page;
-    if request.starts_with("POST") {
-        let mut bytes = vec![0; length];
-        stream.read_exact(&mut bytes)?;
-        told = Some(String::from_utf8_lossy(&bytes).into_owned());
-        body = b"";
-    } else if !request.starts_with("GET / ") {
-        body = b"";
-    }
-    let head = format!(
-        "HTTP/1.1 200 OK\r\nContent-Type: text/html; charset=utf-8\r\nContent-Length: {}\r\nConnection: close\r\n\r\n",
-        body.len()
+    let told = visit(browser, &[folder.path(), &root.join("out/web")])?;
+    let [width, height] = [96, 72];
+    assert!(
+        told.len() == 16 * width as usize * height as usize,
+        "{}",
+        String::from_utf8_lossy(&told[..told.len().min(1000)])
     );
-    let mut stream = stream.into_inner();
-    stream.write_all(head.as_bytes())?;
-    stream.write_all(body)?;
-    Ok(told)
+    let pixels: Vec<[f32; 4]> = bytemuck::pod_collect_to_vec(&told);
+    let light = EnvironmentLight::new(&environment);
+    let frame = Frame {
+        rotation: glam::Quat::from_rotation_y(0.5),
+        ..Frame::under(scene.camera.ok_or("a camera")?, &light)
+    };
+    let expected = twin::render(&scene, &frame, width, height)?;
+    let brightest = (expected.pixels.iter().flatten()).fold(0f32, |most, value| most.max(*value));
+    let apart = |(found, expected): (&[f32; 4], &[f32; 4])| {
+        (found.iter().zip(expected)).fold(0f32, |most, (a, b)| most.max((a - b).abs())) / brightest
+    };
+    let mut differences: Vec<f32> = pixels.iter().zip(&expected.pixels).map(apart).collect();
+    differences.sort_by(f32::total_cmp);
+    let covered = expected
+        .pixels
+        .iter()
+        .filter(|pixel| pixel[3] > 0.5)
+        .count();
+    assert!(covered > 2000, "{covered} pixels of something");
+    // On edges another triangle may be seen.
+    let edges = (differences.len() as f64 * MOST_ON_EDGES) as usize;
+    let most = differences[differences.len() - 1 - edges];
+    assert!(
+        most < MOST_APART,
+        "{most}; {:?}",
+        &differences[differences.len() - 80..]
+    );
+    Ok(())
 }

@@ -72,6 +72,22 @@ pub fn with_browser(
     })
 }
 
+/// The same of what `cargo xtask web` builds; skipped where that was not done.
+pub fn with_page(
+    name: impl Into<String>,
+    run: impl FnOnce(&str) -> Outcome + Send + 'static,
+) -> Trial {
+    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../out/web/relight_bg.wasm");
+    if page.exists() {
+        return with_browser(name, run);
+    }
+    Trial::ignorable_test(name, || {
+        Ok(Completion::ignored_with(
+            "no out/web: cargo xtask web makes it",
+        ))
+    })
+}
+
 /// A trial that opens a window, on a screen of its own that Xvfb makes, whose name it gets. Where
 /// there is no Xvfb it fails, unless `RELIGHT_NO_DISPLAY=1` skips it.
 pub fn with_display(

@@ -11,6 +11,7 @@ use egui_kittest::kittest::Queryable as _;
 use egui_kittest::{Harness, TestRenderer};
 use glam::Vec3;
 use libtest_mimic::Trial;
+use relight_format::{Environment, Scene};
 use relight_runtime::offscreen::Gpu;
 use relight_runtime::wgpu;
 use relight_viewer::app::{Message, Purpose, Start, Viewer};
@@ -64,32 +65,41 @@ fn start() -> Start {
     }
 }
 
-/// The built-in scene and light as assets, made once: a bake for every trial would take longer
-/// than all trials.
+/// The built-in scene baked once, for a bake for every trial would take longer than all trials, and
+/// light without sources, whose rays would take most of the time.
+pub fn prepared_assets() -> (Arc<Scene>, Environment) {
+    static SCENE: OnceLock<Arc<Scene>> = OnceLock::new();
+    let scene = SCENE.get_or_init(|| {
+        let loaded = jobs::collect(|context| jobs::built_in_scene(&[Quality::Draft], context));
+        match loaded.as_deref() {
+            Ok([Loaded::Scene { scene, .. }]) => scene.clone(),
+            _ => panic!("what is built in can be baked"),
+        }
+    });
+    let lobe = |axis, sharpness, amplitude| relight_format::Lobe {
+        axis,
+        sharpness,
+        amplitude,
+        ..bytemuck::Zeroable::zeroed()
+    };
+    let environment = Environment {
+        lobes: vec![
+            lobe([0.0, 1.0, 0.0], 2.0, [0.3, 0.35, 0.4]),
+            lobe([0.6, 0.64, 0.48], 60.0, [9.0, 8.0, 6.0]),
+        ],
+        ..Environment::default()
+    };
+    (scene.clone(), environment)
+}
+
+/// Opens both.
 fn start_prepared() -> Start {
     static FILES: OnceLock<(tempfile::TempDir, [PathBuf; 2])> = OnceLock::new();
     let (_, files) = FILES.get_or_init(|| {
         let folder = tempfile::tempdir().expect("a folder");
-        let scene = jobs::collect(|context| jobs::built_in_scene(&[Quality::Draft], context));
-        let Ok([Loaded::Scene { scene, .. }]) = scene.as_deref() else {
-            panic!("what is built in can be baked");
-        };
-        // Without sources, whose rays would take most of the time.
-        let lobe = |axis, sharpness, amplitude| relight_format::Lobe {
-            axis,
-            sharpness,
-            amplitude,
-            ..bytemuck::Zeroable::zeroed()
-        };
-        let environment = relight_format::Environment {
-            lobes: vec![
-                lobe([0.0, 1.0, 0.0], 2.0, [0.3, 0.35, 0.4]),
-                lobe([0.6, 0.64, 0.48], 60.0, [9.0, 8.0, 6.0]),
-            ],
-            ..Default::default()
-        };
+        let (scene, environment) = prepared_assets();
         let bytes = [
-            relight_format::write_scene(scene),
+            relight_format::write_scene(&scene),
             relight_format::write_environment(&environment),
         ];
         let files = ["scene.relight", "light.relight"].map(|name| folder.path().join(name));

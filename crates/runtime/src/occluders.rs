@@ -2,7 +2,10 @@
 
 use glam::{Vec3, Vec3A};
 use obvhs::aabb::Aabb;
-use obvhs::bvh2::builder::build_bvh2;
+use obvhs::bvh2::Bvh2;
+use obvhs::bvh2::leaf_collapser::collapse;
+use obvhs::bvh2::reinsertion::ReinsertionOptimizer;
+use obvhs::ploc::PlocBuilder;
 use obvhs::{Boundable, BvhBuildParams};
 use relight_format::Scene;
 use relight_shading::occluders::{Node, Occluders};
@@ -41,10 +44,7 @@ pub(crate) fn build(scene: &Scene) -> Occluders {
             padding: extent * 16.0 * f32::EPSILON,
         })
         .collect();
-    let mut parameters = BvhBuildParams::medium_build();
-    // So that every triangle is in one leaf.
-    parameters.pre_split = false;
-    let tree = build_bvh2(&padded, parameters, &mut std::time::Duration::default());
+    let tree = tree(&padded);
     let nodes: Vec<Node> = (tree.nodes.iter())
         .map(|node| Node {
             low: node.aabb().min.into(),
@@ -57,4 +57,28 @@ pub(crate) fn build(scene: &Scene) -> Occluders {
         .map(|&index| triangles[index as usize])
         .collect();
     Occluders::new(&nodes, &ordered)
+}
+
+/// As `obvhs::bvh2::builder::build_bvh2` does it, which asks for the time, and so panics in
+/// WebAssembly. Every triangle is in one leaf.
+fn tree(padded: &[Padded]) -> Bvh2 {
+    let parameters = BvhBuildParams::medium_build();
+    let mut tree = PlocBuilder::with_capacity(padded.len()).build(
+        parameters.ploc_search_distance,
+        padded,
+        (0..padded.len() as u32).collect(),
+        parameters.sort_precision,
+        parameters.search_depth_threshold,
+    );
+    let mut optimizer = ReinsertionOptimizer::default();
+    let ratio = parameters.reinsertion_batch_ratio;
+    optimizer.run(&mut tree, ratio, None);
+    collapse(
+        &mut tree,
+        parameters.max_prims_per_leaf.clamp(1, 255),
+        parameters.collapse_traversal_cost,
+    );
+    let ratio = ratio * parameters.post_collapse_reinsertion_batch_ratio_multiplier;
+    optimizer.run(&mut tree, ratio, None);
+    tree
 }

@@ -27,6 +27,7 @@ pub(crate) fn filled_buffer(
 }
 
 /// Maps a `MAP_READ` buffer once all submitted work is done, and unmaps it.
+#[cfg(feature = "offscreen")]
 pub(crate) fn read_buffer(device: &wgpu::Device, buffer: &wgpu::Buffer) -> Result<Vec<u8>, Error> {
     let failed = |error: &dyn std::fmt::Display| Error::DeviceFailed(error.to_string());
     let (sender, receiver) = std::sync::mpsc::channel();

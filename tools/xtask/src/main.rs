@@ -1,18 +1,23 @@
 //! Repository tasks: `cargo xtask test` installs what the tests need and runs them all,
-//! `cargo xtask results` makes the tables of RESULTS.md.
+//! `cargo xtask results` makes the tables of RESULTS.md, `cargo xtask web` the page.
+
+mod web;
 
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
 use std::time::Instant;
 
-const USAGE: &str = "usage: cargo xtask test | results
+const USAGE: &str = "usage: cargo xtask test | results | web [--serve]
 
 test: installs what the tests need (apt, only what is missing), then checks formatting and lints,
 runs every test, and checks dependencies if cargo-deny is there.
 
 results: runs every experiment on the CPU into out/results, which takes an hour or more and
 needs the test data, and replaces the tables of RESULTS.md.
+
+web: builds the page that shows baked assets into out/web, adding what that takes where it is missing
+(the target wasm32-unknown-unknown, wasm-bindgen). --serve then serves it on the loopback address.
 
 environment:
   RELIGHT_DATA=FOLDER   test data; default ../shared/data beside the checkout
@@ -26,6 +31,8 @@ fn main() -> ExitCode {
     match arguments.iter().map(String::as_str).collect::<Vec<_>>()[..] {
         ["test"] => test(),
         ["results"] => results(),
+        ["web"] => web::run(&root(), false),
+        ["web", "--serve"] => web::run(&root(), true),
         ["--help" | "-h" | "help"] => {
             println!("{USAGE}");
             ExitCode::SUCCESS
@@ -54,9 +61,13 @@ impl Outcome {
     }
 }
 
-fn test() -> ExitCode {
+fn root() -> PathBuf {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
-    let root = root.canonicalize().unwrap_or(root);
+    root.canonicalize().unwrap_or(root)
+}
+
+fn test() -> ExitCode {
+    let root = root();
     let data = match data_folder(&root) {
         Ok(data) => data,
         Err(message) => {

@@ -1,0 +1,3 @@
+//! What repository tasks share with the tests.
+
+pub mod server;

@@ -1,0 +1,155 @@
+//! The page: compiled, bound to JavaScript, and put together in `out/web`.
+
+use std::net::TcpListener;
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitCode};
+
+use relight_xtask::server;
+
+const TARGET: &str = "wasm32-unknown-unknown";
+/// Files of the page that are taken as they are.
+const FILES: [&str; 4] = ["index.html", "embed.html", "page.css", "page.js"];
+/// Assets that `cargo demo` bakes, shown by the page where they are there.
+const ASSETS: [&str; 2] = ["demo.relight", "demo-environment.relight"];
+
+/// Builds the page into `out/web`, and serves it if that is asked for.
+pub fn run(root: &Path, serve: bool) -> ExitCode {
+    match build(root).and_then(|folder| if serve { forever(&folder) } else { Ok(()) }) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(message) => {
+            eprintln!("xtask: {message}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn build(root: &Path) -> Result<PathBuf, String> {
+    let compiled = compile(root)?;
+    let bindgen = bindgen(root)?;
+    let folder = root.join("out/web");
+    let failed = |what: &Path, error: std::io::Error| format!("{}: {error}", what.display());
+    std::fs::create_dir_all(&folder).map_err(|error| failed(&folder, error))?;
+    run_to_end(
+        Command::new(&bindgen)
+            .args([
+                "--target",
+                "web",
+                "--no-typescript",
+                "--out-name",
+                "relight",
+            ])
+            .arg("--out-dir")
+            .arg(&folder)
+            .arg(&compiled),
+    )?;
+    for name in FILES {
+        let (from, to) = (root.join("tools/viewer/web").join(name), folder.join(name));
+        std::fs::copy(&from, &to).map_err(|error| failed(&from, error))?;
+    }
+    for name in ASSETS {
+        // Without them the page asks for files.
+        let _ = std::fs::copy(root.join("out/demo").join(name), folder.join(name));
+    }
+    for name in ["relight_bg.wasm", "relight.js"] {
+        let bytes = std::fs::metadata(folder.join(name)).map_or(0, |data| data.len());
+        println!("xtask: {name}: {} kB", bytes / 1000);
+    }
+    println!("xtask: {}", folder.display());
+    Ok(folder)
+}
+
+/// The library as a module of WebAssembly.
+fn compile(root: &Path) -> Result<PathBuf, String> {
+    let output = |arguments: &[&str]| {
+        let output = Command::new("rustc").args(arguments).output();
+        let output = output.map_err(|error| format!("rustc: {error}"))?;
+        Ok::<_, String>(String::from_utf8_lossy(&output.stdout).trim().to_owned())
+    };
+    let installed = output(&["--print", "target-libdir", "--target", TARGET])?;
+    let mut from_source = false;
+    let mut rustup = Command::new("rustup");
+    if !Path::new(&installed).exists() && !crate::succeeds(rustup.args(["target", "add", TARGET])) {
+        // Distributions ship the library's sources in a package of their own.
+        let sources = Path::new(&output(&["--print", "sysroot"])?).join("lib/rustlib/src");
+        if !sources.exists() {
+            return Err(format!(
+                "no standard library for {TARGET}: `rustup target add {TARGET}`, or install rust-src"
+            ));
+        }
+        from_source = true;
+    }
+    let folder = std::env::var_os("CARGO_TARGET_DIR")
+        .map_or_else(|| root.join("target"), |folder| root.join(folder))
+        .join("web");
+    let mut cargo = crate::cargo(root, "rustc --profile web --lib --crate-type cdylib");
+    cargo
+        .args(["--package", "relight-viewer", "--target", TARGET])
+        .arg("--target-dir")
+        .arg(&folder);
+    if from_source {
+        cargo
+            .args(["-Z", "build-std=std,panic_abort"])
+            .env("RUSTC_BOOTSTRAP", "1");
+    }
+    run_to_end(&mut cargo)?;
+    Ok(folder.join(TARGET).join("web/relight_viewer.wasm"))
+}
+
+/// The program that writes the JavaScript around a module, in the version that the module was
+/// compiled with: the one on the path, or one that is built once.
+fn bindgen(root: &Path) -> Result<PathBuf, String> {
+    let lock =
+        std::fs::read_to_string(root.join("Cargo.lock")).map_err(|error| error.to_string())?;
+    let version = lock
+        .split_once("name = \"wasm-bindgen\"\nversion = \"")
+        .and_then(|(_, rest)| rest.split('"').next())
+        .ok_or("Cargo.lock names no wasm-bindgen")?;
+    let is_it = |program: &Path| {
+        let output = Command::new(program).arg("--version").output();
+        output.is_ok_and(|output| {
+            String::from_utf8_lossy(&output.stdout).trim() == format!("wasm-bindgen {version}")
+        })
+    };
+    let tools = root.join("target/tools");
+    let own = tools.join("bin/wasm-bindgen");
+    for program in [PathBuf::from("wasm-bindgen"), own.clone()] {
+        if is_it(&program) {
+            return Ok(program);
+        }
+    }
+    run_to_end(
+        Command::new("cargo")
+            .args(["install", "wasm-bindgen-cli", "--no-default-features"])
+            .args(["--version", version, "--root"])
+            .arg(&tools),
+    )?;
+    Ok(own)
+}
+
+fn run_to_end(command: &mut Command) -> Result<(), String> {
+    let name = command.get_program().to_string_lossy().into_owned();
+    match command.status() {
+        Ok(status) if status.success() => Ok(()),
+        Ok(status) => Err(format!("{name}: {status}")),
+        Err(error) => Err(format!("{name}: {error}")),
+    }
+}
+
+/// Serves a folder on the loopback address, where browsers allow WebGPU without certificates.
+fn forever(folder: &Path) -> Result<(), String> {
+    let listener = TcpListener::bind("127.0.0.1:8080")
+        .or_else(|_| TcpListener::bind("127.0.0.1:0"))
+        .map_err(|error| error.to_string())?;
+    let address = listener.local_addr().map_err(|error| error.to_string())?;
+    println!("xtask: http://{address}/");
+    if ASSETS.iter().all(|name| folder.join(name).exists()) {
+        let [scene, environment] = ASSETS;
+        println!("xtask: http://{address}/?scene={scene}&environment={environment}");
+    }
+    for stream in listener.incoming().flatten() {
+        let folder = folder.to_owned();
+        // A browser that hangs up, or says nothing, is none of the others' business.
+        std::thread::spawn(move || server::answer(stream, &[&folder]));
+    }
+    Ok(())
+}

@@ -29,7 +29,8 @@ pub use environment::{
 pub use error::{Error, Issue};
 pub use material::{
     Blend, Camera, FieldOfView, FittedLobe, Layer, MAX_FITTED_LOBES, MAX_LAYERS, MAX_REFLECTIONS,
-    Material, Specular, Surface, Texture, TextureEncoding, TextureSlot,
+    Material, RATIO_NODES, RATIO_SIZE, Specular, Surface, Texture, TextureEncoding, TextureShape,
+    TextureSlot,
 };
 pub use material_asset::{MaterialAsset, MaterialReport, read_material, write_material};
 pub use scene::{

@@ -12,6 +12,9 @@ pub enum TextureEncoding {
     Srgb,
     /// All four channels are linear.
     Linear,
+    /// RGB is linear and multiplied by 2^(A − 136): numbers of any magnitude (Ward 1991, "Real
+    /// pixels").
+    Rgbe,
 }
 
 /// An RGBA8 image, row 0 first, repeated in both directions.
@@ -27,6 +30,16 @@ pub struct Texture {
     pub texels: Vec<u8>,
 }
 
+/// Width, height and encoding of a texture.
+pub type TextureShape = (u32, u32, TextureEncoding);
+
+impl Texture {
+    /// Width, height and encoding.
+    pub fn shape(&self) -> TextureShape {
+        (self.width, self.height, self.encoding)
+    }
+}
+
 /// A reference from a material to a texture.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TextureSlot {
@@ -35,6 +48,16 @@ pub struct TextureSlot {
     /// Rows of the affine map from the vertex's (u, v, 1) to texture coordinates
     /// (`KHR_texture_transform`); the identity is `[[1, 0, 0], [0, 1, 0]]`.
     pub transform: [[f32; 3]; 2],
+}
+
+impl TextureSlot {
+    /// A texture by the vertices' own coordinates.
+    pub fn whole(texture: u32) -> Self {
+        Self {
+            texture,
+            transform: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+        }
+    }
 }
 
 /// A specular reflection model. Every roughness is the model's own parameter, not its
@@ -73,16 +96,6 @@ pub enum Specular {
         /// GGX alpha along tangent and bitangent, in (0, 1].
         alpha: [f32; 2],
     },
-    /// A measured BRDF. The surface's `diffuse` together with `f0` and `alpha` are the GGX
-    /// stand-in fitted to the table, for renderers that do not hold it.
-    Measured {
-        /// File, as named by the scene file.
-        path: String,
-        /// Stand-in: linear Rec.709 reflectance at normal incidence.
-        f0: [f32; 3],
-        /// Stand-in: GGX alpha in (0, 1].
-        alpha: f32,
-    },
     /// Ashikhmin & Shirley 2000, the specular term alone, with Schlick's Fresnel.
     AshikhminShirley {
         /// Linear Rec.709 reflectance at normal incidence.
@@ -97,8 +110,20 @@ pub enum Specular {
         path: String,
         /// 1 to [`MAX_FITTED_LOBES`] lobes, added.
         lobes: Vec<FittedLobe>,
+        /// What the sum of the lobes is multiplied by to be the table less the diffuse base, by the
+        /// directions of light and view: [`TextureEncoding::Rgbe`], [`RATIO_SIZE`] texels. Its
+        /// transform is not used.
+        ratio: Option<TextureSlot>,
     },
 }
+
+/// Values of [`Specular::Lobes`]' `ratio` along the sine of the half vector's angle with the
+/// normal (at its squares), the cosine between light and half vector, and the squared cosine of the
+/// azimuth between the normal and the light about the half vector (Rusinkiewicz 1998); each from 0
+/// to 1.
+pub const RATIO_NODES: [u32; 3] = [64, 24, 8];
+/// Width and height of a texture of them: the first runs along rows, the last changes last.
+pub const RATIO_SIZE: [u32; 2] = [RATIO_NODES[0], RATIO_NODES[1] * RATIO_NODES[2]];
 
 /// Most lobes of [`Specular::Lobes`].
 pub const MAX_FITTED_LOBES: usize = 7;
@@ -222,11 +247,17 @@ impl Specular {
         }
     }
 
+    fn ratio_mut(&mut self) -> Option<&mut TextureSlot> {
+        match self {
+            Self::Lobes { ratio, .. } => ratio.as_mut(),
+            _ => None,
+        }
+    }
+
     fn is_valid(&self) -> bool {
         let exponent = |value: f32, least: f32| value >= least && value.is_finite();
         match self {
             Self::None => true,
-            Self::Measured { f0, alpha, .. } => is_color(f0) && is_roughness(*alpha),
             Self::BlinnPhong {
                 specular,
                 exponent: n,
@@ -287,14 +318,15 @@ impl Surface {
 impl Material {
     /// The slots in use, the layers' among them.
     pub fn slots(&self) -> impl Iterator<Item = &TextureSlot> {
-        self.slot_options().into_iter().flatten()
+        (self.slot_options().into_iter().flatten()).chain(self.ratios())
     }
 
     /// The same, to renumber textures by.
     pub fn slots_mut(&mut self) -> impl Iterator<Item = &mut TextureSlot> {
-        let layers: &mut [Layer] = match &mut self.surface {
-            Surface::Layers { layers } => layers,
-            _ => &mut [],
+        let (layers, single): (&mut [Layer], _) = match &mut self.surface {
+            Surface::Layers { layers } => (layers, None),
+            Surface::Layered { specular, .. } => (&mut [], Some(specular)),
+            Surface::MetallicRoughness { .. } => (&mut [], None),
         };
         [
             &mut self.base_color_texture,
@@ -304,15 +336,32 @@ impl Material {
             &mut self.emission_texture,
         ]
         .into_iter()
+        .map(Option::as_mut)
         .chain(layers.iter_mut().flat_map(|layer| {
             [
-                &mut layer.diffuse_texture,
-                &mut layer.specular_texture,
-                &mut layer.roughness_texture,
-                &mut layer.weight_texture,
+                layer.diffuse_texture.as_mut(),
+                layer.specular_texture.as_mut(),
+                layer.roughness_texture.as_mut(),
+                layer.weight_texture.as_mut(),
+                layer.specular.ratio_mut(),
             ]
         }))
+        .chain([single.and_then(Specular::ratio_mut)])
         .flatten()
+    }
+
+    /// Slots of [`Specular::Lobes`]' ratios.
+    fn ratios(&self) -> impl Iterator<Item = &TextureSlot> {
+        let (layers, single): (&[Layer], _) = match &self.surface {
+            Surface::Layers { layers } => (layers, None),
+            Surface::Layered { specular, .. } => (&[], Some(specular)),
+            Surface::MetallicRoughness { .. } => (&[], None),
+        };
+        let speculars = layers.iter().map(|layer| &layer.specular).chain(single);
+        speculars.filter_map(|specular| match specular {
+            Specular::Lobes { ratio, .. } => ratio.as_ref(),
+            _ => None,
+        })
     }
 
     fn slot_options(&self) -> Vec<&Option<TextureSlot>> {
@@ -336,8 +385,8 @@ impl Material {
         slots
     }
 
-    /// Checks every number, and every slot against the number of textures.
-    pub(crate) fn validate(&self, textures: usize) -> Result<(), Error> {
+    /// Checks every number, and every slot against the textures.
+    pub(crate) fn validate(&self, textures: &[TextureShape]) -> Result<(), Error> {
         let metadata = |issue, expected: &str, found: std::fmt::Arguments| {
             Err(Error::section(
                 issue,
@@ -347,7 +396,7 @@ impl Material {
             ))
         };
         for slot in self.slots() {
-            if slot.texture as usize >= textures {
+            if slot.texture as usize >= textures.len() {
                 return metadata(
                     Issue::IndexOutOfRange,
                     "an existing texture",
@@ -359,6 +408,17 @@ impl Material {
                     Issue::ValueOutOfRange,
                     "a finite texture transform",
                     format_args!("{slot:?} of material {:?}", self.name),
+                );
+            }
+        }
+        for slot in self.ratios() {
+            let [width, height] = RATIO_SIZE;
+            let found = textures[slot.texture as usize];
+            if found != (width, height, TextureEncoding::Rgbe) {
+                return metadata(
+                    Issue::ValueOutOfRange,
+                    &format!("{width}x{height} texels with exponents for lobes' ratio"),
+                    format_args!("{found:?} of material {:?}", self.name),
                 );
             }
         }

@@ -3,8 +3,9 @@
 use serde::{Deserialize, Serialize};
 
 use crate::container::{Kind, Limits, Reader, SectionKind, Writer};
+use crate::material::TextureShape;
 use crate::scene::{concatenate_texels, split_texels, validate_textures};
-use crate::{Error, Issue, Material, Texture, TextureEncoding};
+use crate::{Error, Issue, Material, Texture};
 
 /// How well the lobes fit what they came from. Zero where nothing was fitted.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -13,7 +14,9 @@ pub struct MaterialReport {
     pub source: String,
     /// Relative L2 error of the fitted model, cosine included.
     pub relative_l2: f32,
-    /// The same of the spherical Gaussians that the runtime makes of it.
+    /// The same with the ratio that the lobes are multiplied by; that is what is shaded.
+    pub corrected_relative_l2: f32,
+    /// The same of the spherical Gaussians that the runtime makes of the lobes, without the ratio.
     pub shaded_relative_l2: f32,
     /// Largest error of the albedo over view directions, as a fraction of it.
     pub albedo_error: f32,
@@ -34,7 +37,7 @@ pub struct MaterialAsset {
 struct Metadata {
     report: MaterialReport,
     material: Material,
-    textures: Vec<(u32, u32, TextureEncoding)>,
+    textures: Vec<TextureShape>,
 }
 
 /// Decodes and validates a material.
@@ -59,22 +62,20 @@ pub fn write_material(asset: &MaterialAsset) -> Result<Vec<u8>, Error> {
     writer.metadata(&Metadata {
         report: asset.report.clone(),
         material: asset.material.clone(),
-        textures: asset
-            .textures
-            .iter()
-            .map(|texture| (texture.width, texture.height, texture.encoding))
-            .collect(),
+        textures: asset.textures.iter().map(Texture::shape).collect(),
     })?;
     writer.section(SectionKind::Texels, &concatenate_texels(&asset.textures))?;
     Ok(writer.finish())
 }
 
 fn validate(asset: &MaterialAsset) -> Result<(), Error> {
-    asset.material.validate(asset.textures.len())?;
+    let shapes: Vec<_> = asset.textures.iter().map(Texture::shape).collect();
+    asset.material.validate(&shapes)?;
     validate_textures(&asset.textures)?;
     let report = &asset.report;
     let errors = [
         report.relative_l2,
+        report.corrected_relative_l2,
         report.shaded_relative_l2,
         report.albedo_error,
     ];

@@ -5,9 +5,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::container::{Kind, Limits, Reader, SectionKind, Writer};
 use crate::geometry::{self, Places};
+use crate::material::TextureShape;
 use crate::prediction;
 use crate::transfer::Transfer;
-use crate::{Camera, Error, Issue, Material, Texture, TextureEncoding};
+use crate::{Camera, Error, Issue, Material, Texture};
 
 /// Basis images per tile: one per channel of an RGBA texel.
 pub const CHANNELS_PER_TILE: usize = 4;
@@ -154,7 +155,7 @@ struct Metadata {
     visibility: VisibilityParameters,
     camera: Option<Camera>,
     materials: Vec<Material>,
-    textures: Vec<(u32, u32, TextureEncoding)>,
+    textures: Vec<TextureShape>,
     report: BakeReport,
 }
 
@@ -228,11 +229,7 @@ pub fn write_scene(scene: &Scene) -> Result<Vec<u8>, Error> {
         visibility: scene.visibility.clone(),
         camera: scene.camera,
         materials: scene.materials.clone(),
-        textures: scene
-            .textures
-            .iter()
-            .map(|texture| (texture.width, texture.height, texture.encoding))
-            .collect(),
+        textures: scene.textures.iter().map(Texture::shape).collect(),
         report: scene.report.clone(),
     })?;
     let places = Places::find(&scene.vertices, &scene.clusters, &scene.coefficients);
@@ -266,7 +263,7 @@ pub(crate) fn concatenate_texels(textures: &[Texture]) -> Vec<u8> {
 }
 
 pub(crate) fn split_texels(
-    sizes: &[(u32, u32, TextureEncoding)],
+    sizes: &[TextureShape],
     mut texels: &[u8],
 ) -> Result<Vec<Texture>, Error> {
     let total = texels.len();
@@ -375,8 +372,9 @@ fn validate_metadata(scene: &Scene) -> Result<(), Error> {
             format_args!("{parameters:?}"),
         );
     }
+    let shapes: Vec<_> = scene.textures.iter().map(Texture::shape).collect();
     for material in &scene.materials {
-        material.validate(scene.textures.len())?;
+        material.validate(&shapes)?;
     }
     validate_textures(&scene.textures)?;
     let errors = &scene.report.errors;

@@ -770,7 +770,13 @@ mod tests {
     const ALPHAS: [f32; 6] = [0.05, 0.1, 0.2, 0.4, 0.7, 1.0];
     const INCIDENCES: [f32; 6] = [0.0, 20.0, 40.0, 60.0, 70.0, 80.0];
 
-    fn point(model: Model, alpha: Vec2, f0: f32, degrees: f32, azimuth: f32) -> SurfacePoint {
+    fn point(
+        model: Model,
+        alpha: Vec2,
+        f0: f32,
+        degrees: f32,
+        azimuth: f32,
+    ) -> SurfacePoint<'static> {
         let alpha = if model == Model::BlinnPhong {
             (Vec2::splat(2.0) / (alpha * alpha)).min(Vec2::splat(MAX_EXPONENT))
         } else {
@@ -784,7 +790,10 @@ mod tests {
 
     /// Prints one row per material and returns the largest albedo error up to 70° and the
     /// largest L2 error up to 40°.
-    fn table(title: &str, points: impl Iterator<Item = (String, [SurfacePoint; 6])>) -> [f64; 2] {
+    fn table(
+        title: &str,
+        points: impl Iterator<Item = (String, [SurfacePoint<'static>; 6])>,
+    ) -> [f64; 2] {
         println!("{title}: relative L2 (albedo error) in % at {INCIDENCES:?} degrees");
         let mut worst = [0f64; 2];
         for (name, points) in points {

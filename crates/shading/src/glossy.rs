@@ -38,15 +38,15 @@ const EXCESS: f32 = 8.0;
 
 /// One specular reflection of a surface point towards its eye, ready to meet lights.
 pub struct Glossy<'a> {
-    point: &'a SurfacePoint,
-    reflection: &'a Reflection,
+    point: &'a SurfacePoint<'a>,
+    reflection: &'a Reflection<'a>,
     view: Vec3,
     lobes: SpecularLobes,
 }
 
 impl<'a> Glossy<'a> {
     /// The reflection `reflection` of `point`.
-    pub fn new(point: &'a SurfacePoint, reflection: &'a Reflection) -> Self {
+    pub fn new(point: &'a SurfacePoint<'a>, reflection: &'a Reflection) -> Self {
         Self {
             point,
             reflection,

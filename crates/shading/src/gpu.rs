@@ -238,8 +238,10 @@ pub struct Layer {
     pub weight: f32,
     /// Roughness along tangent and bitangent; Blinn-Phong: exponent in both.
     pub alpha: [f32; 2],
+    /// One more than the first texel of the reflection's ratio; 0: none.
+    pub ratio: u32,
     /// Zero.
-    pub reserved: [f32; 2],
+    pub reserved: u32,
     /// Multiplies `diffuse`.
     pub diffuse_texture: TextureSlot,
     /// Multiplies `specular`.
@@ -484,6 +486,12 @@ pub fn pack_material(material: &relight_format::Material, textures: &[PackedText
         })
         .unwrap_or(TextureSlot::zeroed())
     };
+    let ratio = |slot: &relight_format::TextureSlot| {
+        let texture = textures.get(slot.texture as usize);
+        let texture =
+            texture.filter(|t| (t.width, t.height, t.encoding) == crate::surface::RATIO_SHAPE);
+        texture.map_or(0, |texture| texture.offset + 1)
+    };
     let mut packed = Material {
         normal_scale: material.normal_scale,
         base_color_texture: slot(material.base_color_texture.as_ref()),
@@ -524,7 +532,8 @@ pub fn pack_material(material: &relight_format::Material, textures: &[PackedText
             grazing: layer.reflection.grazing.into(),
             weight: layer.weight,
             alpha: layer.reflection.alpha.into(),
-            reserved: [0.0; 2],
+            ratio: layer.ratio.map_or(0, ratio),
+            reserved: 0,
             diffuse_texture: slot(layer.diffuse_texture),
             specular_texture: slot(layer.specular_texture),
             roughness_texture: slot(layer.roughness_texture),
@@ -837,6 +846,7 @@ mod tests {
                 grazing,
                 weight,
                 alpha,
+                ratio,
                 reserved,
                 diffuse_texture,
                 specular_texture,

@@ -331,7 +331,8 @@ mod tests {
             let hit = (0..200).any(|ray| {
                 let cosine = 1.0 - (1.0 - cosine) * uniform(200 * cone + ray);
                 let sine = (1.0 - cosine * cosine).sqrt();
-                let (sin, cos) = (6.283 * uniform(700_000 + 200 * cone + ray)).sin_cos();
+                let (sin, cos) =
+                    (std::f32::consts::TAU * uniform(700_000 + 200 * cone + ray)).sin_cos();
                 occluders.block(origin, axis * cosine + (x * cos + y * sin) * sine)
             });
             let met = occluders.meet_cone(origin, axis, cosine);

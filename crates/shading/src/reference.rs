@@ -13,7 +13,7 @@ use std::f32::consts::{FRAC_1_PI, PI};
 
 use glam::{Vec2, Vec3};
 
-use crate::surface::{Appearance, MAX_REFLECTIONS, Model, Reflection};
+use crate::surface::{Appearance, MAX_REFLECTIONS, Model, Reflection, sample_ratio};
 
 /// BRDF in 1/sr: Lambert plus the specular reflections, without the cosine.
 pub fn evaluate(appearance: &Appearance, wi: Vec3, wo: Vec3) -> Vec3 {
@@ -33,8 +33,12 @@ pub fn evaluate_specular(reflection: &Reflection, wi: Vec3, wo: Vec3) -> Vec3 {
         return Vec3::ZERO;
     }
     let half = (wi + wo).normalize();
-    reflection.color(half.dot(wo))
-        * (reflection.half_vector_factor(half) * reflection.geometry(wi, wo, half.dot(wo)))
+    let value = reflection.color(half.dot(wo))
+        * (reflection.half_vector_factor(half) * reflection.geometry(wi, wo, half.dot(wo)));
+    match reflection.ratio {
+        None => value,
+        Some(ratio) => value * sample_ratio(ratio, wi, wo),
+    }
 }
 
 /// Draws an incident direction from three uniform numbers in [0, 1). `None` where the
@@ -102,7 +106,7 @@ pub(crate) fn sample_specular(
     (wi.z > 0.0).then_some((wi, value * wi.z / density))
 }
 
-impl Reflection {
+impl Reflection<'_> {
     /// The factor of the BRDF that depends on the half vector alone: the normal
     /// distribution, or its exponential, with the model's constants.
     fn half_vector_factor(&self, h: Vec3) -> f32 {
@@ -271,7 +275,7 @@ mod tests {
     ];
 
     /// Surfaces of every model, smooth and rough, isotropic and not where the model can.
-    fn appearances() -> impl Iterator<Item = Appearance> {
+    fn appearances() -> impl Iterator<Item = Appearance<'static>> {
         let base = Vec3::new(0.3, 0.2, 0.1);
         let reflection =
             |model, x, y| Reflection::new(model, Vec3::new(0.5, 0.6, 0.7), Vec2::new(x, y));

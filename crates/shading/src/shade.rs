@@ -424,7 +424,7 @@ mod tests {
         }
     }
 
-    fn points() -> Vec<SurfacePoint> {
+    fn points() -> Vec<SurfacePoint<'static>> {
         let mut points = vec![];
         let surfaces = [
             (Model::BlinnPhong, 60.0, 60.0),

@@ -7,8 +7,8 @@
 use glam::{Vec2, Vec3, Vec4, Vec4Swizzles as _};
 pub use relight_format::MAX_REFLECTIONS;
 use relight_format::{
-    Blend, FittedLobe, Layer, Material, Scene, Specular, Surface, Texture, TextureEncoding,
-    TextureSlot, Vertex,
+    Blend, FittedLobe, Layer, Material, RATIO_NODES, RATIO_SIZE, Scene, Specular, Surface, Texture,
+    TextureEncoding, TextureShape, TextureSlot, Vertex,
 };
 
 use crate::reference::schlick;
@@ -20,6 +20,12 @@ pub const MIN_ALPHA: f32 = 0.02;
 pub const MAX_EXPONENT: f32 = 2.0 / (MIN_ALPHA * MIN_ALPHA);
 /// Reflectance of a dielectric at normal incidence in glTF 2.0 (index of refraction 1.5).
 pub const DIELECTRIC_F0: f32 = 0.04;
+/// Textures of other shapes are no ratios.
+pub(crate) const RATIO_SHAPE: TextureShape = (RATIO_SIZE[0], RATIO_SIZE[1], TextureEncoding::Rgbe);
+/// Exponent of a ratio's texel that multiplies its bytes by 1.
+const RGBE_BIAS: i32 = 136;
+/// Least product of sines by which the azimuth of a ratio is divided.
+const LEAST_RATIO_SINE: f32 = 1e-6;
 /// Least cosine between the shading normal and the direction to an eye that sees the front of a
 /// triangle: normals that are farther from it are bent towards it, in the plane of both.
 pub const LEAST_VIEW_COSINE: f32 = 0.05;
@@ -46,7 +52,7 @@ pub enum Model {
 
 /// One specular reflection, textures applied and parameters clamped to what is shaded.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Reflection {
+pub struct Reflection<'a> {
     /// The model.
     pub model: Model,
     /// Models with Fresnel: colour at normal incidence. Blinn-Phong and Ward: specular
@@ -58,15 +64,18 @@ pub struct Reflection {
     /// Roughness along tangent and bitangent, [`MIN_ALPHA`] to 1; that of Ashikhmin-Shirley
     /// with exponents n is √(2/n). Blinn-Phong: the exponent, 1 to [`MAX_EXPONENT`], in both.
     pub alpha: Vec2,
+    /// What the model's value is multiplied by, by directions: of lobes fitted to a measured table.
+    pub ratio: Option<&'a Texture>,
 }
 
-impl Reflection {
+impl Reflection<'_> {
     /// None.
     pub const NONE: Self = Self {
         model: Model::None,
         specular: Vec3::ZERO,
         grazing: Vec3::ZERO,
         alpha: Vec2::ONE,
+        ratio: None,
     };
 
     /// A reflection that goes to white at grazing incidence, if its model has Fresnel.
@@ -76,6 +85,7 @@ impl Reflection {
             specular,
             grazing: Vec3::ONE,
             alpha,
+            ratio: None,
         }
     }
 
@@ -117,19 +127,19 @@ impl Reflection {
 
 /// Reflectance at one point: a Lambertian base plus the sum of some specular reflections.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Appearance {
+pub struct Appearance<'a> {
     /// Lambertian albedo, linear Rec.709.
     pub diffuse: Vec3,
     /// The reflections; those behind the last one in use are [`Reflection::NONE`].
-    pub reflections: [Reflection; MAX_REFLECTIONS],
+    pub reflections: [Reflection<'a>; MAX_REFLECTIONS],
 }
 
-impl Appearance {
+impl<'a> Appearance<'a> {
     /// A base and at most [`MAX_REFLECTIONS`] reflections.
     ///
     /// # Panics
     /// If there are more.
-    pub fn new(diffuse: Vec3, reflections: &[Reflection]) -> Self {
+    pub fn new(diffuse: Vec3, reflections: &[Reflection<'a>]) -> Self {
         let mut all = [Reflection::NONE; MAX_REFLECTIONS];
         all[..reflections.len()].copy_from_slice(reflections);
         Self {
@@ -139,7 +149,7 @@ impl Appearance {
     }
 
     /// The reflections in use.
-    pub fn reflections(&self) -> impl Iterator<Item = &Reflection> {
+    pub fn reflections(&self) -> impl Iterator<Item = &Reflection<'a>> {
         self.reflections
             .iter()
             .filter(|reflection| reflection.model != Model::None)
@@ -165,7 +175,9 @@ pub struct LayerParameters<'a> {
     /// Lambertian albedo.
     pub diffuse: Vec3,
     /// The reflection, not clamped.
-    pub reflection: Reflection,
+    pub reflection: Reflection<'a>,
+    /// What the reflection's value is multiplied by, by directions.
+    pub ratio: Option<&'a TextureSlot>,
     /// Coverage before its texture.
     pub weight: f32,
     /// How it joins those before it.
@@ -184,7 +196,11 @@ pub struct LayerParameters<'a> {
 /// none of a metallic-roughness surface.
 pub fn visit_layers<'a>(material: &'a Material, mut visit: impl FnMut(LayerParameters<'a>)) {
     let mut visit_layer = |layer: LayerParameters<'a>, specular: &'a Specular| match specular {
-        Specular::Lobes { lobes, .. } => {
+        Specular::Lobes { lobes, ratio, .. } => {
+            let layer = LayerParameters {
+                ratio: ratio.as_ref(),
+                ..layer
+            };
             for (index, lobe) in lobes.iter().enumerate() {
                 let reflection = fitted_reflection(lobe);
                 visit(if index == 0 {
@@ -210,6 +226,7 @@ pub fn visit_layers<'a>(material: &'a Material, mut visit: impl FnMut(LayerParam
     let plain = |diffuse: &[f32; 3]| LayerParameters {
         diffuse: Vec3::from(*diffuse),
         reflection: Reflection::NONE,
+        ratio: None,
         weight: 1.0,
         join: Join::Over,
         diffuse_texture: None,
@@ -257,7 +274,7 @@ pub fn visit_layers<'a>(material: &'a Material, mut visit: impl FnMut(LayerParam
 }
 
 /// The reflection of one lobe of a fitted BRDF, not clamped.
-pub fn fitted_reflection(lobe: &FittedLobe) -> Reflection {
+pub fn fitted_reflection(lobe: &FittedLobe) -> Reflection<'static> {
     Reflection {
         grazing: lobe.f90.into(),
         ..Reflection::new(
@@ -269,7 +286,7 @@ pub fn fitted_reflection(lobe: &FittedLobe) -> Reflection {
 }
 
 /// The reflection of a model that has but one, not clamped.
-fn single_reflection(specular: &Specular) -> Reflection {
+fn single_reflection(specular: &Specular) -> Reflection<'static> {
     let (model, color, alpha) = match specular {
         Specular::None | Specular::Lobes { .. } => return Reflection::NONE,
         Specular::BlinnPhong { specular, exponent } => {
@@ -278,7 +295,6 @@ fn single_reflection(specular: &Specular) -> Reflection {
         Specular::Ward { specular, alpha } => (Model::Ward, specular, *alpha),
         Specular::CookTorrance { f0, roughness } => (Model::CookTorrance, f0, [*roughness; 2]),
         Specular::Ggx { f0, alpha } => (Model::Ggx, f0, *alpha),
-        Specular::Measured { f0, alpha, .. } => (Model::Ggx, f0, [*alpha; 2]),
         Specular::AshikhminShirley { f0, exponents } => (
             Model::AshikhminShirley,
             f0,
@@ -290,7 +306,7 @@ fn single_reflection(specular: &Specular) -> Reflection {
 
 /// A point of a surface and how it reflects towards the eye.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SurfacePoint {
+pub struct SurfacePoint<'a> {
     /// World space, metres.
     pub position: Vec3,
     /// Unit normal of the triangle, counter-clockwise side.
@@ -304,10 +320,10 @@ pub struct SurfacePoint {
     /// Unit vector to the eye.
     pub view: Vec3,
     /// Reflectance.
-    pub appearance: Appearance,
+    pub appearance: Appearance<'a>,
 }
 
-impl SurfacePoint {
+impl SurfacePoint<'_> {
     /// World direction -> (tangent, bitangent, normal) coordinates.
     pub fn to_local(&self, direction: Vec3) -> Vec3 {
         Vec3::new(
@@ -332,7 +348,7 @@ pub fn surface_point(
     triangle: usize,
     barycentrics: Vec3,
     eye: Vec3,
-) -> SurfacePoint {
+) -> SurfacePoint<'_> {
     surface_seen(scene, triangle, barycentrics, eye.extend(1.0))
 }
 
@@ -345,7 +361,12 @@ pub fn surface_point(
     clippy::too_many_lines,
     reason = "stays beside its twin, surface.wgsl, line by line"
 )]
-pub fn surface_seen(scene: &Scene, triangle: usize, barycentrics: Vec3, eye: Vec4) -> SurfacePoint {
+pub fn surface_seen(
+    scene: &Scene,
+    triangle: usize,
+    barycentrics: Vec3,
+    eye: Vec4,
+) -> SurfacePoint<'_> {
     let triangle = &scene.triangles[triangle];
     let material = &scene.materials[triangle.material as usize];
     let [a, b, c] = triangle
@@ -435,6 +456,10 @@ pub fn surface_seen(scene: &Scene, triangle: usize, barycentrics: Vec3, eye: Vec
             let weight = layer.weight * factor(layer.weight_texture).x;
             let diffuse = layer.diffuse * factor(layer.diffuse_texture).xyz();
             let mut reflection = layer.reflection;
+            reflection.ratio = layer.ratio.and_then(|slot| {
+                let texture = &scene.textures[slot.texture as usize];
+                (texture.shape() == RATIO_SHAPE).then_some(texture)
+            });
             reflection.specular *= factor(layer.specular_texture).xyz();
             let roughness = factor(layer.roughness_texture).xy();
             match reflection.model {
@@ -525,6 +550,7 @@ fn texel(texture: &Texture, x: u32, y: u32) -> Vec4 {
     let value = Vec4::from(bytes.map(f32::from)) / 255.0;
     match texture.encoding {
         TextureEncoding::Linear => value,
+        TextureEncoding::Rgbe => decode_rgbe(bytes).extend(1.0),
         TextureEncoding::Srgb => Vec3::new(
             decode_srgb(value.x),
             decode_srgb(value.y),
@@ -532,6 +558,41 @@ fn texel(texture: &Texture, x: u32, y: u32) -> Vec4 {
         )
         .extend(value.w),
     }
+}
+
+/// Ward 1991, "Real pixels", without the half that is added to each byte there.
+pub fn decode_rgbe([r, g, b, exponent]: [u8; 4]) -> Vec3 {
+    let scale = 2f32.powi(i32::from(exponent) - RGBE_BIAS);
+    Vec3::new(f32::from(r), f32::from(g), f32::from(b)) * scale
+}
+
+/// Where a ratio is looked up for two unit vectors above the surface, each from 0 to 1; they are
+/// explained at [`relight_format::RATIO_NODES`].
+pub fn ratio_coordinates(wi: Vec3, wo: Vec3) -> Vec3 {
+    let half = (wi + wo).normalize();
+    let cosine = half.dot(wi).clamp(0.0, 1.0);
+    let half_sine = Vec2::new(half.x, half.y).length().min(1.0);
+    let sines = half_sine * (1.0 - cosine * cosine).sqrt();
+    let azimuth = (wi.z - half.z * cosine) / sines.max(LEAST_RATIO_SINE);
+    Vec3::new(half_sine.sqrt(), cosine, (azimuth * azimuth).min(1.0))
+}
+
+/// Trilinear; of two unit vectors above the surface.
+pub fn sample_ratio(texture: &Texture, wi: Vec3, wo: Vec3) -> Vec3 {
+    let nodes = RATIO_NODES.map(|nodes| nodes as usize);
+    let position = ratio_coordinates(wi, wo) * Vec3::from(nodes.map(|nodes| (nodes - 1) as f32));
+    let low: [usize; 3] =
+        std::array::from_fn(|axis| (position[axis] as usize).min(nodes[axis] - 2));
+    let f = position - Vec3::from(low.map(|low| low as f32));
+    let at = |x: usize, y: usize, z: usize| {
+        let index = ((low[2] + z) * nodes[1] + low[1] + y) * nodes[0] + low[0] + x;
+        decode_rgbe(std::array::from_fn(|channel| {
+            texture.texels[4 * index + channel]
+        }))
+    };
+    let row = |y, z| at(0, y, z).lerp(at(1, y, z), f.x);
+    let plane = |z| row(0, z).lerp(row(1, z), f.y);
+    plane(0).lerp(plane(1), f.z)
 }
 
 /// IEC 61966-2-1.
@@ -580,7 +641,11 @@ pub fn wgsl_constants() -> String {
          const SURFACE_DIELECTRIC_F0: f32 = {DIELECTRIC_F0:?};\n\
          const MAX_REFLECTIONS: u32 = {MAX_REFLECTIONS}u;\n\
          const SURFACE_LEAST_VIEW_COSINE: f32 = {LEAST_VIEW_COSINE:?};\n\
-         const SURFACE_DEGENERATE_LENGTH_SQUARED: f32 = {DEGENERATE_LENGTH_SQUARED:?};\n"
+         const SURFACE_DEGENERATE_LENGTH_SQUARED: f32 = {DEGENERATE_LENGTH_SQUARED:?};\n\
+         const SURFACE_RATIO_NODES: vec3<u32> = vec3({}u, {}u, {}u);\n\
+         const SURFACE_RGBE_BIAS: i32 = {RGBE_BIAS};\n\
+         const SURFACE_LEAST_RATIO_SINE: f32 = {LEAST_RATIO_SINE:?};\n",
+        RATIO_NODES[0], RATIO_NODES[1], RATIO_NODES[2],
     )
 }
 
@@ -660,7 +725,9 @@ mod tests {
 
     const EYE: Vec3 = Vec3::new(0.2, 0.3, 4.0);
 
-    fn at(scene: &Scene, x: f32, y: f32) -> SurfacePoint {
+    fn at(scene: &Scene, x: f32, y: f32) -> SurfacePoint<'static> {
+        // Points refer to their scene; here it lives as long as the test.
+        let scene = Box::leak(Box::new(scene.clone()));
         surface_point(scene, 0, Vec3::new(1.0 - x - y, x, y), EYE)
     }
 
@@ -880,6 +947,7 @@ mod tests {
                     roughness,
                 })
                 .to_vec(),
+            ratio: None,
         };
         let base = layer(0.5, lobes, 1.0, Blend::Over);
         let surface = Surface::Layers {

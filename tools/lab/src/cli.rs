@@ -10,6 +10,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use glam::Vec3;
 use indicatif::{ProgressBar, ProgressStyle};
 use relight_bake::environment::hdr;
+use relight_bake::files::{Access, Files};
 use relight_bake::monitor::{Monitor, Progress};
 use relight_bake::scene::{self, description, load};
 use relight_format::{Camera, Environment, FieldOfView, Limits, Scene};
@@ -225,6 +226,10 @@ struct Truth {
     /// the scene file.
     #[arg(long)]
     environment: Option<PathBuf>,
+    /// For `full`: folder that holds whatever the scene file refers to, as of `bake scene`
+    /// [default: the scene file's own folder].
+    #[arg(long, value_name = "DIR")]
+    root: Option<PathBuf>,
     #[command(flatten)]
     picture: Picture,
     /// Samples per pixel; rounded up to a multiple of 8.
@@ -589,7 +594,12 @@ fn run_truth(arguments: &Truth) -> anyhow::Result<Value> {
             )
         }
         Kind::Full => {
-            let loaded = load::load(&arguments.scene)?;
+            let access = Access {
+                root: arguments.root.clone(),
+                ..Access::default()
+            };
+            let files = Files::new(&arguments.scene, &access)?;
+            let loaded = load::load_from(&files, &arguments.scene)?;
             for warning in &loaded.warnings {
                 eprintln!("warning: {warning}");
             }

@@ -93,8 +93,8 @@ pub struct Geometry<'a> {
 }
 
 /// What is under a pixel.
-struct Seen {
-    point: SurfacePoint,
+struct Seen<'a> {
+    point: SurfacePoint<'a>,
     /// Index in the scene.
     triangle: usize,
     barycentrics: Vec3,

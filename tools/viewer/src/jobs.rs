@@ -17,7 +17,7 @@ use relight_bake::measured::{Table, fit};
 use relight_bake::monitor::{Interrupted, Monitor, Progress};
 use relight_bake::scene;
 use relight_bake::scene::load::{self, SceneInput};
-use relight_format::{self as format, Limits, Scene, Surface};
+use relight_format::{self as format, Limits, Scene, Specular, Surface};
 use relight_lab::demo;
 use relight_runtime::LocalLight;
 
@@ -533,17 +533,26 @@ pub fn material_from_file(path: &Path, context: &Context) -> anyhow::Result<()> 
         let bytes = std::fs::read(path).with_context(|| path.display().to_string())?;
         let asset = format::read_material(&bytes, &Limits::default())
             .with_context(|| path.display().to_string())?;
-        if !asset.textures.is_empty() {
+        let mut material = asset.material;
+        // Textures are those of the bake: without its ratio a measured material is its lobes alone.
+        if let Surface::Layered {
+            specular: Specular::Lobes { ratio, .. },
+            ..
+        } = &mut material.surface
+        {
+            *ratio = None;
+        }
+        if material.slots().next().is_some() {
             bail!(
                 "{}: its textures have to be baked into a scene; name it in a scene file",
                 path.display()
             );
         }
-        asset.material.surface
+        material.surface
     } else {
         let table = Table::load(path)?;
         context.monitor.step("fit lobes", 0.1)?;
-        fit::fit(&table, fit::Stop::default()).surface(file_name(path))
+        fit::fit(&table, fit::Stop::default()).surface(file_name(path), None)
     };
     (context.deliver)(Loaded::Material {
         source: path.into(),

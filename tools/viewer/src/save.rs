@@ -323,12 +323,10 @@ fn describe_specular(diffuse: [f32; 3], specular: &Specular) -> MaterialOverride
             exponent_x: Some(*x),
             exponent_y: Some(*y),
         },
-        Specular::Measured { path, .. } | Specular::Lobes { path, .. } => {
-            MaterialOverride::Measured {
-                file: path.into(),
-                original: None,
-            }
-        }
+        Specular::Lobes { path, .. } => MaterialOverride::Measured {
+            file: path.into(),
+            original: None,
+        },
     }
 }
 

@@ -15,7 +15,7 @@ use clap::Parser as _;
 use relight_bake::environment::{self, hdr};
 use relight_bake::files::{self, Access, Files, OutputError};
 use relight_bake::import;
-use relight_bake::measured::fit;
+use relight_bake::measured::{fit, ratio};
 use relight_bake::monitor::{Interrupted, Monitor};
 use relight_bake::scene::load;
 use relight_bake::simd;
@@ -369,7 +369,10 @@ fn bake_material(arguments: &MaterialArguments, monitor: Monitor) -> anyhow::Res
             let picture = relight_bake::measured::report::sphere(&table, &fit)?;
             format::write_file(&folder.join("sphere.png"), &picture)?;
         }
-        (import::plain_material("", fit.surface(source)), Vec::new())
+        let ratio = ratio::texture(&table, &fit.appearance());
+        report.corrected_relative_l2 = fit::corrected_relative_l2(&table, &fit, &ratio) as f32;
+        let surface = fit.surface(source, Some(format::TextureSlot::whole(0)));
+        (import::plain_material("", surface), vec![ratio])
     };
     material.name = name(arguments.input.file_stem());
     let asset = format::MaterialAsset {
@@ -406,13 +409,15 @@ fn bake_material(arguments: &MaterialArguments, monitor: Monitor) -> anyhow::Res
         && !packed
     {
         text += &format!(
-            "{} lobes, relative L2 error {:.4}, as shaded {:.4}, albedo error {:.4}\n{seconds:.1} s\n",
+            "relative L2 error {:.4}; of its {} lobes alone {:.4}, as Gaussians {:.4}, their albedo's {:.4}\n{seconds:.1} s\n",
+            report.corrected_relative_l2,
             lobes.len(),
             report.relative_l2,
             report.shaded_relative_l2,
             report.albedo_error,
         );
         object["lobes"] = json!(lobes.len());
+        object["corrected_relative_l2"] = json!(report.corrected_relative_l2);
         object["relative_l2"] = json!(report.relative_l2);
         object["shaded_relative_l2"] = json!(report.shaded_relative_l2);
         object["albedo_error"] = json!(report.albedo_error);

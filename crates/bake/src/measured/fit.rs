@@ -17,7 +17,7 @@
 use glam::{Vec2, Vec3};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
-use relight_format::{FittedLobe, MAX_FITTED_LOBES, Specular, Surface};
+use relight_format::{FittedLobe, MAX_FITTED_LOBES, Specular, Surface, Texture, TextureSlot};
 use relight_shading::accuracy::local_point;
 use relight_shading::brdf::specular_lobes;
 use relight_shading::reference;
@@ -61,19 +61,20 @@ pub struct Fit {
 }
 
 impl Fit {
-    /// As a surface of an asset; `path` names the table.
-    pub fn surface(&self, path: String) -> Surface {
+    /// As a surface of an asset; `path` names the table, `ratio` the texture of what is missing.
+    pub fn surface(&self, path: String, ratio: Option<TextureSlot>) -> Surface {
         Surface::Layered {
             diffuse: self.diffuse,
             specular: Specular::Lobes {
                 path,
                 lobes: self.lobes.clone(),
+                ratio,
             },
         }
     }
 
     /// As what the reference models evaluate.
-    pub fn appearance(&self) -> Appearance {
+    pub fn appearance(&self) -> Appearance<'static> {
         let reflections: Vec<_> = self.lobes.iter().map(fitted_reflection).collect();
         Appearance::new(Vec3::from(self.diffuse), &reflections)
     }
@@ -173,6 +174,16 @@ impl<'a> Measure<'a> {
 /// Fits a table.
 pub fn fit(table: &Table, stop: Stop) -> Fit {
     fit_pairs(&pairs(table), stop)
+}
+
+/// Relative L2 error of a table's fit multiplied by `ratio`, cosine included.
+pub fn corrected_relative_l2(table: &Table, fit: &Fit, ratio: &Texture) -> f64 {
+    let mut appearance = fit.appearance();
+    let lobes = &mut appearance.reflections[..fit.lobes.len()];
+    for reflection in lobes {
+        reflection.ratio = Some(ratio);
+    }
+    measure(&pairs(table), &appearance).relative_l2
 }
 
 /// Directions drawn from highlights of every width, and from the table's own density.
@@ -447,7 +458,20 @@ fn measured(pairs: &[Pair], lobes: &[(f32, [Column; 2])], solution: &Solution) -
         })
         .collect();
     fitted.sort_by(|a, b| b.roughness.total_cmp(&a.roughness));
-    measure(pairs, color(0), fitted)
+    let fit = Fit {
+        diffuse: color(0),
+        lobes: fitted,
+        relative_l2: 0.0,
+        shaded_relative_l2: 0.0,
+        albedo_error: 0.0,
+    };
+    let errors = measure(pairs, &fit.appearance());
+    Fit {
+        relative_l2: errors.relative_l2,
+        shaded_relative_l2: errors.shaded_relative_l2,
+        albedo_error: errors.albedo_error,
+        ..fit
+    }
 }
 
 /// The BRDF in 1/sr that the runtime's lobes come to, of the unit vector towards the light.
@@ -461,21 +485,21 @@ pub(super) fn as_shaded(appearance: &Appearance, view: Vec3) -> impl Fn(Vec3) ->
     move |light| lobes.iter().map(|lobe| lobe.evaluate(light)).sum::<Vec3>() + diffuse
 }
 
-fn measure(pairs: &[Pair], diffuse: [f32; 3], lobes: Vec<FittedLobe>) -> Fit {
-    let mut fit = Fit {
-        diffuse,
-        lobes,
-        relative_l2: 0.0,
-        shaded_relative_l2: 0.0,
-        albedo_error: 0.0,
-    };
-    let appearance = fit.appearance();
+/// How far an appearance is from the pairs.
+struct Errors {
+    relative_l2: f64,
+    shaded_relative_l2: f64,
+    albedo_error: f64,
+}
+
+fn measure(pairs: &[Pair], appearance: &Appearance) -> Errors {
+    let mut albedo_error = 0f64;
     let (mut errors, mut norm) = ([0.0; 2], 0.0);
     for view in pairs.chunk_by(|a, b| a.view == b.view) {
-        let as_shaded = as_shaded(&appearance, view[0].view);
+        let as_shaded = as_shaded(appearance, view[0].view);
         let (mut albedo, mut exact) = (0.0, 0.0);
         for pair in view {
-            let model = reference::evaluate(&appearance, pair.light, pair.view);
+            let model = reference::evaluate(appearance, pair.light, pair.view);
             let shaded = as_shaded(pair.light);
             let cosine = f64::from(pair.light.z);
             let square =
@@ -486,11 +510,15 @@ fn measure(pairs: &[Pair], diffuse: [f32; 3], lobes: Vec<FittedLobe>) -> Fit {
             albedo += f64::from(shaded.element_sum()) * cosine * pair.solid_angle;
             exact += f64::from(pair.value.element_sum()) * cosine * pair.solid_angle;
         }
-        fit.albedo_error = fit.albedo_error.max((albedo / exact - 1.0).abs());
+        albedo_error = albedo_error.max((albedo / exact - 1.0).abs());
     }
-    [fit.relative_l2, fit.shaded_relative_l2] =
+    let [relative_l2, shaded_relative_l2] =
         errors.map(|error| (error / norm.max(f64::MIN_POSITIVE)).sqrt());
-    fit
+    Errors {
+        relative_l2,
+        shaded_relative_l2,
+        albedo_error,
+    }
 }
 
 #[cfg(test)]

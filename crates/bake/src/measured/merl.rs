@@ -111,7 +111,7 @@ fn angle(direction: Vec3) -> f32 {
 
 /// What directions are drawn from: a Lambertian base and highlights of every width, as the
 /// table itself offers no density to invert.
-fn proposal() -> Appearance {
+fn proposal() -> Appearance<'static> {
     let highlights =
         [0.03, 0.1, 0.3].map(|alpha| Reflection::new(Model::Ggx, Vec3::ONE, Vec2::splat(alpha)));
     Appearance::new(Vec3::ONE, &highlights)

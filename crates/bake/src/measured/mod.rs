@@ -1,7 +1,9 @@
-//! Measured BRDFs: the tables as files hold them, and the lobes that are fitted to them.
+//! Measured BRDFs: the tables as files hold them, the lobes that are fitted to them, and the ratio
+//! between the two.
 
 pub mod fit;
 mod merl;
+pub mod ratio;
 pub mod report;
 mod rgl;
 

@@ -86,8 +86,7 @@ pub(super) fn mirrors(material: &format::Material) -> bool {
         }
         format::Specular::CookTorrance { f0, .. }
         | format::Specular::Ggx { f0, .. }
-        | format::Specular::AshikhminShirley { f0, .. }
-        | format::Specular::Measured { f0, .. } => bright(f0),
+        | format::Specular::AshikhminShirley { f0, .. } => bright(f0),
         format::Specular::Lobes { lobes, .. } => lobes.iter().any(|lobe| bright(&lobe.f0)),
     };
     match &material.surface {

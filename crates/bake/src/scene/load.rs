@@ -11,7 +11,7 @@ use relight_shading::local_light::LocalLight;
 use crate::environment::hdr;
 use crate::files::{Access, Files};
 use crate::import::{self, Error};
-use crate::measured::{self, Table, fit};
+use crate::measured::{self, Table, fit, ratio};
 use crate::mesh::{self, MAX_COORDINATE, Mesh, ground};
 use crate::scene::description::{
     self, BlendName, LayerFile, MaterialOverride, SceneFile, alpha_pair,
@@ -259,20 +259,18 @@ fn make(
             }
             if path.extension().is_none_or(|e| e != "relight") {
                 return Ok(Made {
-                    material: import::plain_material("", surface(files, replacement, folder)?),
+                    material: import::plain_material(
+                        "",
+                        surface(files, replacement, folder, textures)?,
+                    ),
                     table: Some(path),
                 });
             }
             let bytes = files.read(&path)?;
             let asset = format::read_material(&bytes, &format::Limits::default())
                 .map_err(|error| Error::invalid(&path, "file", "a baked material", error))?;
-            let mut material = asset.material;
-            for slot in material.slots_mut() {
-                slot.texture += textures.len() as u32;
-            }
-            textures.extend(asset.textures);
             Ok(Made {
-                material,
+                material: appended(asset, textures),
                 table: original,
             })
         }
@@ -293,7 +291,7 @@ fn make(
             table: None,
         }),
         _ => Ok(Made {
-            material: import::plain_material("", surface(files, replacement, folder)?),
+            material: import::plain_material("", surface(files, replacement, folder, textures)?),
             table: None,
         }),
     }
@@ -320,27 +318,25 @@ fn layered_material(
     textures: &mut Vec<format::Texture>,
 ) -> Result<format::Material, Error> {
     use format::TextureEncoding::{Linear, Srgb};
-    let mut slot = |file: &Option<PathBuf>, encoding, invert: bool| {
-        let Some(file) = file else { return Ok(None) };
-        let mut texture = import::texture(files, &folder.join(file), encoding, textures)?;
-        if invert {
-            for texel in texture.texels.as_chunks_mut::<4>().0 {
-                for channel in &mut texel[..3] {
-                    *channel = 255 - *channel;
+    let slot =
+        |file: &Option<PathBuf>, encoding, invert: bool, textures: &mut Vec<format::Texture>| {
+            let Some(file) = file else { return Ok(None) };
+            let mut texture = import::texture(files, &folder.join(file), encoding, textures)?;
+            if invert {
+                for texel in texture.texels.as_chunks_mut::<4>().0 {
+                    for channel in &mut texel[..3] {
+                        *channel = 255 - *channel;
+                    }
                 }
             }
-        }
-        textures.push(texture);
-        Ok(Some(format::TextureSlot {
-            texture: textures.len() as u32 - 1,
-            transform: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
-        }))
-    };
+            textures.push(texture);
+            Ok(Some(format::TextureSlot::whole(textures.len() as u32 - 1)))
+        };
     let layers = layers
         .iter()
         .map(|layer| -> Result<format::Layer, Error> {
             let format::Surface::Layered { diffuse, specular } =
-                surface(files, &layer.material, folder)?
+                surface(files, &layer.material, folder, textures)?
             else {
                 unreachable!("checked when the file was read")
             };
@@ -349,7 +345,7 @@ fn layered_material(
                 let expected = "one reflection of a coat";
                 return Err(Error::invalid(folder, "layers", expected, reflections));
             }
-            let roughness = slot(&layer.roughness_texture, Linear, false)?;
+            let roughness = slot(&layer.roughness_texture, Linear, false, textures)?;
             Ok(format::Layer {
                 diffuse,
                 specular,
@@ -358,13 +354,13 @@ fn layered_material(
                     BlendName::Over => format::Blend::Over,
                     BlendName::Coat => format::Blend::Coat,
                 },
-                diffuse_texture: slot(&layer.diffuse_texture, Srgb, false)?,
-                specular_texture: slot(&layer.specular_texture, Srgb, false)?,
+                diffuse_texture: slot(&layer.diffuse_texture, Srgb, false, textures)?,
+                specular_texture: slot(&layer.specular_texture, Srgb, false, textures)?,
                 roughness_texture: match roughness {
-                    None => slot(&layer.glossiness_texture, Linear, true)?,
+                    None => slot(&layer.glossiness_texture, Linear, true, textures)?,
                     some => some,
                 },
-                weight_texture: slot(&layer.weight_texture, Linear, false)?,
+                weight_texture: slot(&layer.weight_texture, Linear, false, textures)?,
             })
         })
         .collect::<Result<Vec<_>, _>>()?;
@@ -384,19 +380,20 @@ fn layered_material(
         ));
     }
     Ok(format::Material {
-        normal_texture: slot(normal_texture, Linear, false)?,
-        anisotropy_texture: slot(anisotropy_texture, Linear, false)?,
+        normal_texture: slot(normal_texture, Linear, false, textures)?,
+        anisotropy_texture: slot(anisotropy_texture, Linear, false, textures)?,
         normal_scale,
         ..import::plain_material("", format::Surface::Layers { layers })
     })
 }
 
-/// The surface that a replacement without textures describes. Its values were checked when
-/// it was read.
+/// The surface that a replacement without textures of its own describes; what measured ones come
+/// with is appended to `textures`. Its values were checked when it was read.
 fn surface(
     files: &Files,
     material: &MaterialOverride,
     folder: &Path,
+    textures: &mut Vec<format::Texture>,
 ) -> Result<format::Surface, Error> {
     use MaterialOverride as M;
     let layered = |diffuse: description::Color, specular| format::Surface::Layered {
@@ -489,31 +486,49 @@ fn surface(
             anisotropy_strength,
             anisotropy_rotation: anisotropy_rotation_degrees.to_radians(),
         },
-        M::Measured { ref file, .. } => measured_surface(files, file, folder)?,
+        M::Measured { ref file, .. } => measured_surface(files, file, folder, textures)?,
         M::Layers { .. } => unreachable!("layers do not nest"),
     })
 }
 
-/// The lobes of a baked material, or those that are fitted to a table.
-fn measured_surface(files: &Files, file: &Path, folder: &Path) -> Result<format::Surface, Error> {
+/// The lobes of a baked material, or those that are fitted to a table; their textures are appended.
+fn measured_surface(
+    files: &Files,
+    file: &Path,
+    folder: &Path,
+    textures: &mut Vec<format::Texture>,
+) -> Result<format::Surface, Error> {
     let path = folder.join(file);
     if path.extension().is_some_and(|e| e == "relight") {
         let bytes = files.read(&path)?;
-        let surface = format::read_material(&bytes, &format::Limits::default())
-            .map(|asset| asset.material.surface);
-        return match surface {
-            Ok(surface @ format::Surface::Layered { .. }) => Ok(surface),
-            Ok(_) => Err(Error::invalid(
+        let asset = format::read_material(&bytes, &format::Limits::default())
+            .map_err(|error| Error::invalid(&path, "file", "a baked material", error))?;
+        let material = appended(asset, textures);
+        return match material.surface {
+            surface @ format::Surface::Layered { .. } => Ok(surface),
+            _ => Err(Error::invalid(
                 &path,
                 "file",
                 "lobes fitted to a table",
                 "layers, which do not nest",
             )),
-            Err(error) => Err(Error::invalid(&path, "file", "a baked material", error)),
         };
     }
     let table = parse_table(&path, &files.read(&path)?)?;
-    Ok(fit::fit(&table, fit::Stop::default()).surface(file.to_string_lossy().into_owned()))
+    let fit = fit::fit(&table, fit::Stop::default());
+    textures.push(ratio::texture(&table, &fit.appearance()));
+    let slot = format::TextureSlot::whole(textures.len() as u32 - 1);
+    Ok(fit.surface(file.to_string_lossy().into_owned(), Some(slot)))
+}
+
+/// An asset's material; its textures are appended.
+fn appended(asset: format::MaterialAsset, textures: &mut Vec<format::Texture>) -> format::Material {
+    let mut material = asset.material;
+    for slot in material.slots_mut() {
+        slot.texture += textures.len() as u32;
+    }
+    textures.extend(asset.textures);
+    material
 }
 
 /// Decodes a table; errors name the file.

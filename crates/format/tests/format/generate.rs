@@ -286,6 +286,7 @@ pub fn material_asset(random: &mut Random) -> MaterialAsset {
         report: MaterialReport {
             source: random.name(),
             relative_l2: random.unit(),
+            corrected_relative_l2: random.unit(),
             shaded_relative_l2: random.unit(),
             albedo_error: random.unit(),
         },
@@ -375,7 +376,8 @@ fn specular(random: &mut Random, most_lobes: usize) -> Specular {
             f0: random.color(),
             exponents: [2.0 + 1e3 * random.unit(), 2.0 + random.unit()],
         },
-        6 => Specular::Lobes {
+        _ => Specular::Lobes {
+            ratio: None,
             path: random.name(),
             lobes: (0..=random.below(most_lobes))
                 .map(|_| FittedLobe {
@@ -384,11 +386,6 @@ fn specular(random: &mut Random, most_lobes: usize) -> Specular {
                     roughness: random.unit(),
                 })
                 .collect(),
-        },
-        _ => Specular::Measured {
-            path: random.name(),
-            f0: random.color(),
-            alpha: random.unit(),
         },
     }
 }

@@ -7,9 +7,9 @@ use std::path::PathBuf;
 
 use relight_format::{
     BakeReport, Blend, Camera, Cluster, Environment, EnvironmentReport, FieldOfView, FittedLobe,
-    Layer, Limits, Lobe, Material, MaterialAsset, MaterialReport, Prefiltered, Representation,
-    Scene, Source, Specular, Surface, Texture, TextureEncoding, TextureSlot, Transfer,
-    TransferGroup, Triangle, VERSION, Vertex, VisibilityErrors, VisibilityParameters,
+    Layer, Limits, Lobe, Material, MaterialAsset, MaterialReport, Prefiltered, RATIO_SIZE,
+    Representation, Scene, Source, Specular, Surface, Texture, TextureEncoding, TextureSlot,
+    Transfer, TransferGroup, Triangle, VERSION, Vertex, VisibilityErrors, VisibilityParameters,
     read_environment, read_material, read_scene, write_environment, write_material, write_scene,
 };
 
@@ -106,6 +106,7 @@ fn material() -> MaterialAsset {
         specular: Specular::Lobes {
             path: "métal.binary".to_owned(),
             lobes: vec![lobe(0.5), lobe(0.125)],
+            ratio: Some(TextureSlot::whole(2)),
         },
         weight: 1.0,
         blend: Blend::Over,
@@ -131,6 +132,7 @@ fn material() -> MaterialAsset {
         report: MaterialReport {
             source: "métal.binary".to_owned(),
             relative_l2: 0.25,
+            corrected_relative_l2: 0.0625,
             shaded_relative_l2: 0.5,
             albedo_error: 0.125,
         },
@@ -150,6 +152,12 @@ fn material() -> MaterialAsset {
         textures: vec![
             texture([2, 1], TextureEncoding::Srgb, 0..8),
             texture([1, 1], TextureEncoding::Linear, 100..104),
+            Texture {
+                width: RATIO_SIZE[0],
+                height: RATIO_SIZE[1],
+                encoding: TextureEncoding::Rgbe,
+                texels: [128, 64, 32, 129].repeat((RATIO_SIZE[0] * RATIO_SIZE[1]) as usize),
+            },
         ],
     }
 }
@@ -335,10 +343,9 @@ fn materials() -> Vec<Material> {
             f0,
             alpha: [0.125, 0.25],
         }),
-        layered(Specular::Measured {
-            path: "metal.bsdf".to_owned(),
+        layered(Specular::AshikhminShirley {
             f0,
-            alpha: 0.5,
+            exponents: [8.0, 32.0],
         }),
     ];
     surfaces

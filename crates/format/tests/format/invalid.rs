@@ -92,6 +92,7 @@ fn materials() {
     let lobes = |lobes: Vec<FittedLobe>| Specular::Lobes {
         path: String::new(),
         lobes,
+        ratio: None,
     };
     let lobe = FittedLobe {
         f0,
@@ -138,14 +139,15 @@ fn materials() {
             f0,
             alpha: [f32::NAN, 0.5],
         }),
-        surface(Specular::Measured {
-            path: String::new(),
-            f0,
-            alpha: 0.0,
-        }),
         surface(Specular::AshikhminShirley {
             f0,
             exponents: [1.5, 10.0],
+        }),
+        // Two texels, and not with exponents.
+        surface(Specular::Lobes {
+            path: String::new(),
+            lobes: vec![lobe],
+            ratio: Some(TextureSlot::whole(0)),
         }),
         surface(lobes(vec![])),
         surface(lobes(vec![lobe; MAX_FITTED_LOBES + 1])),

@@ -122,9 +122,9 @@ impl BouncedLight {
 }
 
 /// What is under a pixel.
-struct Seen {
+struct Seen<'a> {
     instance: usize,
-    point: SurfacePoint,
+    point: SurfacePoint<'a>,
     triangle: usize,
     barycentrics: Vec3,
 }

@@ -4,8 +4,8 @@ use bytemuck::{Pod, Zeroable};
 use glam::{Vec3, Vec4};
 use libtest_mimic::Failed;
 use relight_format::{
-    Blend, FittedLobe, Layer, Material, Scene, Specular, Surface, Texture, TextureEncoding,
-    TextureSlot, Triangle,
+    Blend, FittedLobe, Layer, Material, RATIO_NODES, RATIO_SIZE, Scene, Specular, Surface, Texture,
+    TextureEncoding, TextureSlot, Triangle,
 };
 use relight_runtime::offscreen::Gpu;
 use relight_runtime::wgpu;
@@ -13,7 +13,7 @@ use relight_shading::brdf::{MAX_SPECULAR_LOBES, specular_lobes};
 use relight_shading::camera::View;
 use relight_shading::gpu::{self, pack_scene};
 use relight_shading::shade::gpu_tables;
-use relight_shading::surface::{MAX_REFLECTIONS, Reflection, surface_point};
+use relight_shading::surface::{MAX_REFLECTIONS, Reflection, sample_ratio, surface_point};
 use relight_shading::wgsl::{Entry, source};
 use wgpu::util::DeviceExt as _;
 
@@ -29,6 +29,11 @@ const LOBE_TOLERANCE: f32 = 5e-3;
 /// Fraction of points that may differ by more: near a ratio at which pairs of lobes merge
 /// one side may merge them and the other not.
 const MERGED: f32 = 1e-3;
+
+/// Where ratios are looked up, in the surface's frame.
+const LIGHT: Vec3 = Vec3::new(0.3, -0.5, 0.7);
+/// Ratios, relative: of views that are off by surfaces' tolerance, a step of a sixth per node.
+const RATIO_TOLERANCE: f32 = 2e-3;
 
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
@@ -56,6 +61,7 @@ pub fn surface_and_lobes_match_twins(gpu: &mut Gpu) -> Result<(), Failed> {
         })
         .collect();
     let answers = answers(gpu, &scene, &queries)?;
+    let (mut worst_ratio, mut ratios) = (0f32, 0);
     let (mut worst_surface, mut worst_lobe, mut different, mut lobes_seen) = (0f32, 0f32, 0, 0);
     for (query, answer) in queries.iter().zip(answers.chunks_exact(WORDS)) {
         let point = surface_point(
@@ -91,6 +97,15 @@ pub fn surface_and_lobes_match_twins(gpu: &mut Gpu) -> Result<(), Failed> {
             }
             let alpha = (found[2].truncate().truncate() / reflection.alpha - 1.0).abs();
             worst_surface = worst_surface.max(alpha.max_element());
+            let view = point.to_local(point.view);
+            if let Some(ratio) = reflection.ratio
+                && view.z > 0.0
+            {
+                let expected = sample_ratio(ratio, LIGHT.normalize(), view);
+                let error = (expected - found[3].truncate()).abs() / expected;
+                worst_ratio = worst_ratio.max(error.max_element());
+                ratios += 1;
+            }
             let lobes = specular_lobes(&point, reflection);
             lobes_seen += lobes.count;
             let sum: f32 = lobes
@@ -118,6 +133,12 @@ pub fn surface_and_lobes_match_twins(gpu: &mut Gpu) -> Result<(), Failed> {
     println!(
         "surface differs by {worst_surface:e}, {lobes_seen} lobes by {worst_lobe:e}, \
          beyond tolerance {different}"
+    );
+    println!("{ratios} ratios differ by {worst_ratio:e}");
+    assert!(ratios > QUERIES / 20, "only {ratios} ratios");
+    assert!(
+        worst_ratio < RATIO_TOLERANCE,
+        "ratios differ by {worst_ratio}"
     );
     assert!(
         worst_surface < SURFACE_TOLERANCE,
@@ -151,6 +172,7 @@ fn scene() -> Scene {
                     .collect(),
             }
         })
+        .chain([ratio()])
         .collect();
     scene.materials = (0..MATERIALS).map(|_| material(&mut random)).collect();
     let mut vertex = scene.vertices[0];
@@ -183,6 +205,22 @@ fn scene() -> Scene {
         });
     }
     scene
+}
+
+/// Numbers of about 1 that tell every node from the next.
+fn ratio() -> Texture {
+    let [width, height] = RATIO_SIZE;
+    let rows = RATIO_NODES[1];
+    let texel = |index: u32| {
+        let [x, y, z] = [index % width, index / width % rows, index / (width * rows)];
+        [100 + x as u8, 80 + 5 * y as u8, 40 + 25 * z as u8, 129]
+    };
+    Texture {
+        width,
+        height,
+        encoding: TextureEncoding::Rgbe,
+        texels: (0..width * height).flat_map(texel).collect(),
+    }
 }
 
 fn material(random: &mut Random) -> Material {
@@ -247,7 +285,7 @@ fn specular(random: &mut Random, most_lobes: u64) -> Specular {
     let (specular, f0, f90) = (color(), color(), color());
     let mut alpha = || 10f32.powf(-2.0 * random.unit());
     let (x, y) = (alpha(), alpha());
-    match random.next() % 8 {
+    match random.next() % 7 {
         0 => Specular::None,
         1 => Specular::BlinnPhong {
             specular,
@@ -259,12 +297,7 @@ fn specular(random: &mut Random, most_lobes: u64) -> Specular {
         },
         3 => Specular::CookTorrance { f0, roughness: x },
         4 => Specular::Ggx { f0, alpha: [x, y] },
-        5 => Specular::Measured {
-            path: String::new(),
-            f0,
-            alpha: x,
-        },
-        6 => Specular::AshikhminShirley {
+        5 => Specular::AshikhminShirley {
             f0,
             exponents: [2.0 / (x * x), 2.0 / (y * y)],
         },
@@ -277,6 +310,7 @@ fn specular(random: &mut Random, most_lobes: u64) -> Specular {
                     roughness: x / (1 + i) as f32,
                 })
                 .collect(),
+            ratio: Some(TextureSlot::whole(4)),
         },
     }
 }

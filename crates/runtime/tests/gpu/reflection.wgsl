@@ -28,6 +28,11 @@ fn reflection(@builtin(global_invocation_id) id: vec3<u32>) {
         answers[start] = vec4(reflection.specular, f32(reflection.model));
         answers[start + 1u] = vec4(reflection.grazing, f32(specular_count));
         answers[start + 2u] = vec4(reflection.alpha, 0.0, 0.0);
+        let view = surface_to_local(point, point.view);
+        if reflection.ratio != 0u && view.z > 0.0 {
+            let light = normalize(vec3(0.3, -0.5, 0.7));
+            answers[start + 3u] = vec4(surface_ratio(reflection.ratio, light, view), 0.0);
+        }
         for (var i = 0u; i < specular_count; i++) {
             let lobe = specular_lobes[i];
             answers[start + 4u + 2u * i] = vec4(lobe.axis, lobe.sharpness);

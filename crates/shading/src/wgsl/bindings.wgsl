@@ -153,7 +153,9 @@ struct Layer {
     weight: f32,
     // Roughness along tangent and bitangent; Blinn-Phong: exponent in both.
     alpha: vec2<f32>,
-    reserved: vec2<f32>,
+    // One more than the first texel of the reflection's ratio; 0: none.
+    ratio: u32,
+    reserved: u32,
     diffuse_texture: TextureSlot,
     specular_texture: TextureSlot,
     roughness_texture: TextureSlot,

@@ -19,7 +19,11 @@ fn reference_specular(reflection: Reflection, wi: vec3<f32>, wo: vec3<f32>) -> v
         geometry *= brdf_direction_factor(reflection, wo);
     }
     let color = surface_reflection_color(reflection, half_cosine);
-    return color * (reference_half_vector_factor(reflection, half) * geometry);
+    let value = color * (reference_half_vector_factor(reflection, half) * geometry);
+    if reflection.ratio == 0u {
+        return value;
+    }
+    return value * surface_ratio(reflection.ratio, wi, wo);
 }
 
 fn reference_half_vector_factor(reflection: Reflection, h: vec3<f32>) -> f32 {

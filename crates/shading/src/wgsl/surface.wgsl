@@ -8,6 +8,8 @@ struct Reflection {
     // Colour at grazing incidence.
     grazing: vec3<f32>,
     alpha: vec2<f32>,
+    // One more than the first texel of what the value is multiplied by; 0: nothing.
+    ratio: u32,
 }
 
 // The Lambertian base at one point. Its reflections are in private variables.
@@ -120,7 +122,7 @@ fn surface_point(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32
         appearance.diffuse = color * (1.0 - metallic);
         let specular = mix(vec3(SURFACE_DIELECTRIC_F0), color, metallic);
         let alphas = vec2(alpha + (1.0 - alpha) * strength * strength, alpha);
-        reflections[0] = surface_clamped(Reflection(specular, MODEL_GGX, vec3(1.0), alphas));
+        reflections[0] = surface_clamped(Reflection(specular, MODEL_GGX, vec3(1.0), alphas, 0u));
         reflection_count = 1u;
     } else {
         if materials[material_index].surface == SURFACE_LAYERS && anisotropy_texture.width != 0u {
@@ -196,6 +198,7 @@ fn surface_layers(material_index: u32, uv: vec2<f32>, view_cosine: f32) -> vec3<
             materials[material_index].layers[i].model,
             materials[material_index].layers[i].grazing,
             materials[material_index].layers[i].alpha,
+            materials[material_index].layers[i].ratio,
         );
         let specular_texture = materials[material_index].layers[i].specular_texture;
         if specular_texture.width != 0u {
@@ -261,6 +264,36 @@ fn surface_clamped(reflection: Reflection) -> Reflection {
         clamped.alpha = clamp(reflection.alpha, vec2(SURFACE_MIN_ALPHA), vec2(1.0));
     }
     return clamped;
+}
+
+// What a reflection with a ratio is multiplied by.
+fn surface_ratio(ratio: u32, wi: vec3<f32>, wo: vec3<f32>) -> vec3<f32> {
+    let half = normalize(wi + wo);
+    let cosine = clamp(dot(half, wi), 0.0, 1.0);
+    let half_sine = min(length(half.xy), 1.0);
+    let sines = half_sine * sqrt(1.0 - cosine * cosine);
+    let azimuth = (wi.z - half.z * cosine) / max(sines, SURFACE_LEAST_RATIO_SINE);
+    let coordinates = vec3(sqrt(half_sine), cosine, min(azimuth * azimuth, 1.0));
+    let position = coordinates * vec3<f32>(SURFACE_RATIO_NODES - 1u);
+    let low = min(vec3<u32>(position), SURFACE_RATIO_NODES - 2u);
+    let f = position - vec3<f32>(low);
+    let row = SURFACE_RATIO_NODES.x;
+    let plane = row * SURFACE_RATIO_NODES.y;
+    let first = ratio - 1u + low.z * plane + low.y * row + low.x;
+    let near = mix(surface_ratio_row(first, f.x), surface_ratio_row(first + row, f.x), f.y);
+    let next = first + plane;
+    let far = mix(surface_ratio_row(next, f.x), surface_ratio_row(next + row, f.x), f.y);
+    return mix(near, far, f.z);
+}
+
+fn surface_ratio_row(first: u32, f: f32) -> vec3<f32> {
+    return mix(surface_rgbe(texels[first]), surface_rgbe(texels[first + 1u]), f);
+}
+
+// Ward 1991.
+fn surface_rgbe(texel: u32) -> vec3<f32> {
+    let bytes = vec3<f32>(vec3(texel & 0xffu, (texel >> 8u) & 0xffu, (texel >> 16u) & 0xffu));
+    return ldexp(bytes, vec3(i32(texel >> 24u) - SURFACE_RGBE_BIAS));
 }
 
 fn surface_sample(slot: TextureSlot, vertex_uv: vec2<f32>) -> vec4<f32> {

@@ -350,9 +350,8 @@ mod tests {
             spot: None,
         });
         let patch = test_scene::scene([0.5; 3], &test_scene::plane());
-        let Seen { point, .. } = Geometry::new(&patch, test_scene::view(8))
-            .seen(4.0, 4.0)
-            .expect("the patch is seen");
+        let geometry = Geometry::new(&patch, test_scene::view(8));
+        let Seen { point, .. } = geometry.seen(4.0, 4.0).expect("the patch is seen");
         // Something between the patch and the light, or behind the light.
         for (height, expected) in [(1.0, 0.0), (5.0, 1.0)] {
             let lid = [[
@@ -457,7 +456,8 @@ mod tests {
         };
         let view = test_scene::view(4);
         let tangent = |scene: &Scene| {
-            let point = Geometry::new(scene, view).seen(2.0, 2.0).unwrap().point;
+            let geometry = Geometry::new(scene, view);
+            let point = geometry.seen(2.0, 2.0).unwrap().point;
             assert_eq!(point.bitangent, point.normal.cross(point.tangent));
             point.tangent
         };

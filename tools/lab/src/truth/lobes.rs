@@ -195,8 +195,8 @@ fn combine(replicas: &[Option<Gathered>; REPLICAS as usize]) -> [Estimate; REPLI
 }
 
 /// The product lobes of a point, to be chosen from by their unoccluded luminance.
-struct Mixture {
-    point: SurfacePoint,
+struct Mixture<'a> {
+    point: SurfacePoint<'a>,
     lobes: Vec<SphericalGaussian>,
     /// Running sum of the lobes' unoccluded luminances.
     cumulative: Vec<f32>,
@@ -204,8 +204,8 @@ struct Mixture {
     unoccluded: Vec3,
 }
 
-impl Mixture {
-    fn new(point: &SurfacePoint, lighting: &Lighting) -> Self {
+impl<'a> Mixture<'a> {
+    fn new(point: &SurfacePoint<'a>, lighting: &Lighting) -> Self {
         let mut lobes = Vec::new();
         let mut bound = 0.0;
         product_lobes(point, lighting, |lobe| {

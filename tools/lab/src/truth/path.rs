@@ -77,7 +77,7 @@ impl<'a, L: DistantLight> Paths<'a, L> {
     /// The point and its material's exact reflection and emission.
     pub fn reflector(
         &self,
-        point: SurfacePoint,
+        point: SurfacePoint<'a>,
         triangle: usize,
         barycentrics: Vec3,
     ) -> Reflector<'a> {
@@ -191,7 +191,7 @@ impl<'a, L: DistantLight> Paths<'a, L> {
 #[derive(Clone, Copy)]
 pub struct Reflector<'a> {
     /// The point.
-    pub point: SurfacePoint,
+    pub point: SurfacePoint<'a>,
     /// The measured table, where there is one.
     pub table: Option<&'a Table>,
     /// Radiance that the surface emits.

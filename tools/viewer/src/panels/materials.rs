@@ -209,7 +209,6 @@ fn specular_edit(ui: &mut Ui, specular: &mut Specular) {
         Specular::CookTorrance { .. } => "Cook-Torrance",
         Specular::Ggx { .. } => "GGX",
         Specular::AshikhminShirley { .. } => "Ashikhmin-Shirley",
-        Specular::Measured { .. } => "measured, stand-in",
         Specular::Lobes { .. } => "measured",
     };
     egui::ComboBox::from_label("reflection")
@@ -306,12 +305,7 @@ fn specular_edit(ui: &mut Ui, specular: &mut Specular) {
             exponent(ui, x, 2.0, "exponent along");
             exponent(ui, y, 2.0, "exponent across");
         }
-        Specular::Measured { path, f0, alpha } => {
-            ui.label(path.as_str());
-            color_row(ui, "f0", f0);
-            roughness(ui, alpha, "α");
-        }
-        Specular::Lobes { path, lobes } => {
+        Specular::Lobes { path, lobes, .. } => {
             ui.label(path.as_str());
             for (index, lobe) in lobes.iter_mut().enumerate() {
                 ui.push_id(index, |ui| {
@@ -334,7 +328,6 @@ fn color_and_alpha(specular: &Specular) -> ([f32; 3], f32) {
         Specular::CookTorrance { f0, roughness } => (*f0, *roughness),
         Specular::Ggx { f0, alpha } => (*f0, alpha[0]),
         Specular::AshikhminShirley { f0, exponents } => (*f0, of_exponent(exponents[0])),
-        Specular::Measured { f0, alpha, .. } => (*f0, *alpha),
         Specular::Lobes { lobes, .. } => lobes
             .first()
             .map_or(([0.04; 3], 0.3), |lobe| (lobe.f0, lobe.roughness)),

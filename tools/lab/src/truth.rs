@@ -124,7 +124,7 @@ impl<'a> Geometry<'a> {
     }
 
     /// The surface seen through a point of the image, in pixels from its upper left corner.
-    fn seen(&self, x: f32, y: f32) -> Option<Seen> {
+    fn seen(&self, x: f32, y: f32) -> Option<Seen<'_>> {
         let direction = self.view.corner + x * self.view.right + y * self.view.down;
         let hit = self.facing.closest_hit(self.view.eye, direction)?;
         let triangle = self.facing_triangles[hit.triangle];

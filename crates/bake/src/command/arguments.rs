@@ -412,13 +412,12 @@ pub struct MaterialArguments {
     /// Asset to write.
     #[arg(short, long, value_name = "OUT.relight")]
     pub output: PathBuf,
-    /// Tables: lobes to fit, 1 to 7 [default: until one takes less than a twentieth off the
-    /// error].
-    #[arg(long, value_name = "N", conflicts_with = "max_error",
+    /// Tables: lobes that give reflections their shape, 1 to 7; what they miss of the table
+    /// multiplies them [default: until one takes less than a twentieth off the error].
+    #[arg(long, value_name = "N",
           value_parser = clap::value_parser!(u8).range(1..=format::MAX_FITTED_LOBES as i64))]
     pub lobes: Option<u8>,
-    /// Tables: add lobes until the relative L2 error is at most this, more than 0; 7 lobes at
-    /// most.
+    /// Tables: fail unless the relative L2 error is at most this, more than 0.
     #[arg(long, value_name = "ERROR", value_parser = positive, allow_negative_numbers = true)]
     pub max_error: Option<f32>,
     /// Tables: also write sphere.png into this folder: a lit sphere of the table, of the lobes,

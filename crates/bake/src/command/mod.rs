@@ -347,20 +347,15 @@ fn bake_material(arguments: &MaterialArguments, monitor: Monitor) -> anyhow::Res
         let bytes = files.read_named(&arguments.input)?;
         outputs(&files)?;
         let table = load::parse_table(&arguments.input, &bytes)?;
-        let stop = match (arguments.lobes, arguments.max_error) {
-            (Some(lobes), _) => fit::Stop::Lobes(lobes.into()),
-            (None, Some(error)) => fit::Stop::Error(error.into()),
-            (None, None) => fit::Stop::default(),
-        };
+        let stop =
+            (arguments.lobes).map_or(fit::Stop::default(), |lobes| fit::Stop::Lobes(lobes.into()));
         let fit = fit::fit(&table, stop);
+        let ratio = ratio::texture(&table, &fit.appearance());
+        let corrected = fit::corrected_relative_l2(&table, &fit, &ratio);
         if let Some(most) = arguments.max_error
-            && fit.relative_l2 > f64::from(most)
+            && corrected > f64::from(most)
         {
-            anyhow::bail!(
-                "relative L2 error: expected at most {most}, found {:.4} with {} lobes",
-                fit.relative_l2,
-                fit.lobes.len(),
-            );
+            anyhow::bail!("relative L2 error: expected at most {most}, found {corrected:.4}");
         }
         report.relative_l2 = fit.relative_l2 as f32;
         report.shaded_relative_l2 = fit.shaded_relative_l2 as f32;
@@ -369,8 +364,7 @@ fn bake_material(arguments: &MaterialArguments, monitor: Monitor) -> anyhow::Res
             let picture = relight_bake::measured::report::sphere(&table, &fit)?;
             format::write_file(&folder.join("sphere.png"), &picture)?;
         }
-        let ratio = ratio::texture(&table, &fit.appearance());
-        report.corrected_relative_l2 = fit::corrected_relative_l2(&table, &fit, &ratio) as f32;
+        report.corrected_relative_l2 = corrected as f32;
         let surface = fit.surface(source, Some(format::TextureSlot::whole(0)));
         (import::plain_material("", surface), vec![ratio])
     };

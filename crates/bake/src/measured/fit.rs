@@ -29,10 +29,8 @@ use crate::solve::amplitude;
 /// When to stop adding lobes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Stop {
-    /// At this many, 1 to [`MAX_FITTED_LOBES`]; fewer where more have a larger relative L2 error.
+    /// At this many, 1 to [`MAX_FITTED_LOBES`].
     Lobes(usize),
-    /// At this relative L2 error; the least that was found if none reaches it.
-    Error(f64),
     /// When a lobe takes less than this fraction off the error that is minimised and off the plain
     /// one as it is shaded, or at the most lobes.
     Gain(f64),
@@ -383,7 +381,6 @@ fn fit_pairs(pairs: &[Pair], stop: Stop) -> Fit {
     };
     let mut lobes: Vec<(f32, [Column; 2])> = Vec::new();
     let mut best = with(&lobes);
-    let mut kept: Option<Fit> = None;
     while lobes.len() < most {
         let before = best.error;
         let mut candidate = lobes.clone();
@@ -425,24 +422,8 @@ fn fit_pairs(pairs: &[Pair], stop: Stop) -> Fit {
             }
         }
         (lobes, best) = (candidate, refined);
-        if matches!(stop, Stop::Gain(_)) {
-            continue;
-        }
-        // What is minimised is not what is reported: a lobe more may not make that worse.
-        let fit = measured(pairs, &lobes, &best);
-        if kept
-            .as_ref()
-            .is_none_or(|kept| fit.relative_l2 < kept.relative_l2)
-        {
-            kept = Some(fit);
-        }
-        if let (Stop::Error(most), Some(kept)) = (stop, &kept)
-            && kept.relative_l2 <= most
-        {
-            break;
-        }
     }
-    kept.unwrap_or_else(|| measured(pairs, &lobes, &best))
+    measured(pairs, &lobes, &best)
 }
 
 /// The fit of a solution, with its errors.
@@ -580,8 +561,6 @@ mod tests {
                 "{found:?}"
             );
         }
-        let bounded = fit_pairs(&pairs, Stop::Error(1.01 * two.relative_l2));
-        assert_eq!(bounded.lobes.len(), 2);
     }
 
     #[test]

@@ -433,6 +433,7 @@ fn distance(ray: &relight_shading::camera::Ray, [a, b, c]: [Vec3; 3]) -> f32 {
 /// of one pixel may see either.
 const DEPTH_GAP: f32 = 0.02;
 
+#[allow(clippy::too_many_lines, reason = "one story from begin to end")]
 pub fn scenes_stand_among_the_apps_objects(gpu: &mut Gpu) -> Outcome {
     let lights = lights();
     let scene = scenes::sphere_over_plane();
@@ -647,6 +648,7 @@ pub fn views_are_used_again(gpu: &mut Gpu) -> Outcome {
     Ok(())
 }
 
+#[allow(clippy::too_many_lines, reason = "one story from begin to end")]
 pub fn wrong_uses_are_errors(gpu: &mut Gpu) -> Outcome {
     let new = |options| Renderer::new(&gpu.device, &gpu.queue, options).map(|_| ());
     let with_format = |target_format| Options {

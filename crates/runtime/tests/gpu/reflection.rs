@@ -46,6 +46,7 @@ struct Query {
 const REFLECTION_WORDS: usize = 4 + 2 * MAX_SPECULAR_LOBES;
 const WORDS: usize = 4 + MAX_REFLECTIONS * REFLECTION_WORDS;
 
+#[allow(clippy::too_many_lines, reason = "one comparison after the other")]
 pub fn surface_and_lobes_match_twins(gpu: &mut Gpu) -> Result<(), Failed> {
     let scene = scene();
     let eye = Vec3::from(scenes::camera().position);

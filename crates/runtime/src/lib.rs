@@ -48,6 +48,7 @@ mod transfer;
 #[cfg(feature = "twin")]
 pub mod twin;
 mod upload;
+mod vertex_lights;
 mod view;
 
 pub use error::Error;

@@ -7,14 +7,14 @@ use relight_format::Scene;
 use relight_shading::gpu::{self, LimitError};
 use relight_shading::prefiltered::{self, Prefiltered};
 use relight_shading::shade::{self, Method};
-use relight_shading::wgsl::{Entry, source};
+use relight_shading::wgsl::{self, Entry, Kernel, source};
 use wgpu::util::DeviceExt as _;
 
 use crate::frame::LocalFrame;
 use crate::pass_times::{Pass, PassTimes, Recording, Timestamps};
-use crate::resources::{Numbered, first_ids};
+use crate::resources::{Numbered, Resources, first_ids};
 use crate::transfer::filled_buffer;
-use crate::upload::GpuScene;
+use crate::upload::{GpuScene, VERTEX_BINDINGS};
 use crate::view::{DEPTH_FORMAT, Images, RADIANCE_FORMAT, Region, VISIBILITY_FORMAT, WORKGROUP};
 use crate::{Error, Frame, Instance, Options, View, composite};
 
@@ -37,11 +37,9 @@ pub struct Renderer {
     source_layouts: [wgpu::BindGroupLayout; 3],
     composite_layout: wgpu::BindGroupLayout,
     visibility_pipeline: wgpu::RenderPipeline,
-    shade_pipeline: wgpu::ComputePipeline,
-    /// Made when first asked for: few ask.
-    cells_pipeline: OnceLock<wgpu::ComputePipeline>,
-    /// Made when first needed.
-    source_pipeline: OnceLock<wgpu::ComputePipeline>,
+    /// Groups 0, 1 and 2 of the kernels of vertices.
+    vertex_layouts: [wgpu::BindGroupLayout; 3],
+    kernels: Arc<Kernels>,
     /// Into passes of the app's.
     composite_pipeline: wgpu::RenderPipeline,
     /// Into a target that is cleared; made when first needed.
@@ -51,10 +49,23 @@ pub struct Renderer {
     prefiltered: Arc<Mutex<KeptImages>>,
     /// One texel.
     no_image: wgpu::TextureView,
+    /// One texel.
+    no_fractions: wgpu::TextureView,
     /// Of [`Self::render`].
     own: Option<View>,
     timestamps: Option<Timestamps>,
     owner: Owner,
+}
+
+/// The compute pipelines, each made when it is first needed: no frame needs all.
+#[derive(Debug, Default)]
+struct Kernels {
+    vertices_mark: OnceLock<wgpu::ComputePipeline>,
+    vertices: OnceLock<wgpu::ComputePipeline>,
+    diffuse: OnceLock<wgpu::ComputePipeline>,
+    shade: [OnceLock<wgpu::ComputePipeline>; 4],
+    cells: OnceLock<wgpu::ComputePipeline>,
+    sources: OnceLock<wgpu::ComputePipeline>,
 }
 
 /// The same for everything that may be used together: scenes, views and renderers of one device,
@@ -89,13 +100,12 @@ impl Renderer {
         let composite_layout = composite::layout(device);
         Ok(Self {
             visibility_pipeline: visibility_pipeline(device, &frame_layout, &scene_layout),
-            shade_pipeline: shade_pipeline(
-                device,
-                &[&frame_layout, &scene_layout, &image_layout],
-                Entry::Shade,
-            ),
-            cells_pipeline: OnceLock::new(),
-            source_pipeline: OnceLock::new(),
+            kernels: Arc::default(),
+            vertex_layouts: [
+                vertex_frame_layout(device),
+                vertex_scene_layout(device),
+                vertex_image_layout(device),
+            ],
             source_layouts: [
                 source_frame_layout(device),
                 source_scene_layout(device),
@@ -106,6 +116,7 @@ impl Renderer {
             tables,
             prefiltered: Arc::default(),
             no_image: prefiltered_texture(device, queue, &[0]),
+            no_fractions: one_texel(device),
             device: device.clone(),
             queue: queue.clone(),
             options,
@@ -132,9 +143,9 @@ impl Renderer {
             source_layouts: self.source_layouts.clone(),
             composite_layout: self.composite_layout.clone(),
             visibility_pipeline: self.visibility_pipeline.clone(),
-            shade_pipeline: self.shade_pipeline.clone(),
-            cells_pipeline: self.cells_pipeline.clone(),
-            source_pipeline: self.source_pipeline.clone(),
+            vertex_layouts: self.vertex_layouts.clone(),
+            kernels: self.kernels.clone(),
+            no_fractions: self.no_fractions.clone(),
             composite_pipeline: composite::pipeline(&self.device, &self.composite_layout, &options),
             target_pipeline: OnceLock::new(),
             tables: self.tables.clone(),
@@ -151,7 +162,11 @@ impl Renderer {
     /// scene is one that [`relight_format::read_scene`] returned or
     /// [`relight_format::write_scene`] accepts.
     pub fn upload(&self, scene: &Scene) -> Result<GpuScene, Error> {
-        let layouts = [&self.scene_layout, &self.source_layouts[1]];
+        let layouts = [
+            &self.scene_layout,
+            &self.source_layouts[1],
+            &self.vertex_layouts[1],
+        ];
         GpuScene::new(&self.device, &self.queue, layouts, &self.owner, scene)
     }
 
@@ -237,9 +252,7 @@ impl Renderer {
             _ => self.view(size)?,
         };
         // Several calls may share one encoder.
-        view.resources
-            .iter_mut()
-            .for_each(crate::resources::Resources::renew);
+        view.resources.iter_mut().for_each(Resources::renew);
         view.drawing.renew();
         let recording = self.timestamps.as_ref().and_then(Timestamps::begin);
         let instances = [Instance::from(scene)];
@@ -306,6 +319,9 @@ impl Renderer {
         let uniform = composite::uniform(view.size(), frame.exposure, encoding, flipped);
         (view.drawing).fill(self, &self.composite_layout, images, uniform)?;
 
+        for resources in &mut view.resources {
+            resources.bind_vertices(self, &images.visibility_view);
+        }
         let drawn = instances.iter().zip(&view.resources).zip(&drawn);
         let drawn = drawn.filter(|(_, (_, numbered))| numbered.is_some());
         if rows.start == 0 {
@@ -322,19 +338,9 @@ impl Renderer {
             label: Some("relight shade"),
             timestamp_writes: recording.map(|times| times.compute(Pass::Shade)),
         });
-        let pipeline = match frame.method {
-            Method::Cells(_) => self.cells_pipeline(),
-            Method::Ambient | Method::Polar(_) => &self.shade_pipeline,
-        };
         for ((Instance { scene, .. }, resources), _) in drawn {
             let mut dispatch = |pipeline: &wgpu::ComputePipeline, groups: [&wgpu::BindGroup; 3]| {
-                pass.set_pipeline(pipeline);
-                pass.set_bind_group(1, groups[1], &[]);
-                pass.set_bind_group(2, groups[2], &[]);
-                for (offset, [x, y]) in resources.dispatches(&rows) {
-                    pass.set_bind_group(0, groups[0], &[offset]);
-                    pass.dispatch_workgroups(x, y, 1);
-                }
+                dispatch_bands(&mut pass, pipeline, groups, resources, &rows);
             };
             if let (Some(group), Ok(scene), Some(images)) =
                 (resources.source_group(), &scene.sources, &images.sources)
@@ -342,10 +348,27 @@ impl Renderer {
                 dispatch(self.source_pipeline(), [group, scene, images]);
             }
             let frame_group = resources.frame_group();
-            dispatch(
-                pipeline,
-                [frame_group, &scene.bind_group, &images.bind_group],
-            );
+            let groups = [frame_group, &scene.bind_group, &images.bind_group];
+            if let Method::Cells(_) = frame.method {
+                dispatch(self.cells_pipeline(), groups);
+                continue;
+            }
+            if let Some(([frame, images], [x, y])) = resources.vertices() {
+                dispatch(self.mark_pipeline(), [frame, &scene.vertex_group, images]);
+                pass.set_pipeline(self.vertex_pipeline());
+                pass.set_bind_group(0, frame, &[0]);
+                pass.set_bind_group(1, &scene.vertex_group, &[]);
+                pass.set_bind_group(2, images, &[]);
+                pass.dispatch_workgroups(x, y, 1);
+            }
+            let mut dispatch = |pipeline: &wgpu::ComputePipeline, groups: [&wgpu::BindGroup; 3]| {
+                dispatch_bands(&mut pass, pipeline, groups, resources, &rows);
+            };
+            let diffuse = [frame_group, &scene.bind_group, &images.diffuse];
+            dispatch(self.diffuse_pipeline(), diffuse);
+            let prefiltered = usize::from(frame.reflections.is_some());
+            let bounced = usize::from(scene.is_bounced());
+            dispatch(self.shade_pipeline(2 * prefiltered + bounced), groups);
         }
         Ok(())
     }
@@ -480,16 +503,98 @@ impl Renderer {
             .unwrap_or(u32::MAX - (WORKGROUP - 1))
     }
 
+    fn shading_layouts(&self) -> [&wgpu::BindGroupLayout; 3] {
+        [&self.frame_layout, &self.scene_layout, &self.image_layout]
+    }
+
+    fn shade_pipeline(&self, options: usize) -> &wgpu::ComputePipeline {
+        let layouts = self.shading_layouts();
+        self.kernels.shade[options]
+            .get_or_init(|| compute_pipeline(&self.device, &layouts, &wgsl::SHADE[options]))
+    }
+
     fn cells_pipeline(&self) -> &wgpu::ComputePipeline {
-        let layouts = [&self.frame_layout, &self.scene_layout, &self.image_layout];
-        (self.cells_pipeline)
-            .get_or_init(|| shade_pipeline(&self.device, &layouts, Entry::ShadeCells))
+        let layouts = self.shading_layouts();
+        (self.kernels.cells)
+            .get_or_init(|| compute_pipeline(&self.device, &layouts, &wgsl::SHADE_CELLS))
+    }
+
+    fn diffuse_pipeline(&self) -> &wgpu::ComputePipeline {
+        let image = &self.source_layouts[2];
+        let layouts = [&self.frame_layout, &self.scene_layout, image];
+        (self.kernels.diffuse)
+            .get_or_init(|| compute_pipeline(&self.device, &layouts, &wgsl::DIFFUSE))
+    }
+
+    fn mark_pipeline(&self) -> &wgpu::ComputePipeline {
+        let layouts = self.vertex_layouts.each_ref();
+        (self.kernels.vertices_mark)
+            .get_or_init(|| compute_pipeline(&self.device, &layouts, &wgsl::VERTICES_MARK))
+    }
+
+    fn vertex_pipeline(&self) -> &wgpu::ComputePipeline {
+        let layouts = self.vertex_layouts.each_ref();
+        (self.kernels.vertices)
+            .get_or_init(|| compute_pipeline(&self.device, &layouts, &wgsl::VERTICES))
     }
 
     fn source_pipeline(&self) -> &wgpu::ComputePipeline {
         let layouts = self.source_layouts.each_ref();
-        (self.source_pipeline).get_or_init(|| {
-            compute_pipeline(&self.device, &layouts, Entry::Sources, "sources_main")
+        (self.kernels.sources)
+            .get_or_init(|| compute_pipeline(&self.device, &layouts, &wgsl::SOURCES))
+    }
+
+    /// What is bound where vertices see nothing of lights.
+    pub(crate) fn no_fractions(&self) -> &wgpu::TextureView {
+        &self.no_fractions
+    }
+
+    /// Group 0 of kernels of vertices.
+    pub(crate) fn vertex_frame_group(
+        &self,
+        [uniforms, lights]: [&wgpu::Buffer; 2],
+    ) -> wgpu::BindGroup {
+        self.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("relight vertices"),
+            layout: &self.vertex_layouts[0],
+            entries: &[
+                frame_uniform_entry(uniforms),
+                wgpu::BindGroupEntry {
+                    binding: 1,
+                    resource: lights.as_entire_binding(),
+                },
+                wgpu::BindGroupEntry {
+                    binding: 2,
+                    resource: self.tables.as_entire_binding(),
+                },
+            ],
+        })
+    }
+
+    /// Group 2 of kernels of vertices.
+    pub(crate) fn vertex_group(
+        &self,
+        visibility: &wgpu::TextureView,
+        states: &wgpu::Buffer,
+        fractions: &wgpu::TextureView,
+    ) -> wgpu::BindGroup {
+        self.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("relight light fractions"),
+            layout: &self.vertex_layouts[2],
+            entries: &[
+                wgpu::BindGroupEntry {
+                    binding: 0,
+                    resource: wgpu::BindingResource::TextureView(visibility),
+                },
+                wgpu::BindGroupEntry {
+                    binding: 4,
+                    resource: states.as_entire_binding(),
+                },
+                wgpu::BindGroupEntry {
+                    binding: 5,
+                    resource: wgpu::BindingResource::TextureView(fractions),
+                },
+            ],
         })
     }
 
@@ -562,7 +667,7 @@ impl Renderer {
     pub(crate) fn frame_group(
         &self,
         [uniforms, lights, local_lights]: [&wgpu::Buffer; 3],
-        [prefiltered, products]: &[wgpu::TextureView; 2],
+        [prefiltered, products, fractions]: &[wgpu::TextureView; 3],
     ) -> wgpu::BindGroup {
         self.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("relight frame"),
@@ -589,8 +694,29 @@ impl Renderer {
                     binding: 7,
                     resource: wgpu::BindingResource::TextureView(products),
                 },
+                wgpu::BindGroupEntry {
+                    binding: 8,
+                    resource: wgpu::BindingResource::TextureView(fractions),
+                },
             ],
         })
+    }
+}
+
+/// Runs a kernel over the pixels of an instance.
+fn dispatch_bands(
+    pass: &mut wgpu::ComputePass,
+    pipeline: &wgpu::ComputePipeline,
+    groups: [&wgpu::BindGroup; 3],
+    resources: &Resources,
+    rows: &Range<u32>,
+) {
+    pass.set_pipeline(pipeline);
+    pass.set_bind_group(1, groups[1], &[]);
+    pass.set_bind_group(2, groups[2], &[]);
+    for (offset, [x, y]) in resources.dispatches(rows) {
+        pass.set_bind_group(0, groups[0], &[offset]);
+        pass.dispatch_workgroups(x, y, 1);
     }
 }
 
@@ -724,8 +850,24 @@ fn frame_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
             layout_entry(3, wgpu::ShaderStages::COMPUTE, local_lights),
             layout_entry(4, wgpu::ShaderStages::COMPUTE, prefiltered),
             layout_entry(7, wgpu::ShaderStages::COMPUTE, products),
+            layout_entry(8, wgpu::ShaderStages::COMPUTE, products),
         ],
     })
+}
+
+/// A texture that nobody reads.
+fn one_texel(device: &wgpu::Device) -> wgpu::TextureView {
+    let texture = device.create_texture(&wgpu::TextureDescriptor {
+        label: Some("relight nothing"),
+        size: wgpu::Extent3d::default(),
+        mip_level_count: 1,
+        sample_count: 1,
+        dimension: wgpu::TextureDimension::D2,
+        format: wgpu::TextureFormat::Rgba32Float,
+        usage: wgpu::TextureUsages::TEXTURE_BINDING,
+        view_formats: &[],
+    });
+    texture.create_view(&wgpu::TextureViewDescriptor::default())
 }
 
 /// The texels of a prefiltered image, row after row; rgb9e5 is decoded by the shader, so that
@@ -763,6 +905,13 @@ fn prefiltered_texture(
 
 /// Group 1 of bindings.wgsl.
 fn scene_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("relight scene"),
+        entries: &scene_entries(),
+    })
+}
+
+fn scene_entries() -> [wgpu::BindGroupLayoutEntry; 9] {
     let compute = wgpu::ShaderStages::COMPUTE;
     let atlas = wgpu::BindingType::Texture {
         sample_type: wgpu::TextureSampleType::Float { filterable: true },
@@ -775,20 +924,17 @@ fn scene_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
         view_dimension: wgpu::TextureViewDimension::D2,
         multisampled: false,
     };
-    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-        label: Some("relight scene"),
-        entries: &[
-            layout_entry(0, BOTH, STORAGE),
-            layout_entry(1, BOTH, STORAGE),
-            layout_entry(2, compute, STORAGE),
-            layout_entry(3, compute, STORAGE),
-            layout_entry(4, compute, STORAGE),
-            layout_entry(5, compute, STORAGE),
-            layout_entry(6, compute, atlas),
-            layout_entry(7, compute, sampler),
-            layout_entry(10, compute, words),
-        ],
-    })
+    [
+        layout_entry(0, BOTH, STORAGE),
+        layout_entry(1, BOTH, STORAGE),
+        layout_entry(2, compute, STORAGE),
+        layout_entry(3, compute, STORAGE),
+        layout_entry(4, compute, STORAGE),
+        layout_entry(5, compute, STORAGE),
+        layout_entry(6, compute, atlas),
+        layout_entry(7, compute, sampler),
+        layout_entry(10, compute, words),
+    ]
 }
 
 pub(crate) fn frame_uniform_entry(uniforms: &wgpu::Buffer) -> wgpu::BindGroupEntry<'_> {
@@ -830,10 +976,60 @@ fn source_scene_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
 
 /// Group 2 of bindings.wgsl as sources need it.
 fn source_image_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
-    let [visibility, radiance, _] = image_entries();
+    let [visibility, radiance, ..] = image_entries();
     device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
         label: Some("relight source images"),
         entries: &[visibility, radiance],
+    })
+}
+
+/// Group 0 of bindings.wgsl as vertices need it.
+fn vertex_frame_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    let uniform = wgpu::BindingType::Buffer {
+        ty: wgpu::BufferBindingType::Uniform,
+        has_dynamic_offset: true,
+        min_binding_size: None,
+    };
+    let compute = wgpu::ShaderStages::COMPUTE;
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("relight vertices"),
+        entries: &[
+            layout_entry(0, compute, uniform),
+            layout_entry(1, compute, STORAGE),
+            layout_entry(2, compute, STORAGE),
+        ],
+    })
+}
+
+/// Group 1 of bindings.wgsl as vertices need it.
+fn vertex_scene_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    let entries: Vec<_> = (scene_entries().into_iter())
+        .filter(|entry| VERTEX_BINDINGS.contains(&entry.binding))
+        .collect();
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("relight vertices"),
+        entries: &entries,
+    })
+}
+
+/// Group 2 of bindings.wgsl as vertices need it.
+fn vertex_image_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    let [visibility, found, ..] = image_entries();
+    let states = wgpu::BindingType::Buffer {
+        ty: wgpu::BufferBindingType::Storage { read_only: false },
+        has_dynamic_offset: false,
+        min_binding_size: None,
+    };
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("relight light fractions"),
+        entries: &[
+            visibility,
+            layout_entry(4, wgpu::ShaderStages::COMPUTE, states),
+            wgpu::BindGroupLayoutEntry {
+                binding: 5,
+                ..found
+            },
+        ],
     })
 }
 
@@ -845,7 +1041,7 @@ fn image_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
     })
 }
 
-fn image_entries() -> [wgpu::BindGroupLayoutEntry; 3] {
+fn image_entries() -> [wgpu::BindGroupLayoutEntry; 4] {
     let texture = |sample_type| wgpu::BindingType::Texture {
         sample_type,
         view_dimension: wgpu::TextureViewDimension::D2,
@@ -862,6 +1058,7 @@ fn image_entries() -> [wgpu::BindGroupLayoutEntry; 3] {
         layout_entry(0, compute, texture(wgpu::TextureSampleType::Uint)),
         layout_entry(1, compute, radiance),
         layout_entry(2, compute, texture(sources)),
+        layout_entry(3, compute, texture(sources)),
     ]
 }
 
@@ -923,26 +1120,20 @@ fn visibility_pipeline(
     })
 }
 
-fn shade_pipeline(
-    device: &wgpu::Device,
-    groups: &[&wgpu::BindGroupLayout],
-    entry: Entry,
-) -> wgpu::ComputePipeline {
-    compute_pipeline(device, groups, entry, "shade_main")
-}
-
 fn compute_pipeline(
     device: &wgpu::Device,
     groups: &[&wgpu::BindGroupLayout],
-    entry: Entry,
-    entry_point: &str,
+    kernel: &Kernel,
 ) -> wgpu::ComputePipeline {
     device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-        label: Some("relight shade"),
+        label: Some(kernel.name),
         layout: Some(&pipeline_layout(device, groups)),
-        module: &shader(device, entry),
-        entry_point: Some(entry_point),
-        compilation_options: wgpu::PipelineCompilationOptions::default(),
+        module: &shader(device, kernel.entry),
+        entry_point: Some(kernel.entry_point),
+        compilation_options: wgpu::PipelineCompilationOptions {
+            constants: kernel.constants,
+            ..Default::default()
+        },
         cache: None,
     })
 }

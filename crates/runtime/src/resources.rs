@@ -6,10 +6,12 @@ use relight_shading::gpu::{self, LimitError};
 use relight_shading::prefiltered::Prefiltered;
 use relight_shading::shade::Method;
 use relight_shading::sources;
+use relight_shading::vertex_visibility;
 
 use crate::frame::LocalFrame;
 use crate::transfer::filled_buffer;
 use crate::upload::{ProductsOfLight, check_storage};
+use crate::vertex_lights::VertexLights;
 use crate::view::Region;
 use crate::{Error, Frame, GpuScene, Renderer};
 
@@ -58,7 +60,11 @@ pub(crate) struct Resources {
     scales: Slot,
     products: Option<ProductsOfLight>,
     /// What it was made with, and group 0.
-    frame_group: Option<([wgpu::TextureView; 2], wgpu::BindGroup)>,
+    frame_group: Option<([wgpu::TextureView; 3], wgpu::BindGroup)>,
+    /// With `polar`, what vertices see of distant lights.
+    vertex_lights: Option<VertexLights>,
+    /// Group 0 of kernels of vertices.
+    vertex_group: Option<wgpu::BindGroup>,
     /// Group 0 of the pass for sources.
     source_group: Option<wgpu::BindGroup>,
     /// Dispatches, by the uniforms' order.
@@ -78,8 +84,10 @@ impl Resources {
     /// Lets go of the buffers, so that what is recorded already keeps what it was recorded with.
     pub(crate) fn renew(&mut self) {
         let products = self.products.take();
+        let vertex_lights = self.vertex_lights.take();
         *self = Self {
             products,
+            vertex_lights,
             ..Self::default()
         };
     }
@@ -96,25 +104,29 @@ impl Resources {
     ) -> Result<(), Error> {
         let mut uniform = uniforms(scene, frame, local);
         uniform.first_id = numbered.first_id;
+        let lights = packed_lights(frame, local);
+        self.vertex_lights = match frame.method {
+            Method::Polar(_) => {
+                let kept = self.vertex_lights.take();
+                VertexLights::next_frame(kept, renderer, scene.vertex_count, &lights)
+            }
+            Method::Ambient | Method::Cells(_) => None,
+        };
+        uniform.vertex_stamp = (self.vertex_lights.as_ref()).map_or(0, VertexLights::stamp);
         self.bands = numbered.region.bands(renderer.band()).collect();
         let mut uniforms = Vec::with_capacity(self.bands.len() * UNIFORM_STRIDE);
         for band in &self.bands {
             uniforms.extend_from_slice(bytemuck::bytes_of(&band.uniform(uniform)));
             uniforms.resize(uniforms.len().next_multiple_of(UNIFORM_STRIDE), 0);
         }
-        let mut lights: Vec<gpu::Light> = (local.lights.iter())
-            .map(|light| gpu::Light {
-                axis: light.axis.into(),
-                sharpness: light.sharpness,
-                amplitude: light.amplitude.into(),
-                reserved: 0.0,
-            })
-            .collect();
-        if lights.is_empty() {
-            // A binding must not be empty.
-            lights.push(bytemuck::Zeroable::zeroed());
-        }
-        let bytes = size_of_val(&lights[..]) as u64;
+        // A binding must not be empty.
+        let none = [bytemuck::Zeroable::zeroed()];
+        let lights = if lights.is_empty() {
+            &none
+        } else {
+            &lights[..]
+        };
+        let bytes = size_of_val(lights) as u64;
         check_storage(renderer.device(), bytes).map_err(Error::Frame)?;
         let mut local_lights = local.local_lights.clone();
         local_lights.resize(gpu::MAX_LOCAL_LIGHTS as usize, bytemuck::Zeroable::zeroed());
@@ -132,7 +144,12 @@ impl Resources {
             || local.bouncing_lights(),
             &local.local_lights,
         )?;
-        let views = [prefiltered.clone(), products];
+        let fractions = (self.vertex_lights.as_ref())
+            .map_or_else(|| renderer.no_fractions(), |lights| &lights.fractions);
+        let views = [prefiltered.clone(), products, fractions.clone()];
+        if new[..2].contains(&true) {
+            self.vertex_group = None;
+        }
         if new.contains(&true)
             || self
                 .frame_group
@@ -184,6 +201,23 @@ impl Resources {
         Ok(())
     }
 
+    /// What vertices see of distant lights, and group 0 of their kernels, if they are asked.
+    pub(crate) fn bind_vertices(&mut self, renderer: &Renderer, visibility: &wgpu::TextureView) {
+        let Some(vertex_lights) = &mut self.vertex_lights else {
+            return;
+        };
+        vertex_lights.bind(renderer, visibility);
+        let buffers = [&self.uniforms, &self.lights].map(Slot::buffer);
+        (self.vertex_group).get_or_insert_with(|| renderer.vertex_frame_group(buffers));
+    }
+
+    /// The same, once bound: groups 0 and 2, and workgroups.
+    pub(crate) fn vertices(&self) -> Option<([&wgpu::BindGroup; 2], [u32; 2])> {
+        let lights = self.vertex_lights.as_ref()?;
+        let frame = self.vertex_group.as_ref()?;
+        Some(([frame, lights.group()], lights.workgroups()))
+    }
+
     /// Group 0.
     pub(crate) fn frame_group(&self) -> &wgpu::BindGroup {
         let (_, group) = self
@@ -206,6 +240,23 @@ impl Resources {
             .filter(|(_, band)| rows.contains(&band.row))
             .map(|(offset, band)| (offset, band.workgroups()))
     }
+}
+
+/// Distant lights as the instance sees them, with their spokes at vertices.
+fn packed_lights(frame: &Frame, local: &LocalFrame) -> Vec<gpu::Light> {
+    let spokes = match frame.method {
+        Method::Polar(options) => vertex_visibility::spokes(&local.lights, options),
+        Method::Ambient | Method::Cells(_) => vec![0; local.lights.len()],
+    };
+    (local.lights.iter())
+        .zip(spokes)
+        .map(|(light, spokes)| gpu::Light {
+            axis: light.axis.into(),
+            sharpness: light.sharpness,
+            amplitude: light.amplitude.into(),
+            vertex_spokes: spokes as f32,
+        })
+        .collect()
 }
 
 /// All but what changes from dispatch to dispatch and from instance to instance.

@@ -13,6 +13,9 @@ use crate::renderer::Owner;
 use crate::transfer::filled_buffer;
 use crate::{Error, occluders};
 
+/// Bindings of group 1 that kernels of vertices need.
+pub(crate) const VERTEX_BINDINGS: [u32; 6] = [0, 1, 2, 3, 6, 7];
+
 /// A scene on the GPU, for any number of views and threads. Dropping it
 /// frees its memory.
 #[derive(Debug)]
@@ -20,6 +23,9 @@ pub struct GpuScene {
     pub(crate) bind_group: wgpu::BindGroup,
     /// What sources need, or what it exceeds.
     pub(crate) sources: Result<wgpu::BindGroup, LimitError>,
+    /// Group 1 of kernels of vertices.
+    pub(crate) vertex_group: wgpu::BindGroup,
+    pub(crate) vertex_count: usize,
     pub(crate) ray_offset: f32,
     pub(crate) triangle_count: u32,
     pub(crate) atlas: AtlasLayout,
@@ -55,7 +61,7 @@ impl GpuScene {
     pub(crate) fn new(
         device: &wgpu::Device,
         queue: &wgpu::Queue,
-        [layout, source_layout]: [&wgpu::BindGroupLayout; 2],
+        [layout, source_layout, vertex_layout]: [&wgpu::BindGroupLayout; 3],
         owner: &Owner,
         scene: &Scene,
     ) -> Result<Self, Error> {
@@ -163,11 +169,23 @@ impl GpuScene {
             layout,
             entries: &entries,
         });
+        let vertex_entries: Vec<_> = entries
+            .iter()
+            .filter(|entry| VERTEX_BINDINGS.contains(&entry.binding))
+            .cloned()
+            .collect();
+        let vertex_group = device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("relight vertices"),
+            layout: vertex_layout,
+            entries: &vertex_entries,
+        });
         let shared = [&vertices, &triangles, &materials, &texels];
         let sources = source_group(device, source_layout, shared, scene)?;
         Ok(Self {
             bind_group,
             sources,
+            vertex_group,
+            vertex_count: scene.vertices.len(),
             ray_offset: scene.visibility.ray_offset,
             triangle_count: packed.triangles.len() as u32,
             atlas,
@@ -182,6 +200,11 @@ impl GpuScene {
             bounced: packed.transfer,
             no_products,
         })
+    }
+
+    /// Whether light bounces.
+    pub(crate) fn is_bounced(&self) -> bool {
+        self.bounced.is_some()
     }
 
     /// Texture of the colours that groups have under some light; the last one where scene and

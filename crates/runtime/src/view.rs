@@ -17,7 +17,7 @@ pub(crate) const RADIANCE_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgb
 /// Images of one size, and what else is kept from frame to frame:
 /// [`Renderer::prepare`] fills it, [`Renderer::composite`] draws it.
 ///
-/// It holds 28 bytes per pixel, 44 under environments with sources. An app
+/// It holds 44 bytes per pixel, 60 under environments with sources. An app
 /// has one per camera, and another, or [`Self::resize`], for another size.
 #[derive(Debug)]
 pub struct View {
@@ -85,6 +85,8 @@ pub(crate) struct Images {
     pub(crate) radiance: wgpu::Texture,
     pub(crate) radiance_view: wgpu::TextureView,
     pub(crate) bind_group: wgpu::BindGroup,
+    /// Group 2 of the pass for irradiance.
+    pub(crate) diffuse: wgpu::BindGroup,
     /// Group 2 of the pass for sources, if there was one.
     pub(crate) sources: Option<wgpu::BindGroup>,
 }
@@ -133,9 +135,17 @@ impl Images {
             source_size,
         );
         let source_view = view(&source_radiance);
-        let sources = with_sources.then(|| {
+        let irradiance = sized(
+            "relight irradiance",
+            RADIANCE_FORMAT,
+            written | wgpu::TextureUsages::TEXTURE_BINDING,
+            size,
+        );
+        let irradiance_view = view(&irradiance);
+        // Visibility buffer in, another image out.
+        let writing = |image: &wgpu::TextureView| {
             device.create_bind_group(&wgpu::BindGroupDescriptor {
-                label: Some("relight source images"),
+                label: Some("relight images before shading"),
                 layout: source_layout,
                 entries: &[
                     wgpu::BindGroupEntry {
@@ -144,11 +154,13 @@ impl Images {
                     },
                     wgpu::BindGroupEntry {
                         binding: 1,
-                        resource: wgpu::BindingResource::TextureView(&source_view),
+                        resource: wgpu::BindingResource::TextureView(image),
                     },
                 ],
             })
-        });
+        };
+        let diffuse = writing(&irradiance_view);
+        let sources = with_sources.then(|| writing(&source_view));
         let bind_group = device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("relight images"),
             layout,
@@ -165,9 +177,14 @@ impl Images {
                     binding: 2,
                     resource: wgpu::BindingResource::TextureView(&source_view),
                 },
+                wgpu::BindGroupEntry {
+                    binding: 3,
+                    resource: wgpu::BindingResource::TextureView(&irradiance_view),
+                },
             ],
         });
         Self {
+            diffuse,
             sources,
             visibility,
             visibility_view,

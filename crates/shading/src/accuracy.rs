@@ -27,6 +27,7 @@ pub fn local_point(appearance: Appearance, view: Vec3) -> SurfacePoint {
         position: Vec3::ZERO,
         geometric_normal: Vec3::Z,
         normal: Vec3::Z,
+        vertex_cosine: 1.0,
         tangent: Vec3::X,
         bitangent: Vec3::Y,
         view,

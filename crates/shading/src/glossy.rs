@@ -9,8 +9,9 @@
 
 use glam::Vec3;
 
-use crate::brdf::{SpecularLobes, specular_lobes};
+use crate::brdf::{MAX_SPECULAR_LOBES, SpecularLobes, specular_lobes};
 use crate::reference;
+use crate::shade::negligible;
 use crate::spherical_gaussian::{SphericalGaussian, energy};
 use crate::surface::{Reflection, SurfacePoint};
 use crate::tables::Tables;
@@ -30,6 +31,11 @@ const LEAST_SPREAD: f32 = 1e-7;
 const LEAST_MASS: f32 = 1e-30;
 /// Products below this part of a light's are left to the others.
 const LEAST_PART: f32 = 0.01;
+/// Products below this part of a light's are as bright as the model is at their centre.
+const MINOR_PART: f32 = 0.05;
+/// So are those that would add less than this to what has been gathered before, were the lobes the
+/// model.
+const FAINT: f32 = 0.005;
 /// The model's value may exceed that of the lobes by this factor where a light is too faint to be
 /// looked at.
 const TAIL: f32 = 30.0;
@@ -70,30 +76,30 @@ impl<'a> Glossy<'a> {
 
     /// What the reflection shows of `light`: the radiance towards the eye is the integral of the
     /// Gaussian times the cosine with the normal over what is visible. None where there is
-    /// nothing to see, or nothing that is not `negligible`.
+    /// nothing to see, or nothing beside `gathered`.
     pub fn reflected(
         &self,
         light: &SphericalGaussian,
-        negligible: impl Fn(Vec3) -> bool,
+        gathered: Vec3,
     ) -> Option<SphericalGaussian> {
         let first = self.lobes.as_slice().first()?;
         let white = SphericalGaussian {
             amplitude: Vec3::ONE,
             ..*light
         };
-        let times = |lobe: &SphericalGaussian| {
-            white.product(&SphericalGaussian {
+        let mut products = [(white, 0.0); MAX_SPECULAR_LOBES];
+        let products = &mut products[..self.lobes().len()];
+        let mut all = 0.0;
+        for (lobe, (product, part)) in self.lobes().iter().zip(&mut *products) {
+            *product = white.product(&SphericalGaussian {
                 amplitude: Vec3::splat(grey(lobe)),
                 ..*lobe
-            })
-        };
-        let mut all = 0.0;
-        for lobe in self.lobes() {
-            let product = times(lobe);
-            all += product.amplitude.x * energy(product.sharpness);
+            });
+            *part = product.amplitude.x * energy(product.sharpness);
+            all += *part;
         }
         let color = light.amplitude * (first.amplitude / grey(first));
-        if all < LEAST_MASS || negligible(TAIL * all * color) {
+        if all < LEAST_MASS || negligible(TAIL * all * color, gathered) {
             return None;
         }
         // Directions are differences to one among them, which keeps the digits of narrow
@@ -101,14 +107,19 @@ impl<'a> Glossy<'a> {
         let mut origin = None;
         let (mut used, mut total) = (0.0, Vec3::ZERO);
         let (mut mass, mut rest, mut squares, mut mean) = (0.0, 0.0, 0.0, Vec3::ZERO);
-        for lobe in self.lobes() {
-            let product = times(lobe);
-            let part = product.amplitude.x * energy(product.sharpness);
+        for &(product, part) in &*products {
             if part < LEAST_PART * all {
                 continue;
             }
             used += part;
-            let scaled = self.scaled(&product, part, EXCESS * energy(light.sharpness));
+            let faint = (part * color).cmple(FAINT * gathered).all();
+            let points = if faint || part < MINOR_PART * all {
+                1
+            } else {
+                5
+            };
+            let most = EXCESS * energy(light.sharpness);
+            let scaled = self.scaled(&product, part, most, points);
             total += scaled;
             let weight = scaled.element_sum();
             let short = shortening(product.sharpness);
@@ -136,13 +147,13 @@ impl<'a> Glossy<'a> {
     }
 
     /// The integral of a product of a white light and a lobe, `part`, as the model makes it: in
-    /// all at most `most` times the model's value.
-    fn scaled(&self, product: &SphericalGaussian, part: f32, most: f32) -> Vec3 {
+    /// all at most `most` times the model's value. Of five points the first `points`.
+    fn scaled(&self, product: &SphericalGaussian, part: f32, most: f32, points: usize) -> Vec3 {
         let reach = (POINT_DEVIATIONS / (product.sharpness + 0.5).sqrt()).min(FARTHEST_POINT);
         let (u, v) = frame(product.axis);
         let offsets = [Vec3::ZERO, reach * u, -reach * u, reach * v, -reach * v];
         let (mut sum, mut whole) = (Vec3::ZERO, 0.0);
-        for (index, offset) in offsets.into_iter().enumerate() {
+        for (index, offset) in offsets.into_iter().enumerate().take(points) {
             let direction = (product.axis + offset).normalize();
             let local = self.point.to_local(direction);
             if local.z > 0.0 {
@@ -207,6 +218,8 @@ pub fn wgsl_constants() -> String {
         ("LEAST_SPREAD", LEAST_SPREAD),
         ("LEAST_MASS", LEAST_MASS),
         ("LEAST_PART", LEAST_PART),
+        ("MINOR_PART", MINOR_PART),
+        ("FAINT", FAINT),
         ("TAIL", TAIL),
         ("EXCESS", EXCESS),
     ];
@@ -270,7 +283,7 @@ mod tests {
                             sharpness,
                             amplitude: Vec3::splat(1.0 / energy(sharpness)),
                         };
-                        let lobe = glossy.reflected(&light, |_| false).expect("some light");
+                        let lobe = glossy.reflected(&light, Vec3::ZERO).expect("some light");
                         let whole = Tables::get().cosine_integral(lobe.sharpness, lobe.axis.z);
                         let found = lobe.amplitude.x * whole;
                         let expected = exact(&reflection, view, &light);
@@ -299,12 +312,12 @@ mod tests {
             amplitude: Vec3::ONE,
         };
         let glossy = Glossy::new(&point, &reflection);
-        let lobe = glossy.reflected(&light, |_| false).expect("some light");
+        let lobe = glossy.reflected(&light, Vec3::ZERO).expect("some light");
         assert!(
             (lobe.sharpness / light.sharpness - 1.0).abs() < 0.05,
             "{lobe:?}"
         );
         assert!(lobe.axis.distance(light.axis) < 1e-3, "{lobe:?}");
-        assert!(glossy.reflected(&light, |_| true).is_none());
+        assert!(glossy.reflected(&light, Vec3::splat(1e9)).is_none());
     }
 }

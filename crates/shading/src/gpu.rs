@@ -80,6 +80,16 @@ pub struct Frame {
     pub perspective: f32,
     /// 1 where triangles that face the viewer turn clockwise in the picture.
     pub mirrored: u32,
+    /// State of a vertex whose light fractions this frame has to find: number of the light shifted by
+    /// [`crate::vertex_visibility::FRAME_BITS`], and number of the frame under it. 0: no fractions
+    /// at vertices.
+    pub vertex_stamp: u32,
+    /// Zero.
+    pub reserved_0: u32,
+    /// Zero.
+    pub reserved_1: u32,
+    /// Zero.
+    pub reserved_2: u32,
 }
 
 /// Most local lights of a frame.
@@ -113,8 +123,8 @@ pub struct Light {
     pub sharpness: f32,
     /// Linear Rec.709 radiance at the axis.
     pub amplitude: [f32; 3],
-    /// Zero.
-    pub reserved: f32,
+    /// Spokes at vertices; 0: not integrated there.
+    pub vertex_spokes: f32,
 }
 
 /// A direction that a source's light comes from (32 bytes).
@@ -272,8 +282,10 @@ pub struct Material {
     pub normal_scale: f32,
     /// Entries of `layers` in use.
     pub layer_count: u32,
+    /// 0 where there is no Lambertian base anywhere, whatever the textures say.
+    pub has_diffuse: u32,
     /// Zero.
-    pub reserved: [f32; 2],
+    pub reserved: f32,
     /// Multiplies `color`.
     pub base_color_texture: TextureSlot,
     /// G multiplies `roughness`, B multiplies `metallic`.
@@ -513,6 +525,9 @@ pub fn pack_material(material: &relight_format::Material, textures: &[PackedText
             return Material {
                 color: base_color,
                 surface: SURFACE_METALLIC_ROUGHNESS,
+                has_diffuse: u32::from(
+                    metallic < 1.0 || packed.metallic_roughness_texture.width > 0,
+                ),
                 metallic,
                 roughness,
                 anisotropy_strength,
@@ -524,6 +539,7 @@ pub fn pack_material(material: &relight_format::Material, textures: &[PackedText
         Surface::Layers { .. } => packed.surface = SURFACE_LAYERS,
     }
     visit_layers(material, |layer: LayerParameters| {
+        packed.has_diffuse |= u32::from(layer.diffuse != glam::Vec3::ZERO);
         packed.layers[packed.layer_count as usize] = Layer {
             diffuse: layer.diffuse.into(),
             join: layer.join as u32,
@@ -577,6 +593,10 @@ impl Frame {
             first_column: 0,
             perspective: view.homogeneous_eye().w,
             mirrored: u32::from(view.mirrored),
+            vertex_stamp: 0,
+            reserved_0: 0,
+            reserved_1: 0,
+            reserved_2: 0,
         }
     }
 }
@@ -755,6 +775,10 @@ mod tests {
                 first_column,
                 perspective,
                 mirrored,
+                vertex_stamp,
+                reserved_0,
+                reserved_1,
+                reserved_2,
             }
         );
         check_layout!(
@@ -800,7 +824,7 @@ mod tests {
                 axis,
                 sharpness,
                 amplitude,
-                reserved
+                vertex_spokes
             }
         );
         check_layout!(
@@ -865,6 +889,7 @@ mod tests {
                 anisotropy_rotation,
                 normal_scale,
                 layer_count,
+                has_diffuse,
                 reserved,
                 base_color_texture,
                 metallic_roughness_texture,

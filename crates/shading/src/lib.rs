@@ -22,4 +22,5 @@ pub mod surface;
 pub mod tables;
 pub mod tonemap;
 pub mod transfer;
+pub mod vertex_visibility;
 pub mod wgsl;

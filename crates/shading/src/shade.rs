@@ -14,6 +14,7 @@ use crate::spherical_gaussian::SphericalGaussian;
 use crate::ssdf::SignedDistance;
 use crate::surface::SurfacePoint;
 use crate::tables::Tables;
+use crate::vertex_visibility::{self, Corners, LightFractions};
 use crate::{ambient, cells, polar, sources};
 
 /// A product lobe whose whole energy is below this fraction of the radiance gathered so
@@ -46,6 +47,9 @@ pub struct Lighting<'a> {
     pub reflections: Option<Reflections<'a>>,
     /// Suns, lamps and windows of the distance, not among `lights`.
     pub sources: Option<sources::Lit<'a>>,
+    /// What is known of the lights' visibility at the corners of the point's triangle; `ambient` and
+    /// `cells` do not ask.
+    pub corners: Option<Corners<'a>>,
 }
 
 /// A prefiltered image, turned.
@@ -67,8 +71,19 @@ impl Lighting<'_> {
     /// Those that specular lobes reflect: where there is a prefiltered image, it stands for the
     /// distant ones.
     fn reflected_at(&self, point: Vec3) -> impl Iterator<Item = SphericalGaussian> {
-        let begin = self.reflections.map_or(0, |_| self.lights.len());
-        self.at(point).skip(begin)
+        self.at(point).skip(self.first_reflected())
+    }
+
+    /// Their first.
+    fn first_reflected(&self) -> usize {
+        self.reflections.map_or(0, |_| self.lights.len())
+    }
+
+    /// Visible fractions of light `index` at the corners about `point`.
+    fn fractions(&self, index: usize, point: &SurfacePoint) -> LightFractions {
+        let holds = point.vertex_cosine >= vertex_visibility::LEAST_COSINE;
+        let corners = self.corners.filter(|_| holds && index < self.lights.len());
+        corners.map_or(LightFractions::NONE, |corners| corners.of(index))
     }
 }
 
@@ -98,7 +113,7 @@ pub fn product_lobes(
     for reflection in point.appearance.reflections() {
         let glossy = Glossy::new(point, reflection);
         for light in lighting.reflected_at(point.position) {
-            if let Some(lobe) = glossy.reflected(&light, |whole| negligible(whole, gathered)) {
+            if let Some(lobe) = glossy.reflected(&light, gathered) {
                 gathered = visit(lobe);
             }
         }
@@ -135,16 +150,32 @@ pub fn shade_counting(
             *integrals += 1;
             radiance += cells::integrate(field, about, point.normal, lobes, options);
         });
-    } else {
-        product_lobes(point, lighting, |lobe| {
-            let whole = lobe.integral();
-            if !negligible(whole, radiance) {
-                *integrals += 1;
+    } else if point.normal.dot(point.view) > 0.0 {
+        let diffuse = point.appearance.diffuse * FRAC_1_PI;
+        if diffuse != Vec3::ZERO {
+            radiance += diffuse * irradiance(point, lighting, field, *method, integrals);
+        }
+        for reflection in point.appearance.reflections() {
+            let glossy = Glossy::new(point, reflection);
+            let first = lighting.first_reflected();
+            for (light, index) in lighting.reflected_at(point.position).zip(first..) {
+                let Some(lobe) = glossy.reflected(&light, radiance) else {
+                    continue;
+                };
+                let whole = lobe.integral();
+                if negligible(whole, radiance) {
+                    continue;
+                }
+                let fractions = lighting.fractions(index, point);
                 let share = share(whole, radiance);
-                radiance += lobe.amplitude * visible(&lobe, share, point.normal, field, *method);
+                let mut visible = |share| {
+                    *integrals += 1;
+                    visible(&lobe, share, point.normal, field, *method)
+                };
+                radiance += lobe.amplitude
+                    * about(&fractions, &light, &lobe, point.normal, || visible(share));
             }
-            radiance
-        });
+        }
     }
     if let Some(reflections) = &lighting.reflections
         && point.normal.dot(point.view) > 0.0
@@ -156,16 +187,58 @@ pub fn shade_counting(
                 visible(lobe, share, point.normal, field, *method)
             };
             let glossy = Glossy::new(point, reflection);
-            radiance += reflected(
-                &glossy,
-                point.normal,
-                lighting.lights,
-                reflections,
-                &mut visible,
-            );
+            radiance += reflected(&glossy, point, lighting, reflections, &mut visible);
         }
     }
     radiance.max(Vec3::ZERO)
+}
+
+/// Irradiance by all lights, where the corners of the triangle agree on it interpolated from them.
+fn irradiance(
+    point: &SurfacePoint,
+    lighting: &Lighting,
+    field: &impl SignedDistance,
+    method: Method,
+    integrals: &mut u64,
+) -> Vec3 {
+    let mut sum = Vec3::ZERO;
+    for (index, light) in lighting.at(point.position).enumerate() {
+        let whole = light.integral();
+        if negligible(whole, sum) {
+            continue;
+        }
+        let share = share(whole, sum);
+        let fractions = lighting.fractions(index, point);
+        let doubt = fractions.doubt(share);
+        let mut seen = 0.0;
+        if doubt < 1.0 {
+            let cosine = point.normal.dot(light.axis);
+            seen = fractions.mean() * Tables::get().cosine_integral(light.sharpness, cosine);
+        }
+        if doubt > 0.0 {
+            *integrals += 1;
+            let found = visible(&light, share, point.normal, field, method);
+            seen = seen * (1.0 - doubt) + found * doubt;
+        }
+        sum += light.amplitude * seen;
+    }
+    sum
+}
+
+/// What is visible of a lobe that is about a light.
+fn about(
+    fractions: &LightFractions,
+    light: &SphericalGaussian,
+    lobe: &SphericalGaussian,
+    normal: Vec3,
+    visible: impl FnOnce() -> f32,
+) -> f32 {
+    match fractions.whole(light, lobe) {
+        Some(fraction) => {
+            fraction * Tables::get().cosine_integral(lobe.sharpness, normal.dot(lobe.axis))
+        }
+        None => visible(),
+    }
 }
 
 /// Calls `visit` with lobes that share cells, the cells' pole and how far they reach: about the
@@ -209,7 +282,7 @@ pub fn cell_groups(
         let (mut wide, mut narrow) = (Vec::new(), Vec::new());
         let mut carried = Vec3::ZERO;
         for light in lighting.reflected_at(point.position) {
-            let Some(product) = glossy.reflected(&light, |_| false) else {
+            let Some(product) = glossy.reflected(&light, Vec3::ZERO) else {
                 continue;
             };
             carried += product.integral();
@@ -274,27 +347,30 @@ fn diffused(
 /// of the image beyond them.
 fn reflected(
     glossy: &Glossy,
-    normal: Vec3,
-    lights: &[SphericalGaussian],
+    point: &SurfacePoint,
+    lighting: &Lighting,
     reflections: &Reflections,
     visible: &mut impl FnMut(&SphericalGaussian, f32) -> f32,
 ) -> Vec3 {
+    let normal = point.normal;
     let mut image = Vec3::ZERO;
     for (lobe, part) in glossy.lobes().iter().zip(glossy.whites()) {
         let axis = reflections.rotation * lobe.axis;
         image += part * reflections.image.radiance(axis, lobe.sharpness);
     }
     let (mut scaled, mut seen) = (Vec3::ZERO, Vec3::ZERO);
-    for light in lights {
-        let Some(lobe) = glossy.reflected(light, |whole| negligible(whole, scaled)) else {
+    for (index, light) in lighting.lights.iter().enumerate() {
+        let Some(lobe) = glossy.reflected(light, scaled) else {
             continue;
         };
         let cosine = normal.dot(lobe.axis);
         let whole = lobe.amplitude * Tables::get().cosine_integral(lobe.sharpness, cosine);
         if !negligible(whole, scaled) {
             let share = share(whole, scaled);
+            let fractions = lighting.fractions(index, point);
+            let found = about(&fractions, light, &lobe, normal, || visible(&lobe, share));
             scaled += whole;
-            seen += lobe.amplitude * visible(&lobe, share);
+            seen += lobe.amplitude * found;
         }
     }
     // Lobes that are not quite the model may miss more than there is.
@@ -306,7 +382,7 @@ fn reflected(
         sharpness: 0.0,
         amplitude: Vec3::ONE,
     };
-    let Some(even) = glossy.reflected(&even, |_| false) else {
+    let Some(even) = glossy.reflected(&even, Vec3::ZERO) else {
         return Vec3::ZERO;
     };
     let cosine = normal.dot(even.axis);
@@ -317,13 +393,13 @@ fn reflected(
 }
 
 /// Whether a lobe of the integral `whole` adds nothing to what has been gathered before.
-fn negligible(whole: Vec3, gathered: Vec3) -> bool {
+pub(crate) fn negligible(whole: Vec3, gathered: Vec3) -> bool {
     whole.cmple(NEGLIGIBLE * gathered).all()
 }
 
 /// What a lobe of the integral `whole` can add, in what has been gathered before, in the
 /// channel where that is most.
-fn share(whole: Vec3, gathered: Vec3) -> f32 {
+pub(crate) fn share(whole: Vec3, gathered: Vec3) -> f32 {
     (whole / gathered.max(Vec3::splat(DARK))).max_element()
 }
 

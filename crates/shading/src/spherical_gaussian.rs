@@ -35,7 +35,7 @@ impl SphericalGaussian {
     /// The value in the unit direction `direction`.
     pub fn evaluate(&self, direction: Vec3) -> Vec3 {
         let chord = direction - self.axis;
-        self.amplitude * (-0.5 * self.sharpness * chord.dot(chord)).exp()
+        self.amplitude * decay(-0.5 * self.sharpness * chord.dot(chord))
     }
 
     /// The product with `other`, again a spherical Gaussian.
@@ -55,7 +55,7 @@ impl SphericalGaussian {
         Self {
             axis,
             sharpness,
-            amplitude: self.amplitude * other.amplitude * exponent.exp(),
+            amplitude: self.amplitude * other.amplitude * decay(exponent),
         }
     }
 
@@ -71,6 +71,16 @@ impl SphericalGaussian {
             axis: *rotation * self.axis,
             ..*self
         }
+    }
+}
+
+/// The exponential of something not above 0. What is no number of full precision is as good as
+/// none, and takes some libraries several times as long.
+fn decay(exponent: f32) -> f32 {
+    if exponent < -87.0 {
+        0.0
+    } else {
+        exponent.exp()
     }
 }
 
@@ -98,10 +108,16 @@ pub fn cosine_moment(sharpness: f32, q: f32) -> f32 {
 /// Below this exponent the closed forms cancel and series are used.
 const SERIES_LIMIT: f32 = 0.25;
 
+/// From here on 1 − e⁻ᶻ is 1; an exponential that is not taken is time saved.
+const NO_DECAY_LEFT: f32 = 18.0;
+
 /// ∫₀¹ exp(−z t) dt = (1 − e⁻ᶻ) / z.
 fn decay_0(z: f32) -> f32 {
     if z < SERIES_LIMIT {
         return 1.0 - z * (1.0 / 2.0 - z * (1.0 / 6.0 - z * (1.0 / 24.0 - z / 120.0)));
+    }
+    if z > NO_DECAY_LEFT {
+        return 1.0 / z;
     }
     (1.0 - (-z).exp()) / z
 }

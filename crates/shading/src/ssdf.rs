@@ -4,7 +4,7 @@
 use std::f32::consts::PI;
 
 use glam::{Vec3, Vec4};
-use relight_format::{CHANNELS_PER_TILE, MAX_TILES_PER_CLUSTER, Scene};
+use relight_format::{CHANNELS_PER_TILE, Cluster, MAX_TILES_PER_CLUSTER, Scene};
 
 use crate::octahedral;
 
@@ -89,10 +89,31 @@ impl<'a> Ssdf<'a> {
     ) -> Self {
         let triangle = &scene.triangles[triangle];
         let cluster = &scene.clusters[triangle.cluster as usize];
+        let [a, b, c] = triangle.vertices;
+        let weights = [
+            (a, barycentrics.x),
+            (b, barycentrics.y),
+            (c, barycentrics.z),
+        ];
+        Self::combine(scene, basis, cluster, weights)
+    }
+
+    /// The SSDF at vertex `vertex` of cluster `cluster` of `scene`, whose `basis` it is.
+    pub fn at_vertex(scene: &Scene, basis: &'a Basis, cluster: usize, vertex: u32) -> Self {
+        Self::combine(scene, basis, &scene.clusters[cluster], [(vertex, 1.0)])
+    }
+
+    /// The weighted sum of the SSDFs of some vertices of `cluster`.
+    fn combine<const N: usize>(
+        scene: &Scene,
+        basis: &'a Basis,
+        cluster: &Cluster,
+        weights: [(u32, f32); N],
+    ) -> Self {
         let tiles = cluster.tiles as usize;
         let mut coefficients = [Vec4::ZERO; MAX_TILES];
-        for (corner, &vertex) in triangle.vertices.iter().enumerate() {
-            let weight = barycentrics[corner] * cluster.coefficient_scale * SNORM8_STEP;
+        for (vertex, weight) in weights {
+            let weight = weight * cluster.coefficient_scale * SNORM8_STEP;
             let first = cluster.first_coefficient as usize
                 + (vertex - cluster.first_vertex) as usize * tiles * CHANNELS_PER_TILE;
             for (tile, coefficient) in coefficients[..tiles].iter_mut().enumerate() {
@@ -171,9 +192,7 @@ fn snorm16(value: i16) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use relight_format::{
-        BakeReport, Cluster, Representation, Triangle, Vertex, VisibilityParameters,
-    };
+    use relight_format::{BakeReport, Representation, Triangle, Vertex, VisibilityParameters};
 
     use super::*;
 

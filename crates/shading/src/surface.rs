@@ -313,6 +313,8 @@ pub struct SurfacePoint<'a> {
     pub geometric_normal: Vec3,
     /// Unit shading normal, normal map applied.
     pub normal: Vec3,
+    /// Cosine between the normal and the one that the vertices interpolate to.
+    pub vertex_cosine: f32,
     /// Unit, orthogonal to `normal`; the direction of `alpha.x`.
     pub tangent: Vec3,
     /// `cross(normal, tangent)`; the direction of `alpha.y`.
@@ -385,7 +387,8 @@ pub fn surface_seen(
     let geometric_normal = unit_or((pb - pa).cross(pc - pa), Vec3::Y);
     let sample = |slot: &TextureSlot| sample_slot(&scene.textures[slot.texture as usize], slot, uv);
 
-    let mut normal = unit_or(vertex_normal, geometric_normal);
+    let smooth_normal = unit_or(vertex_normal, geometric_normal);
+    let mut normal = smooth_normal;
     let mut tangent = orthogonal_unit(vertex_tangent.xyz(), normal);
     let handedness = if vertex_tangent.w < 0.0 { -1.0 } else { 1.0 };
     if let Some(texel) = material.normal_texture.as_ref().map(sample) {
@@ -500,6 +503,7 @@ pub fn surface_seen(
         position,
         geometric_normal,
         normal,
+        vertex_cosine: smooth_normal.dot(normal),
         tangent,
         bitangent: normal.cross(tangent),
         view,

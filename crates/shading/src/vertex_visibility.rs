@@ -7,75 +7,235 @@
 
 use glam::Vec3;
 
-use crate::polar::{self, PolarOptions};
+use crate::polar::{self, PolarOptions, support_radius};
 use crate::shade::{negligible, share};
 use crate::spherical_gaussian::SphericalGaussian;
 use crate::ssdf::SignedDistance;
 use crate::tables::Tables;
 
-/// Corners whose fractions differ by no more than this agree. At 0.05 pictures of the bench
-/// scenes lose at most 0.015 % and a third to four fifths of the samples go.
+/// Corners whose fractions differ by no more than this agree.
 pub const AGREEMENT: f32 = 0.05;
+/// A light that can add less than this, in what has been gathered before, may differ by more.
+pub const SMALL_SHARE: f32 = 0.1;
+/// How many times as much, at most.
+pub const MOST_LEEWAY: f32 = 3.0;
+/// Part of what corners may differ by up to which a point does not look for itself at all; from
+/// there on it does more and more, so that neighbours differ by little.
+pub const FIRM: f32 = 0.8;
 /// Least cosine between the shading normal of a point and the one that its vertices interpolate
 /// to: normal maps that turn it further see another part of the sky.
 pub const LEAST_COSINE: f32 = 0.95;
+/// Fractions as close to 0 or 1 as this mean that nothing or all is seen.
+pub const SURE: f32 = 1e-3;
+/// Radius about a light, in that at which it ends, within which a lobe has to lie to be seen or
+/// hidden with it.
+pub const REACH: f32 = 1.0;
 /// Stands for a fraction that was not integrated, as the light adds nothing there.
 pub const UNKNOWN: f32 = -1.0;
+/// Texels per row of the texture of fractions, four lights each.
+pub const TEXTURE_WIDTH: u32 = 4096;
+/// Bits of a vertex's state that number frames under one light; the others number the light.
+pub const FRAME_BITS: u32 = 8;
+
+/// Most texels of that texture: 256 MB.
+const MOST_TEXELS: u64 = 1 << 24;
+/// Most vertices that one dispatch of 64 each reaches at WebGPU's default limits.
+const MOST_VERTICES: u64 = 64 * 65535;
+
+/// Rows of the texture of fractions. None where there are no lights, or more of them at more vertices
+/// than are kept: then pixels integrate for themselves.
+pub fn texture_rows(vertices: usize, lights: usize) -> Option<u32> {
+    let vertices = vertices as u64;
+    let texels = vertices.checked_mul((lights as u64).div_ceil(4))?;
+    let kept = texels > 0 && texels <= MOST_TEXELS && vertices <= MOST_VERTICES;
+    kept.then(|| texels.div_ceil(u64::from(TEXTURE_WIDTH)) as u32)
+}
+
+/// Spokes for each light at vertices, in the order in which pixels gather lights; none for what
+/// is negligible beside those before it.
+pub fn spokes(lights: &[SphericalGaussian], options: PolarOptions) -> Vec<u32> {
+    let mut gathered = Vec3::ZERO;
+    let mut spokes_of = |light: &SphericalGaussian| {
+        let whole = light.integral();
+        if negligible(whole, gathered) {
+            return 0;
+        }
+        let spokes = options.for_share(share(whole, gathered)).spokes;
+        gathered += whole;
+        spokes
+    };
+    lights.iter().map(&mut spokes_of).collect()
+}
+
+/// The visible fraction of ∫ G(ω) max(n·ω, 0) dω at a vertex of unit normal n = `normal`, whose
+/// SSDF is `field`, or [`UNKNOWN`] where there are no spokes.
+pub fn light_fraction(
+    light: &SphericalGaussian,
+    spokes: u32,
+    normal: Vec3,
+    field: &impl SignedDistance,
+) -> f32 {
+    if spokes == 0 {
+        return UNKNOWN;
+    }
+    let options = PolarOptions { spokes };
+    let visible = polar::integrate(field, light.sharpness, light.axis, normal, &options);
+    let unoccluded = Tables::get().cosine_integral(light.sharpness, normal.dot(light.axis));
+    (visible / unoccluded.max(f32::MIN_POSITIVE)).clamp(0.0, 1.0)
+}
 
 /// Fractions at the corners of the triangle that a point lies on.
 #[derive(Clone, Copy, Debug)]
 pub struct Corners<'a> {
-    /// A fraction in [0, 1] or [`UNKNOWN`] per distant light, at each corner.
+    /// [`light_fraction`] of every distant light, at each corner.
     pub fractions: [&'a [f32]; 3],
     /// Weights of the corners.
     pub barycentrics: Vec3,
-    /// Unit normal that the vertices interpolate to.
-    pub normal: Vec3,
+}
+
+/// The fractions of one light.
+#[derive(Clone, Copy, Debug)]
+pub struct LightFractions {
+    mean: f32,
+    low: f32,
+    high: f32,
 }
 
 impl Corners<'_> {
-    /// The visible fraction of light `index` where the corners agree on it; `normal` is the
-    /// point's shading normal.
-    pub fn fraction(&self, index: usize, normal: Vec3) -> Option<f32> {
+    /// Those of light `index`.
+    pub fn of(&self, index: usize) -> LightFractions {
         let corners = Vec3::from(self.fractions.map(|fractions| fractions[index]));
-        let agree = corners.min_element() >= 0.0
-            && corners.max_element() - corners.min_element() <= AGREEMENT
-            && self.normal.dot(normal) >= LEAST_COSINE;
-        agree.then(|| self.barycentrics.dot(corners))
+        LightFractions {
+            mean: self.barycentrics.dot(corners),
+            low: corners.min_element(),
+            high: corners.max_element(),
+        }
     }
 }
 
-/// Fills in the fraction of every light at a vertex of unit normal `normal`, whose SSDF is
-/// `field`: of ∫ G(ω) max(n·ω, 0) dω, in the order and as closely as a white diffuse point
-/// there would integrate them.
-pub fn fractions(
-    lights: &[SphericalGaussian],
-    normal: Vec3,
-    field: &impl SignedDistance,
-    options: PolarOptions,
-    fractions: &mut [f32],
-) {
-    let mut gathered = Vec3::ZERO;
-    for (light, fraction) in lights.iter().zip(fractions) {
-        let whole = light.integral();
-        if negligible(whole, gathered) {
-            *fraction = UNKNOWN;
-            continue;
+impl LightFractions {
+    /// Nothing is known.
+    pub const NONE: Self = Self {
+        mean: 0.0,
+        low: UNKNOWN,
+        high: 1.0,
+    };
+
+    /// Interpolated to the point.
+    pub fn mean(&self) -> f32 {
+        self.mean
+    }
+
+    /// Part of the light's visibility that a point has to find for itself, if it can add `share`
+    /// times what has been gathered before: 0 to 1.
+    pub fn doubt(&self, share: f32) -> f32 {
+        if self.low < 0.0 {
+            return 1.0;
         }
-        let options = options.for_share(share(whole, gathered));
-        let visible = polar::integrate(field, light.sharpness, light.axis, normal, &options);
-        let unoccluded =
-            Tables::get().cosine_integral(light.sharpness, normal.dot(light.axis));
-        gathered += light.amplitude * visible;
-        *fraction = (visible / unoccluded.max(f32::MIN_POSITIVE)).clamp(0.0, 1.0);
+        let limit = AGREEMENT * (SMALL_SHARE / share).clamp(1.0, MOST_LEEWAY);
+        let above = (self.high - self.low) / limit - FIRM;
+        (above / (1.0 - FIRM)).clamp(0.0, 1.0)
+    }
+
+    /// Visible fraction of `lobe`, which is about `light`: 1 or 0 where all that there is of the
+    /// light at all corners is seen or hidden and the lobe lies within.
+    pub fn whole(&self, light: &SphericalGaussian, lobe: &SphericalGaussian) -> Option<f32> {
+        let visible = self.low >= 1.0 - SURE;
+        let hidden = self.low >= 0.0 && self.high <= SURE;
+        if !visible && !hidden {
+            return None;
+        }
+        let aside = 2.0 * (0.5 * light.axis.distance(lobe.axis)).min(1.0).asin();
+        let reach = REACH * support_radius(light.sharpness);
+        let fraction = if visible { 1.0 } else { 0.0 };
+        (aside + support_radius(lobe.sharpness) <= reach).then_some(fraction)
     }
 }
 
 /// The constants of this module, as WGSL.
 pub fn wgsl_constants() -> String {
-    format!(
-        "const VERTEX_VISIBILITY_AGREEMENT: f32 = {AGREEMENT:?};\n\
-         const VERTEX_VISIBILITY_LEAST_COSINE: f32 = {LEAST_COSINE:?};\n\
-         const VERTEX_VISIBILITY_UNKNOWN: f32 = {UNKNOWN:?};\n"
-    )
+    let reals = [
+        ("AGREEMENT", AGREEMENT),
+        ("SMALL_SHARE", SMALL_SHARE),
+        ("MOST_LEEWAY", MOST_LEEWAY),
+        ("FIRM", FIRM),
+        ("LEAST_COSINE", LEAST_COSINE),
+        ("SURE", SURE),
+        ("REACH", REACH),
+        ("UNKNOWN", UNKNOWN),
+    ];
+    reals
+        .map(|(name, value)| format!("const VERTEX_VISIBILITY_{name}: f32 = {value:?};\n"))
+        .concat()
+        + &format!(
+            "const VERTEX_VISIBILITY_TEXTURE_WIDTH: u32 = {TEXTURE_WIDTH}u;\n\
+             const VERTEX_VISIBILITY_FRAME_BITS: u32 = {FRAME_BITS}u;\n"
+        )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Visible above a plane through the point, tilted by some angle from the horizon.
+    struct HalfSpace(Vec3);
+
+    impl SignedDistance for HalfSpace {
+        fn distance(&self, direction: Vec3) -> f32 {
+            self.0.dot(direction).clamp(-1.0, 1.0).asin()
+        }
+    }
+
+    fn light(axis: Vec3, sharpness: f32, amplitude: f32) -> SphericalGaussian {
+        SphericalGaussian {
+            axis: axis.normalize(),
+            sharpness,
+            amplitude: Vec3::splat(amplitude),
+        }
+    }
+
+    #[test]
+    fn fractions_say_how_much_is_visible() {
+        let field = HalfSpace(Vec3::X);
+        let fraction =
+            |axis, spokes| light_fraction(&light(axis, 30.0, 1.0), spokes, Vec3::Z, &field);
+        assert!((fraction(Vec3::Z, 12) - 0.5).abs() < 0.02);
+        assert!(fraction(Vec3::new(1.0, 0.0, 1.0), 12) > 0.999);
+        assert!(fraction(Vec3::new(-1.0, 0.0, 1.0), 12) < 0.001);
+        assert_eq!(fraction(Vec3::Z, 0), UNKNOWN);
+    }
+
+    #[test]
+    fn faint_lights_after_bright_ones_take_few_spokes_or_none() {
+        let lights = [100.0, 1.0, 1e-4].map(|amplitude| light(Vec3::Z, 30.0, amplitude));
+        let spokes = spokes(&lights, PolarOptions::STANDARD);
+        assert!(spokes[0] > spokes[1], "{spokes:?}");
+        assert!(spokes[1] > 0, "{spokes:?}");
+        assert_eq!(spokes[2], 0, "{spokes:?}");
+    }
+
+    #[test]
+    fn corners_that_agree_leave_no_doubt() {
+        let of = |a: f32, b: f32, c: f32| {
+            let corners = [[a], [b], [c]];
+            Corners {
+                fractions: corners.each_ref().map(|corner| &corner[..]),
+                barycentrics: Vec3::new(0.5, 0.25, 0.25),
+            }
+            .of(0)
+        };
+        assert_eq!(of(0.4, 0.42, 0.41).doubt(1.0), 0.0);
+        assert!((of(0.4, 0.42, 0.41).mean() - 0.4075).abs() < 1e-6);
+        assert_eq!(of(0.4, 0.5, 0.41).doubt(1.0), 1.0);
+        assert_eq!(of(0.4, 0.5, 0.41).doubt(0.01), 0.0);
+        assert_eq!(of(0.4, UNKNOWN, 0.41).doubt(0.01), 1.0);
+        let sun = light(Vec3::Z, 100.0, 1.0);
+        let near = light(Vec3::new(0.05, 0.0, 1.0), 150.0, 1.0);
+        let far = light(Vec3::new(0.5, 0.0, 1.0), 150.0, 1.0);
+        assert_eq!(of(1.0, 1.0, 1.0).whole(&sun, &near), Some(1.0));
+        assert_eq!(of(0.0, 0.0, 0.0).whole(&sun, &near), Some(0.0));
+        assert_eq!(of(1.0, 1.0, 1.0).whole(&sun, &far), None);
+        assert_eq!(of(1.0, 0.5, 1.0).whole(&sun, &near), None);
+        assert_eq!(LightFractions::NONE.whole(&sun, &near), None);
+    }
 }

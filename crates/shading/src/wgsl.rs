@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use crate::surface::{Join, Model};
 use crate::{
     brdf, cells, glossy, gpu, local_light, occluders, polar, prefiltered, shade, sources,
-    spherical_gaussian, surface, tables, tonemap, transfer,
+    spherical_gaussian, surface, tables, tonemap, transfer, vertex_visibility,
 };
 
 /// What a shader module is for.
@@ -13,9 +13,14 @@ use crate::{
 pub enum Entry {
     /// Triangle under each pixel: `visibility_buffer_vertex`, `visibility_buffer_fragment`.
     VisibilityBuffer,
-    /// Visibility buffer to linear radiance: `shade_main`, workgroups of 8 × 8 pixels.
+    /// Visible fractions of lights at vertices: `vertices_mark`, workgroups of 8 × 8 pixels, and
+    /// `vertices_main`, workgroups of 64 vertices and four lights.
+    Vertices,
+    /// Visibility buffer to irradiance: `diffuse_main`, workgroups of 8 × 8 pixels.
+    Diffuse,
+    /// Visibility buffer and irradiance to linear radiance: `shade_main`, workgroups of 8 × 8 pixels.
     Shade,
-    /// The same by cells; a module of its own, so that its registers cost the others nothing.
+    /// The same by cells, without irradiance; a module of its own, so that its registers cost the others nothing.
     ShadeCells,
     /// Visibility buffer to what sources add to the radiance: `sources_main`, workgroups of 8 × 8
     /// pixels.
@@ -29,8 +34,10 @@ pub enum Entry {
 
 impl Entry {
     /// All of them.
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 8] = [
         Self::VisibilityBuffer,
+        Self::Vertices,
+        Self::Diffuse,
         Self::Shade,
         Self::ShadeCells,
         Self::Sources,
@@ -38,6 +45,102 @@ impl Entry {
         Self::Library,
     ];
 }
+
+/// A compute pipeline.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Kernel {
+    /// What it does.
+    pub name: &'static str,
+    /// Its module.
+    pub entry: Entry,
+    /// Its function.
+    pub entry_point: &'static str,
+    /// Values of its module's overridable constants.
+    pub constants: &'static [(&'static str, f64)],
+}
+
+/// All compute pipelines.
+pub const KERNELS: &[Kernel] = &[
+    VERTICES_MARK,
+    VERTICES,
+    DIFFUSE,
+    SHADE[0],
+    SHADE[1],
+    SHADE[2],
+    SHADE[3],
+    SHADE_CELLS,
+    SOURCES,
+];
+
+/// Marks the vertices that a frame sees.
+pub const VERTICES_MARK: Kernel = Kernel {
+    name: "vertices mark",
+    entry: Entry::Vertices,
+    entry_point: "vertices_mark",
+    constants: &[],
+};
+
+/// Finds the visible fractions of lights at them.
+pub const VERTICES: Kernel = Kernel {
+    name: "vertices",
+    entry: Entry::Vertices,
+    entry_point: "vertices_main",
+    constants: &[],
+};
+
+/// Irradiance of every pixel.
+pub const DIFFUSE: Kernel = Kernel {
+    name: "diffuse",
+    entry: Entry::Diffuse,
+    entry_point: "diffuse_main",
+    constants: &[],
+};
+
+/// Radiance of every pixel, by lobes: with bounced light at 1 and 3, with a prefiltered image at 2
+/// and 3.
+pub const SHADE: [Kernel; 4] = [
+    shade_kernel(
+        "shade",
+        &[("SHADE_PREFILTERED", 0.0), ("SHADE_BOUNCED", 0.0)],
+    ),
+    shade_kernel(
+        "shade, bounced light",
+        &[("SHADE_PREFILTERED", 0.0), ("SHADE_BOUNCED", 1.0)],
+    ),
+    shade_kernel(
+        "shade, prefiltered",
+        &[("SHADE_PREFILTERED", 1.0), ("SHADE_BOUNCED", 0.0)],
+    ),
+    shade_kernel(
+        "shade, both",
+        &[("SHADE_PREFILTERED", 1.0), ("SHADE_BOUNCED", 1.0)],
+    ),
+];
+
+const fn shade_kernel(name: &'static str, constants: &'static [(&'static str, f64)]) -> Kernel {
+    Kernel {
+        name,
+        entry: Entry::Shade,
+        entry_point: "shade_main",
+        constants,
+    }
+}
+
+/// Radiance of every pixel, by cells.
+pub const SHADE_CELLS: Kernel = Kernel {
+    name: "shade by cells",
+    entry: Entry::ShadeCells,
+    entry_point: "shade_main",
+    constants: &[],
+};
+
+/// What sources add to every pixel.
+pub const SOURCES: Kernel = Kernel {
+    name: "sources",
+    entry: Entry::Sources,
+    entry_point: "sources_main",
+    constants: &[],
+};
 
 /// Joined in this order; the order does not matter to WGSL.
 const LIBRARY: &[&str] = &[
@@ -56,6 +159,8 @@ const LIBRARY: &[&str] = &[
     include_str!("wgsl/reference.wgsl"),
     include_str!("wgsl/glossy.wgsl"),
     include_str!("wgsl/transfer.wgsl"),
+    include_str!("wgsl/vertex_visibility.wgsl"),
+    include_str!("wgsl/light.wgsl"),
 ];
 
 /// The complete WGSL of one module.
@@ -66,8 +171,18 @@ pub fn source(entry: Entry) -> String {
             source += include_str!("wgsl/bindings.wgsl");
             source += include_str!("wgsl/visibility_buffer.wgsl");
         }
+        Entry::Vertices => {
+            source.extend(LIBRARY.iter().copied());
+            source += include_str!("wgsl/vertices.wgsl");
+        }
+        Entry::Diffuse => {
+            source.extend(LIBRARY.iter().copied());
+            source += include_str!("wgsl/visible.wgsl");
+            source += include_str!("wgsl/diffuse.wgsl");
+        }
         Entry::Shade => {
             source.extend(LIBRARY.iter().copied());
+            source += include_str!("wgsl/visible.wgsl");
             source += include_str!("wgsl/shade.wgsl");
             source += include_str!("wgsl/shade_lobes.wgsl");
         }
@@ -131,6 +246,7 @@ fn constants() -> String {
     text += &sources::wgsl_constants();
     text += &tonemap::wgsl_constants();
     text += &transfer::wgsl_constants();
+    text += &vertex_visibility::wgsl_constants();
     text
 }
 

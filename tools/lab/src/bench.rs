@@ -30,6 +30,10 @@ pub struct Row {
     pub samples: f64,
     /// Interpolated texels of four basis images per covered pixel.
     pub fetches: f64,
+    /// SSDF samples and fetches at vertices, per covered pixel: in a frame whose light has turned.
+    pub vertex_samples: f64,
+    /// See `vertex_samples`.
+    pub vertex_fetches: f64,
     /// Rays towards sources per covered pixel.
     pub rays: f64,
     /// Relative RMSE against truth, its noise removed.
@@ -101,6 +105,8 @@ pub fn run(
             integrals: work.integrals as f64 / pixels,
             samples: work.samples as f64 / pixels,
             fetches: work.fetches as f64 / pixels,
+            vertex_samples: work.vertex_samples as f64 / pixels,
+            vertex_fetches: work.vertex_fetches as f64 / pixels,
             rays: work.rays as f64 / pixels,
             relative_rmse,
             error_over_ambient: first.map_or(1.0, |first| relative_rmse / first.relative_rmse),

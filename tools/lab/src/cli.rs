@@ -499,17 +499,26 @@ fn run_bench(arguments: &Bench, json: bool) -> anyhow::Result<Value> {
     let rows = bench::run(&scene, &frame, &mut renderer, &settings)?;
     if !json {
         println!(
-            "{:<16}{:>10}{:>10}{:>10}{:>10}{:>10}{:>10}{:>10}",
-            "", "seconds", "/ambient", "samples", "fetches", "rays", "error", "/ambient"
+            "{:<16}{:>10}{:>10}{:>10}{:>10}{:>10}{:>10}{:>10}{:>10}",
+            "",
+            "seconds",
+            "/ambient",
+            "samples",
+            "fetches",
+            "at vert.",
+            "rays",
+            "error",
+            "/ambient"
         );
         for row in &rows {
             println!(
-                "{:<16}{:>10.4}{:>10.2}{:>10.0}{:>10.0}{:>10.1}{:>9.2}%{:>10.2}",
+                "{:<16}{:>10.4}{:>10.2}{:>10.0}{:>10.0}{:>10.0}{:>10.1}{:>9.3}%{:>10.2}",
                 row.method,
                 row.seconds,
                 row.time_over_ambient,
                 row.samples,
                 row.fetches,
+                row.vertex_fetches,
                 row.rays,
                 100.0 * row.relative_rmse,
                 row.error_over_ambient

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
 use std::time::Instant;
 
-const USAGE: &str = "usage: cargo xtask test | results | web [--serve]
+const USAGE: &str = "usage: cargo xtask test | results | web [--serve] | gpu-cost [KERNEL...]
 
 test: installs what the tests need (apt, only what is missing), then checks formatting and lints,
 runs every test, and checks dependencies if cargo-deny is there.
@@ -19,7 +19,12 @@ needs the test data, and replaces the tables of RESULTS.md.
 web: builds the page that shows baked assets into out/web, adding what that takes where it is missing
 (the target wasm32-unknown-unknown, wasm-bindgen). --serve then serves it on the loopback address.
 
+gpu-cost: what compilers of an AMD and an NVIDIA GPU make of every kernel, on a machine without
+either: registers, waves, memory, code. Makes the root that they live in (Linux, as root, a minute, a
+gigabyte); the tests that hold kernels to their bounds are skipped without it.
+
 environment:
+  GPU_COST_ROOT=FOLDER  that root; default ~/.cache/gpu_cost
   RELIGHT_DATA=FOLDER   test data; default ../shared/data beside the checkout
   RELIGHT_NO_GPU=1      skip the tests that need a Vulkan adapter; without it they fail
                         where there is none
@@ -33,6 +38,7 @@ fn main() -> ExitCode {
         ["results"] => results(),
         ["web"] => web::run(&root(), false),
         ["web", "--serve"] => web::run(&root(), true),
+        ["gpu-cost", ..] => gpu_cost(&arguments[1..]),
         ["--help" | "-h" | "help"] => {
             println!("{USAGE}");
             ExitCode::SUCCESS
@@ -150,6 +156,16 @@ fn results() -> ExitCode {
             eprintln!("xtask: {why}");
             ExitCode::FAILURE
         }
+    }
+}
+
+/// The program of tools/gpu_cost.
+fn gpu_cost(arguments: &[String]) -> ExitCode {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let run = "run --release --quiet --package relight-gpu-cost --bin gpu-cost --";
+    match cargo(&root, run).args(arguments).status() {
+        Ok(status) if status.success() => ExitCode::SUCCESS,
+        _ => ExitCode::FAILURE,
     }
 }
 

@@ -1,5 +1,6 @@
 //! The stages of a frame on the CPU. Same bytes on any number of threads.
 
+mod vertex_fractions;
 mod visibility_buffer;
 
 use std::cell::Cell;
@@ -9,12 +10,14 @@ use rayon::prelude::*;
 use relight_format::Scene;
 use relight_shading::occluders::Occluders;
 use relight_shading::prefiltered::Prefiltered;
-use relight_shading::shade::{self, Lighting, Reflections};
+use relight_shading::shade::{self, Lighting, Method, Reflections};
 use relight_shading::sources::Lit;
 use relight_shading::ssdf::{Basis, SignedDistance, Ssdf};
 use relight_shading::surface::{SurfacePoint, emission, surface_seen};
 use relight_shading::transfer::{Bounced, PackedTransfer};
+use relight_shading::vertex_visibility::Corners;
 
+use vertex_fractions::VertexFractions;
 pub use visibility_buffer::visibility_buffer;
 
 use crate::frame::{LocalFrame, bounds, near_plane};
@@ -142,11 +145,18 @@ pub struct Work {
     pub fetches: u64,
     /// Rays cast towards sources.
     pub rays: u64,
+    /// Directions in which SSDFs of vertices were evaluated, for lights that every vertex in sight is
+    /// new to. While light stands still, only those that come into sight take any.
+    pub vertex_samples: u64,
+    /// Texels of four basis images that were interpolated for those.
+    pub vertex_fetches: u64,
 }
 
 /// Counts what [`render`] does.
 pub fn work(scene: &Scene, frame: &Frame, width: u32, height: u32) -> Result<Work, Error> {
-    let counts = map_pixels(scene, frame, [width, height], |point, lighting, field| {
+    let stage = Stage::new(&[scene.into()], frame, [width, height])?;
+    let counts = stage.map(|seen, lighting, field| {
+        let point = &seen.point;
         let counted = Counted {
             field,
             samples: Cell::new(0),
@@ -161,7 +171,12 @@ pub fn work(scene: &Scene, frame: &Frame, width: u32, height: u32) -> Result<Wor
             sources.radiance(point, &mut rays);
         }
         [1, integrals, samples, samples * field.tiles() as u64, rays]
-    })?;
+    });
+    let fractions = stage.instances.iter().map(|staged| &staged.fractions);
+    let [vertex_samples, vertex_fetches] = (fractions.flatten())
+        .fold([0; 2], |[samples, fetches], found| {
+            [samples + found.work[0], fetches + found.work[1]]
+        });
     let sum = |index: usize| counts.iter().map(|counts| counts[index]).sum();
     Ok(Work {
         pixels: sum(0),
@@ -169,6 +184,8 @@ pub fn work(scene: &Scene, frame: &Frame, width: u32, height: u32) -> Result<Wor
         samples: sum(2),
         fetches: sum(3),
         rays: sum(4),
+        vertex_samples,
+        vertex_fetches,
     })
 }
 
@@ -215,6 +232,8 @@ struct Staged<'a> {
     local: LocalFrame,
     occluders: Occluders,
     basis: Basis,
+    /// With `polar`, what vertices see of distant lights.
+    fractions: Option<VertexFractions>,
 }
 
 impl<'a> Stage<'a> {
@@ -248,11 +267,19 @@ impl<'a> Stage<'a> {
                 },
                 local,
                 basis: Basis::new(scene),
+                fractions: None,
             })
         };
+        let mut instances: Vec<Staged> =
+            (instances.iter().zip(ids).map(stage)).collect::<Result<_, Error>>()?;
+        if let Method::Polar(options) = frame.method {
+            for staged in &mut instances {
+                staged.fractions = VertexFractions::new(staged, &visible.ids, options);
+            }
+        }
         Ok(Self {
             width,
-            instances: (instances.iter().zip(ids).map(stage)).collect::<Result<_, Error>>()?,
+            instances,
             ids: visible.ids,
             reflections: frame.reflections,
         })
@@ -283,6 +310,7 @@ impl<'a> Stage<'a> {
                 first_id,
                 local,
                 basis,
+                fractions,
                 ..
             } = &self.instances[instance];
             let triangle = (id - first_id) as usize;
@@ -298,7 +326,15 @@ impl<'a> Stage<'a> {
                 barycentrics: weights,
             };
             let field = Ssdf::interpolate(scene, basis, triangle, weights);
-            shade(&seen, &lightings[instance], &field)
+            let lighting = Lighting {
+                corners: fractions.as_ref().map(|fractions| Corners {
+                    fractions: (scene.triangles[triangle].vertices)
+                        .map(|vertex| fractions.of(vertex)),
+                    barycentrics: weights,
+                }),
+                ..lightings[instance]
+            };
+            shade(&seen, &lighting, &field)
         };
         (self.ids.par_iter())
             .enumerate()
@@ -322,6 +358,7 @@ impl<'a> Stage<'a> {
                 image,
                 rotation: local.reflection_rotation,
             }),
+            corners: None,
         }
     }
 }

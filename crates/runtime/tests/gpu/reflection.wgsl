@@ -22,7 +22,7 @@ fn reflection(@builtin(global_invocation_id) id: vec3<u32>) {
     answers[first + 2u] = vec4(point.view, 0.0);
     answers[first + 3u] = vec4(point.appearance.diffuse, 0.0);
     for (var k = 0u; k < reflection_count; k++) {
-        let reflection = reflections[k];
+        let reflection = surface_reflection(k);
         brdf_specular_lobes(point, reflection);
         let start = first + 4u + k * (4u + 2u * MAX_SPECULAR_LOBES);
         answers[start] = vec4(reflection.specular, f32(reflection.model));

@@ -46,6 +46,12 @@ struct Frame {
     perspective: f32,
     // 1: triangles that face the viewer turn clockwise in the picture.
     mirrored: u32,
+    // State of a vertex whose light fractions this frame has to find: number of the light <<
+    // VERTEX_VISIBILITY_FRAME_BITS | number of the frame under it. 0: no fractions at vertices.
+    vertex_stamp: u32,
+    reserved_0: u32,
+    reserved_1: u32,
+    reserved_2: u32,
 }
 
 // A sphere that emits.
@@ -64,7 +70,8 @@ struct Light {
     axis: vec3<f32>,
     sharpness: f32,
     amplitude: vec3<f32>,
-    reserved: f32,
+    // Spokes at vertices; 0: not integrated there.
+    vertex_spokes: f32,
 }
 
 // A direction that a source's light comes from.
@@ -176,7 +183,9 @@ struct Material {
     normal_scale: f32,
     // Layers in use.
     layer_count: u32,
-    reserved: vec2<f32>,
+    // 0: no Lambertian base anywhere.
+    has_diffuse: u32,
+    reserved: f32,
     base_color_texture: TextureSlot,
     metallic_roughness_texture: TextureSlot,
     normal_texture: TextureSlot,
@@ -198,6 +207,8 @@ struct Material {
 // Rows of colours of every group of transfer.rs, TRANSFER_STRIDE texels per group,
 // TRANSFER_TEXTURE_WIDTH per row.
 @group(0) @binding(7) var transfer_products: texture_2d<f32>;
+// Visible fractions of four lights, vertex after vertex, VERTEX_VISIBILITY_TEXTURE_WIDTH per row.
+@group(0) @binding(8) var light_fractions: texture_2d<f32>;
 
 // Sources alone: a cone, SOURCE_RIM directions and SOURCE_POINTS points of each; and by source and
 // level, two of each, what a point's light is multiplied by.
@@ -227,3 +238,9 @@ struct Material {
 @group(2) @binding(1) var radiance: texture_storage_2d<rgba32float, write>;
 // What sources add to the radiance, if frame.source_count is not 0.
 @group(2) @binding(2) var source_radiance: texture_2d<f32>;
+// Irradiance by `lights` and `local_lights`, unless by cells.
+@group(2) @binding(3) var irradiance: texture_2d<f32>;
+// Light fractions at vertices alone: the stamp of the frame that each was last wanted in, and what
+// light_fractions is.
+@group(2) @binding(4) var<storage, read_write> vertex_states: array<atomic<u32>>;
+@group(2) @binding(5) var light_fractions_found: texture_storage_2d<rgba32float, write>;

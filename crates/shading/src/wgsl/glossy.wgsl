@@ -39,7 +39,9 @@ fn glossy_reflected(
             origin = product.axis;
         }
         used += part;
-        let scaled = glossy_scaled(point, reflection, product, part, most);
+        let faint = all(part * color <= GLOSSY_FAINT * gathered);
+        let points = select(5u, 1u, faint || part < GLOSSY_MINOR_PART * whole);
+        let scaled = glossy_scaled(point, reflection, product, part, most, points);
         total += scaled;
         let weight = scaled.x + scaled.y + scaled.z;
         let short = glossy_shortening(product.sharpness);
@@ -77,13 +79,14 @@ fn glossy_times(light: SphericalGaussian, lobe: SphericalGaussian) -> SphericalG
 }
 
 // The integral of a product, `part`, as the model makes it: in all at most `most` times the
-// model's value.
+// model's value. Of five points the first `points`.
 fn glossy_scaled(
     point: SurfacePoint,
     reflection: Reflection,
     product: SphericalGaussian,
     part: f32,
     most: f32,
+    points: u32,
 ) -> vec3<f32> {
     let view = surface_to_local(point, point.view);
     let reach = min(GLOSSY_POINT_DEVIATIONS / sqrt(product.sharpness + 0.5), GLOSSY_FARTHEST_POINT);
@@ -96,7 +99,7 @@ fn glossy_scaled(
     let v = vec3(b, orientation + axis.y * axis.y * a, -axis.y);
     var sum = vec3(0.0);
     var whole = 0.0;
-    for (var i = 0u; i < 5u; i++) {
+    for (var i = 0u; i < points; i++) {
         var offset = vec3(0.0);
         var weight = GLOSSY_CENTER_WEIGHT;
         if i > 0u {

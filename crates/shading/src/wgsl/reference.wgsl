@@ -5,7 +5,7 @@
 fn reference_evaluate(appearance: Appearance, wi: vec3<f32>, wo: vec3<f32>) -> vec3<f32> {
     var sum = appearance.diffuse / PI;
     for (var k = 0u; k < reflection_count; k++) {
-        sum += reference_specular(reflections[k], wi, wo);
+        sum += reference_specular(surface_reflection(k), wi, wo);
     }
     return sum;
 }

@@ -27,40 +27,41 @@ fn shade_main(@builtin(global_invocation_id) id: vec3<u32>) {
     if frame.source_count > 0u {
         sources = textureLoad(source_radiance, pixel, 0).xyz;
     }
-    let direct = shade(point, sources);
-    let bounced = transfer_reflected(point, corners, weights);
+    let direct = shade(point, sources, Seen(pixel, corners, weights));
+    var bounced = vec3(0.0);
+    if SHADE_BOUNCED {
+        bounced = transfer_reflected(point, corners, weights);
+    }
     let emitted = surface_emission(corners, triangle.w & 0xffffu, weights);
     textureStore(radiance, pixel, vec4(direct + bounced + emitted, 1.0));
 }
 
-// `sources`: what they add to the radiance.
-fn shade(point: SurfacePoint, sources: vec3<f32>) -> vec3<f32> {
+// Where a point was seen.
+struct Seen {
+    pixel: vec2<u32>,
+    corners: vec3<u32>,
+    barycentrics: vec3<f32>,
+}
+
+// What pipelines are made without where it is not needed: a prefiltered image, bounced light.
+override SHADE_PREFILTERED: bool = true;
+override SHADE_BOUNCED: bool = true;
+
+// `gathered`: what sources add to the radiance.
+fn shade(point: SurfacePoint, gathered: vec3<f32>, seen: Seen) -> vec3<f32> {
     if dot(point.normal, point.view) <= 0.0 {
         return vec3(0.0);
     }
-    var sum = shade_lobes(point, sources);
-    if frame.prefiltered_levels > 0u {
+    var sum = shade_lobes(point, gathered, seen);
+    if SHADE_PREFILTERED && frame.prefiltered_levels > 0u {
         sum += shade_diffused(point);
         for (var k = 0u; k < reflection_count; k++) {
-            brdf_specular_lobes(point, reflections[k]);
-            sum += shade_reflected(point, reflections[k]);
+            let reflection = surface_reflection(k);
+            brdf_specular_lobes(point, reflection);
+            sum += shade_reflected(point, reflection, seen);
         }
     }
     return max(sum, vec3(0.0));
-}
-
-// Lights of specular reflection begin here: no prefiltered image stands for them.
-fn shade_first_light() -> u32 {
-    return select(0u, frame.light_count, frame.prefiltered_levels > 0u);
-}
-
-// Distant lights, then local ones as they reach the point.
-fn shade_light(index: u32, position: vec3<f32>) -> SphericalGaussian {
-    if index >= frame.light_count {
-        return local_light_lobe(local_lights[index - frame.light_count], position);
-    }
-    let light = lights[index];
-    return SphericalGaussian(light.axis, light.sharpness, light.amplitude);
 }
 
 // What a Lambertian surface reflects of the image beyond the lights.
@@ -87,7 +88,7 @@ fn shade_diffused(point: SurfacePoint) -> vec3<f32> {
 
 // What a specular reflection shows of the environment, in the places where the lights are
 // visible.
-fn shade_reflected(point: SurfacePoint, reflection: Reflection) -> vec3<f32> {
+fn shade_reflected(point: SurfacePoint, reflection: Reflection, seen: Seen) -> vec3<f32> {
     var image = vec3(0.0);
     for (var j = 0u; j < specular_count; j++) {
         let lobe = specular_lobes[j];
@@ -95,16 +96,19 @@ fn shade_reflected(point: SurfacePoint, reflection: Reflection) -> vec3<f32> {
         image += part * prefiltered_radiance(frame.environment_rotation * lobe.axis, lobe.sharpness);
     }
     var scaled = vec3(0.0);
-    var seen = vec3(0.0);
+    var visible = vec3(0.0);
+    let holds = vertex_visibility_holds(point.vertex_cosine);
+    var fractions: LightFractions;
     for (var i = 0u; i < frame.light_count; i++) {
-        let light = SphericalGaussian(lights[i].axis, lights[i].sharpness, lights[i].amplitude);
+        fractions = vertex_visibility_step(fractions, i, holds, seen.corners, seen.barycentrics);
+        let light = shade_light(i, point.position);
         let lobe = glossy_reflected(point, reflection, light, scaled);
         let cosine = dot(point.normal, lobe.axis);
         let whole = lobe.amplitude * tables_cosine_integral(lobe.sharpness, cosine);
         if !shade_negligible(whole, scaled) {
             let share = shade_share(whole, scaled);
             scaled += whole;
-            seen += lobe.amplitude * shade_visible(lobe, share, point.normal);
+            visible += lobe.amplitude * shade_about(fractions, light, lobe, share, point.normal);
         }
     }
     // Lobes that are not quite the model may miss more than there is.
@@ -120,16 +124,20 @@ fn shade_reflected(point: SurfacePoint, reflection: Reflection) -> vec3<f32> {
     let whole = tables_cosine_integral(everywhere.sharpness, cosine);
     let part = shade_visible(everywhere, SHADE_EVEN, point.normal) / max(whole, 1.17549435e-38);
     let even = SHADE_EVEN * max(unshadowed, scaled);
-    return unshadowed * (seen + even * part) / max(scaled + even, vec3(1.17549435e-38));
+    return unshadowed * (visible + even * part) / max(scaled + even, vec3(1.17549435e-38));
 }
 
-// What a lobe of the integral `whole` can add, in what has been gathered before, in the channel
-// where that is most.
-fn shade_share(whole: vec3<f32>, gathered: vec3<f32>) -> f32 {
-    let shares = whole / max(gathered, vec3(SHADE_DARK));
-    return max(max(shares.x, shares.y), shares.z);
-}
-
-fn shade_negligible(whole: vec3<f32>, gathered: vec3<f32>) -> bool {
-    return all(whole <= SHADE_NEGLIGIBLE * gathered);
+// What is visible of a lobe that is about a light.
+fn shade_about(
+    fractions: LightFractions,
+    light: SphericalGaussian,
+    lobe: SphericalGaussian,
+    share: f32,
+    normal: vec3<f32>,
+) -> f32 {
+    let fraction = vertex_visibility_whole(fractions, light, lobe);
+    if fraction >= 0.0 {
+        return fraction * tables_cosine_integral(lobe.sharpness, dot(normal, lobe.axis));
+    }
+    return shade_visible(lobe, share, normal);
 }

@@ -1,6 +1,6 @@
 // Twin of shade.rs: `cells`, for many lobes at a time.
 
-fn shade_lobes(point: SurfacePoint, gathered: vec3<f32>) -> vec3<f32> {
+fn shade_lobes(point: SurfacePoint, gathered: vec3<f32>, seen: Seen) -> vec3<f32> {
     var sum = gathered;
     let all = frame.light_count + frame.local_light_count;
     cells_point = point;
@@ -18,7 +18,7 @@ fn shade_lobes(point: SurfacePoint, gathered: vec3<f32>) -> vec3<f32> {
     }
     cells_first_light = shade_first_light();
     for (var k = 0u; k < reflection_count; k++) {
-        cells_reflection = reflections[k];
+        cells_reflection = surface_reflection(k);
         brdf_specular_lobes(point, cells_reflection);
         cells_kind = CELLS_PRODUCTS;
         let around = cells_around();

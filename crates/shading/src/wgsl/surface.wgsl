@@ -12,18 +12,37 @@ struct Reflection {
     ratio: u32,
 }
 
-// The Lambertian base at one point. Its reflections are in private variables.
+// The Lambertian base at one point. Its reflections are those of surface_reflection.
 struct Appearance {
     diffuse: vec3<f32>,
 }
 
-// The reflections of the invocation's surface point, as surface_point leaves them.
+// What surface_reflection knows of the invocation's surface point, as surface_point leaves it. No
+// array: what is indexed lives in memory.
 var<private> reflection_count: u32;
-var<private> reflections: array<Reflection, MAX_REFLECTIONS>;
+var<private> reflection_first: Reflection;
+var<private> reflection_material: u32;
+var<private> reflection_uv: vec2<f32>;
+var<private> reflection_view_cosine: f32;
+
+// A point's place and frame, before its material.
+struct SurfaceShape {
+    position: vec3<f32>,
+    geometric_normal: vec3<f32>,
+    normal: vec3<f32>,
+    // Between the normal and the one that the vertices interpolate to.
+    vertex_cosine: f32,
+    tangent: vec3<f32>,
+    view: vec3<f32>,
+    uv: vec2<f32>,
+    handedness: f32,
+}
 
 struct SurfacePoint {
     position: vec3<f32>,
     geometric_normal: vec3<f32>,
+    // Between the normal and the one that the vertices interpolate to.
+    vertex_cosine: f32,
     // Shading frame: bitangent = cross(normal, tangent).
     normal: vec3<f32>,
     tangent: vec3<f32>,
@@ -44,7 +63,7 @@ fn surface_to_world(point: SurfacePoint, local: vec3<f32>) -> vec3<f32> {
     return point.tangent * local.x + point.bitangent * local.y + point.normal * local.z;
 }
 
-fn surface_point(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32>) -> SurfacePoint {
+fn surface_shape(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32>) -> SurfaceShape {
     let a = vertices[corners.x];
     let b = vertices[corners.y];
     let c = vertices[corners.z];
@@ -57,7 +76,8 @@ fn surface_point(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32
         vec3(0.0, 1.0, 0.0),
     );
 
-    var normal = surface_unit_or(vertex_normal, geometric_normal);
+    let smooth_normal = surface_unit_or(vertex_normal, geometric_normal);
+    var normal = smooth_normal;
     var tangent = surface_orthogonal_unit(vertex_tangent.xyz, normal);
     let handedness = select(1.0, -1.0, vertex_tangent.w < 0.0);
     let normal_texture = materials[material_index].normal_texture;
@@ -81,6 +101,29 @@ fn surface_point(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32
         normal = surface_unit_or(SURFACE_LEAST_VIEW_COSINE * view + sine * aside, view);
         tangent = surface_orthogonal_unit(tangent, normal);
     }
+    return SurfaceShape(
+        position,
+        geometric_normal,
+        normal,
+        dot(smooth_normal, normal),
+        tangent,
+        view,
+        uv,
+        handedness,
+    );
+}
+
+fn surface_point(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32>) -> SurfacePoint {
+    let shape = surface_shape(corners, material_index, barycentrics);
+    let normal = shape.normal;
+    var tangent = shape.tangent;
+    let view = shape.view;
+    let uv = shape.uv;
+    let handedness = shape.handedness;
+    reflection_material = material_index;
+    reflection_uv = uv;
+    reflection_view_cosine = dot(normal, view);
+    var anisotropic = false;
     // Direction of anisotropy relative to the tangent, and its strength.
     var direction = vec2(1.0, 0.0);
     var strength = 1.0;
@@ -122,25 +165,35 @@ fn surface_point(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32
         appearance.diffuse = color * (1.0 - metallic);
         let specular = mix(vec3(SURFACE_DIELECTRIC_F0), color, metallic);
         let alphas = vec2(alpha + (1.0 - alpha) * strength * strength, alpha);
-        reflections[0] = surface_clamped(Reflection(specular, MODEL_GGX, vec3(1.0), alphas, 0u));
+        reflection_first = surface_clamped(Reflection(specular, MODEL_GGX, vec3(1.0), alphas, 0u));
         reflection_count = 1u;
     } else {
         if materials[material_index].surface == SURFACE_LAYERS && anisotropy_texture.width != 0u {
             let bitangent = cross(normal, tangent) * handedness;
             tangent = surface_unit_or(tangent * direction.x + bitangent * direction.y, tangent);
         }
-        appearance.diffuse = surface_layers(material_index, uv, dot(normal, view));
-    }
-
-    var anisotropic = false;
-    for (var i = 0u; i < reflection_count; i++) {
-        let alpha = reflections[i].alpha;
-        anisotropic = anisotropic || (reflections[i].model != MODEL_NONE && alpha.x != alpha.y);
+        reflection_count = materials[material_index].layer_count;
+        for (var i = 0u; i < reflection_count; i++) {
+            let weight = surface_layer_weight(i);
+            let reflection = surface_layer_reflection(i);
+            let below = surface_layer_below(i, weight, reflection);
+            appearance.diffuse = appearance.diffuse * below + surface_layer_diffuse(i) * weight;
+            if i == 0u {
+                reflection_first = surface_weighted(reflection, weight);
+            } else {
+                reflection_first = surface_below(reflection_first, below);
+            }
+            let alpha = surface_clamped(reflection).alpha;
+            anisotropic = anisotropic || (reflection.model != MODEL_NONE && alpha.x != alpha.y);
+        }
     }
     if anisotropic && materials[material_index].surface == SURFACE_LAYERED {
         // glTF says that the frame is interpolated from the vertices; that of other materials is
         // the triangle's own: x along the derivative of position by u, up to its length. Zero
         // without texture coordinates.
+        let a = vertices[corners.x];
+        let b = vertices[corners.y];
+        let c = vertices[corners.z];
         let to_b = vec2(b.u - a.u, b.v - a.v);
         let to_c = vec2(c.u - a.u, c.v - a.v);
         let turn = select(-1.0, 1.0, to_b.x * to_c.y - to_b.y * to_c.x >= 0.0);
@@ -154,8 +207,9 @@ fn surface_point(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32
     }
 
     var point: SurfacePoint;
-    point.position = position;
-    point.geometric_normal = geometric_normal;
+    point.position = shape.position;
+    point.geometric_normal = shape.geometric_normal;
+    point.vertex_cosine = shape.vertex_cosine;
     point.normal = normal;
     point.tangent = tangent;
     point.bitangent = cross(normal, tangent);
@@ -178,70 +232,98 @@ fn surface_emission(corners: vec3<u32>, material_index: u32, barycentrics: vec3<
     return emission * surface_sample(slot, uv).xyz;
 }
 
-// Fills the reflections; returns the diffuse albedo.
-fn surface_layers(material_index: u32, uv: vec2<f32>, view_cosine: f32) -> vec3<f32> {
-    var albedo = vec3(0.0);
-    reflection_count = materials[material_index].layer_count;
-    for (var i = 0u; i < reflection_count; i++) {
-        var weight = materials[material_index].layers[i].weight;
-        let weight_texture = materials[material_index].layers[i].weight_texture;
-        if weight_texture.width != 0u {
-            weight *= surface_sample(weight_texture, uv).x;
-        }
-        var diffuse = materials[material_index].layers[i].diffuse;
-        let diffuse_texture = materials[material_index].layers[i].diffuse_texture;
-        if diffuse_texture.width != 0u {
-            diffuse *= surface_sample(diffuse_texture, uv).xyz;
-        }
-        var reflection = Reflection(
-            materials[material_index].layers[i].specular,
-            materials[material_index].layers[i].model,
-            materials[material_index].layers[i].grazing,
-            materials[material_index].layers[i].alpha,
-            materials[material_index].layers[i].ratio,
-        );
-        let specular_texture = materials[material_index].layers[i].specular_texture;
-        if specular_texture.width != 0u {
-            reflection.specular *= surface_sample(specular_texture, uv).xyz;
-        }
-        let roughness_texture = materials[material_index].layers[i].roughness_texture;
-        if roughness_texture.width != 0u {
-            let roughness = surface_sample(roughness_texture, uv).xy;
-            switch reflection.model {
-                case MODEL_BLINN_PHONG: {
-                    // A quotient by zero need not be infinite here.
-                    reflection.alpha /= max(roughness.x * roughness.x, 1e-12);
-                }
-                case MODEL_COOK_TORRANCE: {
-                    reflection.alpha *= roughness.x;
-                }
-                default: {
-                    reflection.alpha *= roughness;
-                }
-            }
-        }
-        var below = vec3(1.0);
-        switch materials[material_index].layers[i].join {
-            case JOIN_OVER: {
-                below = vec3(1.0 - weight);
-            }
-            case JOIN_COAT: {
-                // Colours above 1 pass nothing.
-                let reflected = weight * surface_reflection_color(reflection, view_cosine);
-                below = max(1.0 - reflected, vec3(0.0));
-            }
-            default: {}
-        }
-        albedo = albedo * below + diffuse * weight;
-        for (var j = 0u; j < i; j++) {
-            reflections[j].specular *= below;
-            reflections[j].grazing *= below;
-        }
-        reflection.specular *= weight;
-        reflection.grazing *= weight;
-        reflections[i] = surface_clamped(reflection);
+// Reflection `k` of the invocation's surface point, as the layers above leave it.
+fn surface_reflection(k: u32) -> Reflection {
+    if k == 0u {
+        return reflection_first;
     }
-    return albedo;
+    var reflection = surface_weighted(surface_layer_reflection(k), surface_layer_weight(k));
+    for (var i = k + 1u; i < reflection_count; i++) {
+        let below = surface_layer_below(i, surface_layer_weight(i), surface_layer_reflection(i));
+        reflection = surface_below(reflection, below);
+    }
+    return reflection;
+}
+
+fn surface_layer_weight(i: u32) -> f32 {
+    let weight = materials[reflection_material].layers[i].weight;
+    let texture = materials[reflection_material].layers[i].weight_texture;
+    if texture.width == 0u {
+        return weight;
+    }
+    return weight * surface_sample(texture, reflection_uv).x;
+}
+
+fn surface_layer_diffuse(i: u32) -> vec3<f32> {
+    let diffuse = materials[reflection_material].layers[i].diffuse;
+    let texture = materials[reflection_material].layers[i].diffuse_texture;
+    if texture.width == 0u {
+        return diffuse;
+    }
+    return diffuse * surface_sample(texture, reflection_uv).xyz;
+}
+
+// A layer's reflection by itself, its parameters not yet clamped.
+fn surface_layer_reflection(i: u32) -> Reflection {
+    var reflection = Reflection(
+        materials[reflection_material].layers[i].specular,
+        materials[reflection_material].layers[i].model,
+        materials[reflection_material].layers[i].grazing,
+        materials[reflection_material].layers[i].alpha,
+        materials[reflection_material].layers[i].ratio,
+    );
+    let specular_texture = materials[reflection_material].layers[i].specular_texture;
+    if specular_texture.width != 0u {
+        reflection.specular *= surface_sample(specular_texture, reflection_uv).xyz;
+    }
+    let roughness_texture = materials[reflection_material].layers[i].roughness_texture;
+    if roughness_texture.width != 0u {
+        let roughness = surface_sample(roughness_texture, reflection_uv).xy;
+        switch reflection.model {
+            case MODEL_BLINN_PHONG: {
+                // A quotient by zero need not be infinite here.
+                reflection.alpha /= max(roughness.x * roughness.x, 1e-12);
+            }
+            case MODEL_COOK_TORRANCE: {
+                reflection.alpha *= roughness.x;
+            }
+            default: {
+                reflection.alpha *= roughness;
+            }
+        }
+    }
+    return reflection;
+}
+
+// What a layer leaves of those below it.
+fn surface_layer_below(i: u32, weight: f32, reflection: Reflection) -> vec3<f32> {
+    switch materials[reflection_material].layers[i].join {
+        case JOIN_OVER: {
+            return vec3(1.0 - weight);
+        }
+        case JOIN_COAT: {
+            // Colours above 1 pass nothing.
+            let reflected = weight * surface_reflection_color(reflection, reflection_view_cosine);
+            return max(1.0 - reflected, vec3(0.0));
+        }
+        default: {
+            return vec3(1.0);
+        }
+    }
+}
+
+fn surface_weighted(reflection: Reflection, weight: f32) -> Reflection {
+    return surface_clamped(surface_below(reflection, vec3(weight)));
+}
+
+fn surface_below(reflection: Reflection, part: vec3<f32>) -> Reflection {
+    return Reflection(
+        reflection.specular * part,
+        reflection.model,
+        reflection.grazing * part,
+        reflection.alpha,
+        reflection.ratio,
+    );
 }
 
 fn surface_has_fresnel(model: u32) -> bool {

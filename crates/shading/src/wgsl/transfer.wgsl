@@ -61,7 +61,7 @@ fn transfer_reflected(point: SurfacePoint, corners: vec3<u32>, barycentrics: vec
     let outputs = transfer_load(ssdf_cluster.bounced - 1u, corners, barycentrics);
     var sum = point.appearance.diffuse / PI * transfer_irradiance(point.normal);
     for (var k = 0u; k < reflection_count; k++) {
-        brdf_specular_lobes(point, reflections[k]);
+        brdf_specular_lobes(point, surface_reflection(k));
         for (var j = 0u; j < specular_count; j++) {
             let lobe = specular_lobes[j];
             let whole = tables_cosine_integral(lobe.sharpness, dot(point.normal, lobe.axis));

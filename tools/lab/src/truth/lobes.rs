@@ -60,7 +60,7 @@ pub fn of_frame(
             occluders: &occluders,
             ray_offset: 0.0,
         }),
-        reflections: None,
+        ..Lighting::default()
     };
     let size = [width, height];
     render(&geometry, &lighting, visibility, size, options, row_done)

@@ -1,0 +1,77 @@
+// The kernels that find light fractions at the vertices that a frame sees, once per light.
+
+// Marks the corners of the triangle under a pixel.
+@compute @workgroup_size(8, 8)
+fn vertices_mark(@builtin(global_invocation_id) id: vec3<u32>) {
+    let pixel = id.xy + vec2(frame.first_column, frame.first_row);
+    if any(pixel >= textureDimensions(visibility_buffer)) {
+        return;
+    }
+    let seen = textureLoad(visibility_buffer, pixel, 0).xy;
+    // Background, and what belongs to others, wraps to more than there is.
+    let number = seen.x - frame.first_id;
+    if number >= frame.triangle_count {
+        return;
+    }
+    let corners = triangles[number].xyz;
+    vertices_want(corners.x);
+    vertices_want(corners.y);
+    vertices_want(corners.z);
+}
+
+fn vertices_want(vertex: u32) {
+    let state = atomicLoad(&vertex_states[vertex]);
+    let stamp = frame.vertex_stamp;
+    if (state >> VERTEX_VISIBILITY_FRAME_BITS) != (stamp >> VERTEX_VISIBILITY_FRAME_BITS) {
+        atomicStore(&vertex_states[vertex], stamp);
+    }
+}
+
+// Twin of light_fraction in vertex_visibility.rs: four lights at one vertex.
+@compute @workgroup_size(64)
+fn vertices_main(@builtin(global_invocation_id) id: vec3<u32>) {
+    let vertex = id.x;
+    if vertex >= arrayLength(&vertex_states) {
+        return;
+    }
+    if atomicLoad(&vertex_states[vertex]) != frame.vertex_stamp {
+        return;
+    }
+    let cluster = clusters[vertices_cluster(vertex)];
+    ssdf_load(cluster, vec3(vertex), vec3(1.0, 0.0, 0.0));
+    let normal = surface_unit_or(vertices[vertex].normal, vec3(0.0, 1.0, 0.0));
+    var found = vec4(0.0);
+    for (var i = 0u; i < 4u; i++) {
+        found = vec4(found.yzw, vertices_fraction(4u * id.y + i, normal));
+    }
+    textureStore(light_fractions_found, vertex_visibility_place(vertex, id.y), found);
+}
+
+fn vertices_fraction(index: u32, normal: vec3<f32>) -> f32 {
+    if index >= frame.light_count {
+        return VERTEX_VISIBILITY_UNKNOWN;
+    }
+    let light = lights[index];
+    let spokes = u32(light.vertex_spokes);
+    if spokes == 0u {
+        return VERTEX_VISIBILITY_UNKNOWN;
+    }
+    let visible = polar_integrate(light.sharpness, light.axis, normal, spokes);
+    let unoccluded = tables_cosine_integral(light.sharpness, dot(normal, light.axis));
+    return clamp(visible / max(unoccluded, 1.17549435e-38), 0.0, 1.0);
+}
+
+// The last cluster that begins at or before a vertex.
+fn vertices_cluster(vertex: u32) -> u32 {
+    var low = 0u;
+    var high = arrayLength(&clusters);
+    while high - low > 1u {
+        let middle = (low + high) / 2u;
+        if clusters[middle].first_vertex <= vertex {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    return low;
+}

@@ -131,7 +131,7 @@ impl Resources {
         let mut local_lights = local.local_lights.clone();
         local_lights.resize(gpu::MAX_LOCAL_LIGHTS as usize, bytemuck::Zeroable::zeroed());
         let (uniform, storage) = (wgpu::BufferUsages::UNIFORM, wgpu::BufferUsages::STORAGE);
-        let lights = bytemuck::cast_slice(&lights);
+        let lights = bytemuck::cast_slice(lights);
         let local_lights = bytemuck::cast_slice(&local_lights);
         let new = [
             (self.uniforms).fill(renderer, "relight frame", &uniforms, uniform)?,

@@ -11,7 +11,7 @@ use relight_shading::wgsl::{KERNELS, Kernel};
 const BOUNDS: &[(&str, [[u64; 2]; 2])] = &[
     ("vertices mark", [[24, 0], [32, 0]]),
     ("vertices", [[96, 0], [128, 0]]),
-    ("diffuse", [[144, 0], [168, 0]]),
+    ("diffuse", [[120, 0], [152, 0]]),
     ("shade", [[240, 0], [255, 256]]),
     ("shade, bounced light", [[252, 0], [255, 512]]),
     ("shade, prefiltered", [[252, 0], [255, 768]]),

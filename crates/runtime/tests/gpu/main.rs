@@ -78,6 +78,10 @@ fn main() -> ExitCode {
         ),
         with_gpu("frame_matches_twin", frame_matches_twin),
         with_gpu(
+            "light_at_vertices_is_kept_and_renewed",
+            light_at_vertices_is_kept_and_renewed,
+        ),
+        with_gpu(
             "local_lights_and_reflections_match_twins",
             local_lights_and_reflections_match_twins,
         ),
@@ -314,6 +318,39 @@ fn frame_matches_twin(gpu: &mut Gpu) -> Outcome {
             error <= FRAME_RELATIVE_RMSE,
             "{method:?}: relative RMSE {error}"
         );
+    }
+    Ok(())
+}
+
+/// What vertices see of a light serves while it stands still, also those that come into sight later,
+/// and is found anew when it turns, or turns back.
+fn light_at_vertices_is_kept_and_renewed(gpu: &mut Gpu) -> Outcome {
+    let size = [96, 72];
+    let lights = lights();
+    let scene = scenes::sphere_over_plane();
+    let uploaded = gpu.upload(&scene)?;
+    let close = Camera {
+        field_of_view: FieldOfView::Y(0.2),
+        ..scenes::camera()
+    };
+    let frames = [
+        (close, 0.4),
+        (scenes::camera(), 0.4),
+        (scenes::camera(), 1.3),
+        (close, 1.3),
+        (close, 0.4),
+    ];
+    for (index, (camera, turn)) in frames.into_iter().enumerate() {
+        let frame = Frame {
+            camera: camera.into(),
+            rotation: Quat::from_rotation_y(turn),
+            ..frame(&lights, POLAR)
+        };
+        let found = gpu.render(&uploaded, &frame, size[0], size[1])?.linear;
+        let expected = twin::render(&scene, &frame, size[0], size[1])?;
+        let error = relative_rmse(&found, &expected);
+        println!("frame {index}: relative RMSE {error:e}");
+        assert!(error <= FRAME_RELATIVE_RMSE, "frame {index}: {error}");
     }
     Ok(())
 }

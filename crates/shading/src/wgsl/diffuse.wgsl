@@ -34,10 +34,9 @@ fn diffuse_main(@builtin(global_invocation_id) id: vec3<u32>) {
 
 fn diffuse_irradiance(shape: SurfaceShape, corners: vec3<u32>, weights: vec3<f32>) -> vec3<f32> {
     let holds = vertex_visibility_holds(shape.vertex_cosine);
-    var fractions: LightFractions;
     var sum = vec3(0.0);
     for (var i = 0u; i < frame.light_count + frame.local_light_count; i++) {
-        fractions = vertex_visibility_step(fractions, i, holds, corners, weights);
+        let fractions = vertex_visibility_of(i, holds, corners, weights);
         let light = shade_light(i, shape.position);
         let whole = spherical_gaussian_integral(light);
         if shade_negligible(whole, sum) {
@@ -48,7 +47,7 @@ fn diffuse_irradiance(shape: SurfaceShape, corners: vec3<u32>, weights: vec3<f32
         var visible = 0.0;
         if doubt < 1.0 {
             let cosine = dot(shape.normal, light.axis);
-            visible = fractions.mean.x * tables_cosine_integral(light.sharpness, cosine);
+            visible = fractions.mean * tables_cosine_integral(light.sharpness, cosine);
         }
         if doubt > 0.0 {
             visible = mix(visible, shade_visible(light, share, shape.normal), doubt);

@@ -98,9 +98,8 @@ fn shade_reflected(point: SurfacePoint, reflection: Reflection, seen: Seen) -> v
     var scaled = vec3(0.0);
     var visible = vec3(0.0);
     let holds = vertex_visibility_holds(point.vertex_cosine);
-    var fractions: LightFractions;
     for (var i = 0u; i < frame.light_count; i++) {
-        fractions = vertex_visibility_step(fractions, i, holds, seen.corners, seen.barycentrics);
+        let fractions = vertex_visibility_of(i, holds, seen.corners, seen.barycentrics);
         let light = shade_light(i, point.position);
         let lobe = glossy_reflected(point, reflection, light, scaled);
         let cosine = dot(point.normal, lobe.axis);

@@ -11,9 +11,8 @@ fn shade_lobes(point: SurfacePoint, gathered: vec3<f32>, seen: Seen) -> vec3<f32
         for (var k = 0u; k < reflection_count; k++) {
             let reflection = surface_reflection(k);
             brdf_specular_lobes(point, reflection);
-            var fractions: LightFractions;
-            for (var i = begin; i < all; i++) {
-                fractions = vertex_visibility_step(fractions, i, holds, seen.corners, seen.barycentrics);
+                    for (var i = begin; i < all; i++) {
+                let fractions = vertex_visibility_of(i, holds, seen.corners, seen.barycentrics);
                 let light = shade_light(i, point.position);
                 let lobe = glossy_reflected(point, reflection, light, sum);
                 let whole = spherical_gaussian_integral(lobe);

@@ -1,10 +1,10 @@
 // Twin of vertex_visibility.rs.
 
-// Fractions of four lights where the point is, and by how much the triangle's corners differ.
+// Fractions of one light: where the point is, and the least and the most at the triangle's corners.
 struct LightFractions {
-    mean: vec4<f32>,
-    low: vec4<f32>,
-    high: vec4<f32>,
+    mean: f32,
+    low: f32,
+    high: f32,
 }
 
 fn vertex_visibility_place(vertex: u32, quad: u32) -> vec2<u32> {
@@ -15,60 +15,55 @@ fn vertex_visibility_place(vertex: u32, quad: u32) -> vec2<u32> {
     );
 }
 
-// Of lights 4 quad to 4 quad + 3.
-fn vertex_visibility_load(corners: vec3<u32>, barycentrics: vec3<f32>, quad: u32) -> LightFractions {
-    let a = textureLoad(light_fractions, vertex_visibility_place(corners.x, quad), 0);
-    let b = textureLoad(light_fractions, vertex_visibility_place(corners.y, quad), 0);
-    let c = textureLoad(light_fractions, vertex_visibility_place(corners.z, quad), 0);
-    return LightFractions(
-        barycentrics.x * a + barycentrics.y * b + barycentrics.z * c,
-        min(min(a, b), c),
-        max(max(a, b), c),
-    );
-}
-
 // Whether the corners say anything of a point whose normal is at an angle of this cosine with theirs.
 fn vertex_visibility_holds(vertex_cosine: f32) -> bool {
     return frame.vertex_stamp != 0u && vertex_cosine >= VERTEX_VISIBILITY_LEAST_COSINE;
 }
 
-// The fractions of light `i`, after those of the light before it.
-fn vertex_visibility_step(
-    before: LightFractions,
+// Those of light `i`, if they hold.
+fn vertex_visibility_of(
     i: u32,
     holds: bool,
     corners: vec3<u32>,
     barycentrics: vec3<f32>,
 ) -> LightFractions {
     if !holds || i >= frame.light_count {
-        return LightFractions(vec4(0.0), vec4(VERTEX_VISIBILITY_UNKNOWN), vec4(1.0));
+        return LightFractions(0.0, VERTEX_VISIBILITY_UNKNOWN, 1.0);
     }
-    if (i & 3u) == 0u {
-        return vertex_visibility_load(corners, barycentrics, i / 4u);
-    }
-    return LightFractions(before.mean.yzwx, before.low.yzwx, before.high.yzwx);
+    // Fetched again for every light: to keep those of four takes more registers than there are.
+    let lane = vec4<f32>(vec4(i & 3u) == vec4(0u, 1u, 2u, 3u));
+    let fractions = vec3(
+        dot(lane, textureLoad(light_fractions, vertex_visibility_place(corners.x, i / 4u), 0)),
+        dot(lane, textureLoad(light_fractions, vertex_visibility_place(corners.y, i / 4u), 0)),
+        dot(lane, textureLoad(light_fractions, vertex_visibility_place(corners.z, i / 4u), 0)),
+    );
+    return LightFractions(
+        dot(barycentrics, fractions),
+        min(min(fractions.x, fractions.y), fractions.z),
+        max(max(fractions.x, fractions.y), fractions.z),
+    );
 }
 
-// Part of the first light's visibility that the point has to find for itself.
+// Part of a light's visibility that the point has to find for itself.
 fn vertex_visibility_doubt(fractions: LightFractions, share: f32) -> f32 {
-    if fractions.low.x < 0.0 {
+    if fractions.low < 0.0 {
         return 1.0;
     }
     let leeway = clamp(VERTEX_VISIBILITY_SMALL_SHARE / share, 1.0, VERTEX_VISIBILITY_MOST_LEEWAY);
     let limit = VERTEX_VISIBILITY_AGREEMENT * leeway;
-    let above = (fractions.high.x - fractions.low.x) / limit - VERTEX_VISIBILITY_FIRM;
+    let above = (fractions.high - fractions.low) / limit - VERTEX_VISIBILITY_FIRM;
     return clamp(above / (1.0 - VERTEX_VISIBILITY_FIRM), 0.0, 1.0);
 }
 
-// Visible fraction of a lobe that is about the first light: 1 or 0 where all that there is of the
+// Visible fraction of a lobe that is about a light: 1 or 0 where all that there is of the
 // light at all corners is seen or hidden and the lobe lies within; else unknown.
 fn vertex_visibility_whole(
     fractions: LightFractions,
     light: SphericalGaussian,
     lobe: SphericalGaussian,
 ) -> f32 {
-    let visible = fractions.low.x >= 1.0 - VERTEX_VISIBILITY_SURE;
-    let hidden = fractions.low.x >= 0.0 && fractions.high.x <= VERTEX_VISIBILITY_SURE;
+    let visible = fractions.low >= 1.0 - VERTEX_VISIBILITY_SURE;
+    let hidden = fractions.low >= 0.0 && fractions.high <= VERTEX_VISIBILITY_SURE;
     if !visible && !hidden {
         return VERTEX_VISIBILITY_UNKNOWN;
     }

@@ -35,7 +35,7 @@ const LEAST_PART: f32 = 0.01;
 const MINOR_PART: f32 = 0.05;
 /// So are those that would add less than this to what has been gathered before, were the lobes the
 /// model.
-const FAINT: f32 = 0.005;
+const FAINT: f32 = 0.002;
 /// The model's value may exceed that of the lobes by this factor where a light is too faint to be
 /// looked at.
 const TAIL: f32 = 30.0;

@@ -2,7 +2,7 @@
 
 use std::io::ErrorKind;
 use std::net::TcpListener;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -21,6 +21,7 @@ pub fn trials() -> Vec<Trial> {
     vec![
         with_browser("browser::its_compiler_takes_every_shader", shaders),
         with_page("browser::the_page_draws_what_the_twin_draws", picture),
+        with_page("browser::the_page_answers_hands_and_bad_files", hands),
     ]
 }
 
@@ -157,21 +158,10 @@ try {
 
 /// The page's module draws what the twin draws.
 fn picture(browser: &str) -> Outcome {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
-    let folder = tempfile::tempdir()?;
-    std::fs::write(folder.path().join("index.html"), PICTURE)?;
+    let built = built_page();
+    let folder = folder_with(PICTURE)?;
     let (scene, environment) = crate::viewer::prepared_assets();
-    let files = [
-        ("scene.relight", relight_format::write_scene(&scene)?),
-        (
-            "light.relight",
-            relight_format::write_environment(&environment)?,
-        ),
-    ];
-    for (name, bytes) in files {
-        std::fs::write(folder.path().join(name), bytes)?;
-    }
-    let told = visit(browser, &[folder.path(), &root.join("out/web")])?;
+    let told = visit(browser, &[folder.path(), &built])?;
     let [width, height] = [96, 72];
     assert!(
         told.len() == 16 * width as usize * height as usize,
@@ -205,5 +195,84 @@ fn picture(browser: &str) -> Outcome {
         "{most}; {:?}",
         &differences[differences.len() - 80..]
     );
+    Ok(())
+}
+
+fn built_page() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../out/web")
+}
+
+/// A page, and a scene and its light beside it.
+fn folder_with(page: &str) -> Result<tempfile::TempDir, libtest_mimic::Failed> {
+    let folder = tempfile::tempdir()?;
+    std::fs::write(folder.path().join("index.html"), page)?;
+    let (scene, environment) = crate::viewer::prepared_assets();
+    let files = [
+        ("scene.relight", relight_format::write_scene(&scene)?),
+        (
+            "light.relight",
+            relight_format::write_environment(&environment)?,
+        ),
+    ];
+    for (name, bytes) in files {
+        std::fs::write(folder.path().join(name), bytes)?;
+    }
+    Ok(folder)
+}
+
+/// The embedded page itself, in a frame: waits for its picture, drags, drops a broken file and one
+/// that is no asset, and tells what it answered.
+const HANDS: &str = r#"<!doctype html><meta charset="utf-8">
+<iframe src="embed.html?scene=scene.relight&environment=light.relight&scale=0.2"
+  style="width:400px;height:300px;border:0"></iframe>
+<script type="module">
+const told = (body) => fetch("told", { method: "POST", body });
+const frame = document.querySelector("iframe");
+const inside = () => frame.contentDocument;
+const notice = () => inside()?.getElementById("notice")?.textContent ?? "";
+const until = async (what, holds) => {
+  const start = performance.now();
+  while (!holds()) {
+    if (performance.now() - start > 100000) throw new Error(`${what}: "${notice()}"`);
+    await new Promise((resolve) => setTimeout(resolve, 50));
+  }
+};
+const answers = () => frame.contentWindow.relight?.answers ?? [];
+const width = () => inside().querySelector("canvas").width;
+try {
+  await until("the best picture", () => answers().length > 0 && width() >= 80);
+  const before = answers().length;
+  const canvas = inside().querySelector("canvas");
+  // Synthetic pointers cannot be captured.
+  canvas.setPointerCapture = () => {};
+  const { PointerEvent, File, DataTransfer, DragEvent } = frame.contentWindow;
+  const pointer = (type, clientX) => canvas.dispatchEvent(
+    new PointerEvent(type, { pointerId: 1, clientX, clientY: 100, buttons: 1, bubbles: true }));
+  pointer("pointerdown", 100);
+  pointer("pointermove", 160);
+  pointer("pointerup", 160);
+  await until("an answer to a drag", () => answers().length > before);
+  const drop = (name) => {
+    const dataTransfer = new DataTransfer();
+    dataTransfer.items.add(new File([new Uint8Array([82, 69, 76])], name));
+    frame.contentWindow.dispatchEvent(new DragEvent("drop", { dataTransfer, bubbles: true }));
+  };
+  drop("broken.relight");
+  await until("words about a broken file", () => notice().includes("broken.relight"));
+  drop("picture.hdr");
+  await until("words about an image", () => notice().includes("bake environment"));
+  await told(`answers: ${answers().map(({ time }) => Math.round(time))}`);
+} catch (error) {
+  await told(`failed: ${error.message ?? error}`);
+}
+</script>
+"#;
+
+fn hands(browser: &str) -> Outcome {
+    let folder = folder_with(HANDS)?;
+    let told = visit(browser, &[folder.path(), &built_page()])?;
+    let told = String::from_utf8_lossy(&told);
+    assert!(told.starts_with("answers: "), "{told}");
+    println!("{told} ms");
     Ok(())
 }

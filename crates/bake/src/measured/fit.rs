@@ -377,7 +377,7 @@ fn fit_pairs(pairs: &[Pair], stop: Stop) -> Fit {
     };
     let most = match stop {
         Stop::Lobes(count) => count.clamp(1, MAX_FITTED_LOBES),
-        _ => MAX_FITTED_LOBES,
+        Stop::Gain(_) => MAX_FITTED_LOBES,
     };
     let mut lobes: Vec<(f32, [Column; 2])> = Vec::new();
     let mut best = with(&lobes);

@@ -245,6 +245,9 @@ fn install(root: &Path) -> Outcome {
             "libx11-xcb1",
         ]);
     }
+    if !succeeds(Command::new("python3").args(["-c", "import numpy, zstandard"])) {
+        packages.extend(["python3-numpy", "python3-zstandard"]);
+    }
     if packages.is_empty() {
         return Outcome::Passed;
     }

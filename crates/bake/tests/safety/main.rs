@@ -9,6 +9,7 @@ mod json;
 #[path = "../../../../tests/suite/meshes.rs"]
 mod meshes;
 mod processors;
+mod python;
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
@@ -65,6 +66,7 @@ fn trials() -> Vec<Trial> {
     ];
     trials.extend(json::trials());
     trials.extend(processors::trials());
+    trials.extend(python::trials());
     #[cfg(unix)]
     trials.extend([
         Trial::test("safety::output_is_no_link", unix::output_is_no_link),

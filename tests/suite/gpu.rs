@@ -106,6 +106,7 @@ fn matches_twin(mesh: &Path) -> Outcome {
             sources: None,
             local_lights: &[],
             method,
+            antialias: false,
             exposure: 1.0,
         };
         let drawn = gpu.render(&uploaded, &frame, WIDTH, HEIGHT)?.linear;

@@ -36,7 +36,7 @@ impl Drawing {
             let resources = [
                 self.uniform.buffer().as_entire_binding(),
                 view(&images.radiance_view),
-                view(&images.visibility_view),
+                view(&images.shown_view),
                 view(&images.depth_view),
             ];
             let entries: Vec<_> = (0..)
@@ -63,8 +63,8 @@ impl Drawing {
     }
 }
 
-/// Group 0 of composite.wgsl.
-pub(crate) fn layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+/// Group 0 of composite.wgsl, for pixels of one surface or of several.
+pub(crate) fn layout(device: &wgpu::Device, surfaces: bool) -> wgpu::BindGroupLayout {
     let uniform = wgpu::BindingType::Buffer {
         ty: wgpu::BufferBindingType::Uniform,
         has_dynamic_offset: false,
@@ -73,7 +73,7 @@ pub(crate) fn layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
     let texture = |sample_type| wgpu::BindingType::Texture {
         sample_type,
         view_dimension: wgpu::TextureViewDimension::D2,
-        multisampled: false,
+        multisampled: surfaces && sample_type == wgpu::TextureSampleType::Depth,
     };
     // 32-bit floats cannot be filtered at default limits, and are not.
     let radiance = texture(wgpu::TextureSampleType::Float { filterable: false });
@@ -109,19 +109,28 @@ pub(crate) fn pipeline(
     device: &wgpu::Device,
     layout: &wgpu::BindGroupLayout,
     options: &Options,
+    surfaces: bool,
 ) -> wgpu::RenderPipeline {
+    let entry = if surfaces {
+        Entry::CompositeSurfaces
+    } else {
+        Entry::Composite
+    };
     let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
         label: Some("relight composite"),
-        source: wgpu::ShaderSource::Wgsl(source(Entry::Composite).into()),
+        source: wgpu::ShaderSource::Wgsl(source(entry).into()),
     });
     let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
         label: Some("relight composite"),
         bind_group_layouts: &[Some(layout)],
         immediate_size: 0,
     });
-    let fragment = match options.depth_stencil {
-        Some(_) => "composite_depth_fragment",
-        None => "composite_fragment",
+    let samples = surfaces && options.multisample.count == 4;
+    let fragment = match (&options.depth_stencil, samples) {
+        (Some(_), false) => "composite_depth_fragment",
+        (None, false) => "composite_fragment",
+        (Some(_), true) => "composite_sample_depth_fragment",
+        (None, true) => "composite_sample_fragment",
     };
     device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
         label: Some("relight composite"),

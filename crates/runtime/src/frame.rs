@@ -69,6 +69,11 @@ pub struct Frame<'a> {
     pub local_lights: &'a [LocalLight],
     /// How visible light is integrated.
     pub method: Method,
+    /// Whether silhouettes and edges are smooth: visibility has four samples per pixel, and every
+    /// distinct surface of a pixel is shaded once. It costs as many more pixels as show
+    /// several surfaces, and 92 bytes per pixel in place of 28. Default false: pixels are what their
+    /// centres show.
+    pub antialias: bool,
     /// Multiplies radiance on its way into targets; [`crate::View::radiance`] and pictures of the
     /// twin are not exposed.
     pub exposure: f32,
@@ -85,6 +90,7 @@ impl<'a> Frame<'a> {
             rotation: Quat::IDENTITY,
             local_lights: &[],
             method: Method::Polar(PolarOptions::STANDARD),
+            antialias: false,
             exposure: 1.0,
         }
     }
@@ -153,6 +159,7 @@ impl<'a> Frame<'a> {
                 .collect(),
             sources: self.sources.map(|sources| sources.turned(&rotation)),
             reflection_rotation: rotation.transpose(),
+            to_world: placement.to_scene().transpose(),
         })
     }
 }
@@ -166,6 +173,8 @@ pub(crate) struct LocalFrame {
     pub(crate) sources: Option<Sources>,
     /// Directions to those of the reflected image.
     pub(crate) reflection_rotation: Mat3,
+    /// Directions to those of the world.
+    pub(crate) to_world: Mat3,
 }
 
 impl LocalFrame {
@@ -233,6 +242,7 @@ mod tests {
             sources: None,
             local_lights: &[],
             method: Method::Ambient,
+            antialias: false,
             exposure: 1.0,
         };
         let [turned] = frame.rotated_lights()[..] else {

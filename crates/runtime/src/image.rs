@@ -1,7 +1,7 @@
 //! Images in memory.
 
 /// Linear radiance, row 0 first. Alpha is coverage: 1 where a surface was shaded, 0 on the
-/// background.
+/// background, between them in pixels that show both. Radiance is multiplied by it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Image {
     /// Pixels per row.

@@ -1,35 +1,88 @@
 //! The renderer that apps load, and the same stages on the CPU.
 //!
-//! An app brings its own `wgpu` device, queue, command encoder and target:
+//! Scenes are baked into `.relight` assets, environments (HDR images) into others, by
+//! `relight-bake`; `relight-format` reads both. This crate draws them with an app's own `wgpu`
+//! device: light and camera may change in every frame.
+//!
+//! # In a pass of your own
+//!
+//! A [`Renderer`] holds pipelines, a [`GpuScene`] is an asset on the GPU, a [`View`] holds the images of
+//! one camera. [`Renderer::prepare`] shades, outside of any pass; [`Renderer::composite`] draws the
+//! pixels in a pass of the app's, with its depth, samples, viewport and blending.
 //!
 //! ```no_run
 //! # fn draw(
-//! #     device: &wgpu::Device, queue: &wgpu::Queue, target: &wgpu::TextureView,
-//! #     scene: &relight_format::Scene, environment: &relight_format::Environment,
-//! # ) -> Result<(), relight_runtime::Error> {
-//! use relight_runtime::{EnvironmentLight, Frame, Options, Renderer, wgpu};
+//! #     device: &wgpu::Device, queue: &wgpu::Queue, size: [u32; 2],
+//! #     color: &wgpu::TextureView, depth: &wgpu::TextureView,
+//! #     look: glam::Mat4, projection: glam::Mat4,
+//! # ) -> Result<(), Box<dyn std::error::Error>> {
+//! use relight_format::{Limits, read_environment, read_scene};
+//! use relight_runtime::{EnvironmentLight, Frame, Options, Renderer, Viewpoint, wgpu};
 //!
-//! let mut renderer = Renderer::new(device, queue, Options::default())?;
-//! let uploaded = renderer.upload(scene)?;
-//! let light = EnvironmentLight::new(environment);
-//! let camera = scene.camera.expect("this scene brings a camera");
-//! let frame = Frame {
-//!     rotation: glam::Quat::from_rotation_y(0.5),
-//!     ..Frame::under(camera, &light)
+//! // Once: what the app's passes look like, as a pipeline of its own would be told.
+//! let options = Options {
+//!     target_format: wgpu::TextureFormat::Rgba16Float,
+//!     depth_stencil: Some(wgpu::DepthStencilState {
+//!         format: wgpu::TextureFormat::Depth32Float,
+//!         depth_write_enabled: Some(true),
+//!         depth_compare: Some(wgpu::CompareFunction::Greater), // Less where depth is not reversed
+//!         stencil: Default::default(),
+//!         bias: Default::default(),
+//!     }),
+//!     ..Options::default()
 //! };
+//! let renderer = Renderer::new(device, queue, options)?;
+//! let scene = read_scene(&std::fs::read("statue.relight")?, &Limits::default())?;
+//! let environment = read_environment(&std::fs::read("sky.relight")?, &Limits::default())?;
+//! let scene = renderer.upload(&scene)?;
+//! let light = EnvironmentLight::new(&environment);
+//! let mut view = renderer.view(size)?;
+//!
+//! // Every frame: the matrices that everything else is drawn with.
+//! let camera = Viewpoint::Matrices { view: look, projection };
+//! let frame = Frame { antialias: true, ..Frame::under(camera, &light) };
 //! let mut encoder = device.create_command_encoder(&Default::default());
-//! renderer.render(&mut encoder, &uploaded, &frame, target, [1280, 720])?;
+//! renderer.prepare(&mut encoder, &mut view, &[(&scene).into()], &frame)?;
+//! # let descriptor = wgpu::RenderPassDescriptor::default();
+//! let mut pass = encoder.begin_render_pass(&descriptor);
+//! // Draw opaque objects before, for smooth edges over them; transparent ones after.
+//! renderer.composite(&view, &mut pass)?;
+//! drop(pass);
 //! queue.submit([encoder.finish()]);
 //! # Ok(())
 //! # }
 //! ```
 //!
-//! A device that is lost makes calls fail with [`Error::DeviceFailed`]; a renderer and an upload
-//! on a new one go on from there. Targets may have another size in every call.
+//! Float targets get linear radiance times [`Frame::exposure`], others display colours ([`Output`]).
+//! What is written is multiplied by its coverage. An app that wants a picture and nothing else calls
+//! [`Renderer::render`], which clears and fills a target.
 //!
-//! Without a GPU, `twin::render` draws the same frame (feature `twin`). `offscreen` serves tools
-//! and tests that have no device of their own (feature `offscreen`). Both features are on by
-//! default; an app needs neither.
+//! # Several of everything
+//!
+//! - Cameras: a view each, prepared in any order into one encoder.
+//! - Scenes and places: [`Renderer::prepare`] takes [`Instance`]s, each with a [`Placement`]. They hide
+//!   one another. **They neither shadow nor light one another**: visibility is baked per scene. What
+//!   must throw a shadow on something is baked with it.
+//! - Threads: renderers, scenes and lights may be shared. [`Renderer::upload`] and
+//!   [`EnvironmentLight::new`] take time and belong on a thread of their own.
+//! - Targets: [`Renderer::with_options`] shares pipelines and scenes with a renderer for other passes.
+//!
+//! # What may go wrong
+//!
+//! Calls return an [`Error`] that says what was expected and what was found. A pass that is not as
+//! [`Options`] say cannot be seen by `composite`; `wgpu` reports it as an incompatible pipeline. On a device that
+//! is lost calls fail with [`Error::DeviceFailed`], or do nothing; a renderer and an upload on a new one go on.
+//!
+//! # Versions
+//!
+//! The major version of this crate follows that of `wgpu`, which is re-exported: [`wgpu`]. `relight-shading` has
+//! the same stages as WGSL and packed buffers without any type of `wgpu`, for engines on another version or API.
+//! `public-api.txt` in the repository lists what may be named.
+//!
+//! # Features
+//!
+//! Without a GPU, `twin::render` draws the same frame (feature `twin`). `offscreen` opens a device and
+//! waits for pictures, for tools and tests. Both are on by default; an app needs neither.
 
 mod composite;
 mod error;

@@ -1,9 +1,10 @@
 //! A device and renderer for tools and tests, which have neither window nor device.
 
 use relight_format::Scene;
+use relight_shading::surfaces::{SAMPLES, TILE};
 
 use crate::transfer::read_buffer;
-use crate::{Error, Frame, GpuScene, Image, Options, Renderer};
+use crate::{Error, Frame, GpuScene, Image, Options, Renderer, View};
 
 /// A graphics device of its own with a renderer.
 #[derive(Debug)]
@@ -22,7 +23,7 @@ pub struct Gpu {
 pub struct Picture {
     /// Linear radiance, not exposed.
     pub linear: Image,
-    /// Tone-mapped sRGB RGBA8, row 0 first.
+    /// Tone-mapped sRGB RGBA8, row 0 first; colours are not multiplied by coverage.
     pub display: Vec<u8>,
 }
 
@@ -106,10 +107,12 @@ impl Gpu {
             .render(&mut encoder, scene, frame, &view, [width, height])?;
         self.queue.submit([encoder.finish()]);
         check(guard)?;
-        let radiance = self.renderer.radiance().expect("a frame was recorded");
-        let bytes = self.read_texture(radiance)?;
-        let pixels = bytemuck::pod_collect_to_vec(&bytes);
-        let display = self.read_texture(&target)?;
+        let view = self.renderer.own_view().expect("a frame was recorded");
+        let pixels = self.read_radiance(view)?;
+        let mut display = self.read_texture(&target)?;
+        if frame.antialias && target.format().block_copy_size(None) == Some(4) {
+            display.chunks_exact_mut(4).for_each(divide_by_coverage);
+        }
         Ok(Picture {
             linear: Image {
                 width,
@@ -138,44 +141,93 @@ impl Gpu {
         })
     }
 
-    /// Copies a texture without mip levels or layers back: its rows, without padding.
+    /// The linear radiance of the last frame that a view was prepared with, row 0 first; of a pixel
+    /// that was antialiased the mean of its samples, alpha their coverage.
+    pub fn read_radiance(&self, view: &View) -> Result<Vec<[f32; 4]>, Error> {
+        let radiance = view.radiance().ok_or(Error::NotPrepared)?;
+        let texels: Vec<[f32; 4]> = bytemuck::pod_collect_to_vec(&self.read_texture(radiance)?);
+        let Some(surfaces) = view.surfaces() else {
+            return Ok(texels);
+        };
+        let shown: Vec<u32> = bytemuck::pod_collect_to_vec(&self.read_texture(surfaces)?);
+        let row = radiance.width();
+        let [width, height] = view.size();
+        let tiles = height.next_multiple_of(TILE);
+        let mean = |(index, shown): (u32, &u32)| {
+            let (x, y) = (index % width, index / width);
+            let mut sum = glam::Vec4::ZERO;
+            for sample in 0..SAMPLES {
+                let place = match shown >> (3 * sample) & 7 {
+                    0 => continue,
+                    1 => y * row + x,
+                    number => {
+                        let slot = (shown >> 12) + number - 2;
+                        let column = x / TILE * TILE + slot % TILE;
+                        (tiles + y / TILE * (TILE / 2) + slot / TILE) * row + column
+                    }
+                };
+                sum += glam::Vec4::from(texels[place as usize]);
+            }
+            (sum / SAMPLES as f32).to_array()
+        };
+        Ok((0..).zip(&shown).map(mean).collect())
+    }
+
+    /// [`read_texture`] on this device.
     pub fn read_texture(&self, texture: &wgpu::Texture) -> Result<Vec<u8>, Error> {
-        let texel = texture.format().block_copy_size(None).unwrap_or(4);
-        let row = texture.width() * texel;
-        let padded = row.next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
-        let buffer = self.device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("relight read back"),
-            size: u64::from(padded) * u64::from(texture.height()),
-            usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
-            mapped_at_creation: false,
-        });
-        let mut encoder = self
-            .device
-            .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        encoder.copy_texture_to_buffer(
-            texture.as_image_copy(),
-            wgpu::TexelCopyBufferInfo {
-                buffer: &buffer,
-                layout: wgpu::TexelCopyBufferLayout {
-                    offset: 0,
-                    bytes_per_row: Some(padded),
-                    rows_per_image: None,
-                },
-            },
-            texture.size(),
-        );
-        self.queue.submit([encoder.finish()]);
-        let bytes = self.read_buffer(&buffer)?;
-        Ok(bytes
-            .chunks(padded as usize)
-            .flat_map(|line| &line[..row as usize])
-            .copied()
-            .collect())
+        read_texture(&self.device, &self.queue, texture)
     }
 
     /// Reads a `MAP_READ` buffer once all submitted work is done.
     pub fn read_buffer(&self, buffer: &wgpu::Buffer) -> Result<Vec<u8>, Error> {
         read_buffer(&self.device, buffer)
+    }
+}
+
+/// Copies a texture without mip levels or layers back and waits for it: its rows, without padding.
+/// It was made with [`wgpu::TextureUsages::COPY_SRC`].
+pub fn read_texture(
+    device: &wgpu::Device,
+    queue: &wgpu::Queue,
+    texture: &wgpu::Texture,
+) -> Result<Vec<u8>, Error> {
+    let texel = texture.format().block_copy_size(None).unwrap_or(4);
+    let row = texture.width() * texel;
+    let padded = row.next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
+    let buffer = device.create_buffer(&wgpu::BufferDescriptor {
+        label: Some("relight read back"),
+        size: u64::from(padded) * u64::from(texture.height()),
+        usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
+        mapped_at_creation: false,
+    });
+    let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+    encoder.copy_texture_to_buffer(
+        texture.as_image_copy(),
+        wgpu::TexelCopyBufferInfo {
+            buffer: &buffer,
+            layout: wgpu::TexelCopyBufferLayout {
+                offset: 0,
+                bytes_per_row: Some(padded),
+                rows_per_image: None,
+            },
+        },
+        texture.size(),
+    );
+    queue.submit([encoder.finish()]);
+    let bytes = read_buffer(device, &buffer)?;
+    Ok(bytes
+        .chunks(padded as usize)
+        .flat_map(|line| &line[..row as usize])
+        .copied()
+        .collect())
+}
+
+/// Undoes the multiplication by coverage of an RGBA8 pixel.
+fn divide_by_coverage(pixel: &mut [u8]) {
+    let coverage = u16::from(pixel[3]);
+    for value in &mut pixel[..3] {
+        let whole = (u16::from(*value) * 255 + coverage / 2).checked_div(coverage);
+        *value = whole.unwrap_or(0).min(255) as u8;
     }
 }
 

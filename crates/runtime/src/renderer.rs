@@ -15,14 +15,20 @@ use crate::pass_times::{Pass, PassTimes, Recording, Timestamps};
 use crate::resources::{Numbered, Resources, first_ids};
 use crate::transfer::filled_buffer;
 use crate::upload::{GpuScene, VERTEX_BINDINGS};
-use crate::view::{DEPTH_FORMAT, Images, RADIANCE_FORMAT, Region, VISIBILITY_FORMAT, WORKGROUP};
-use crate::{Error, Frame, Instance, Options, View, composite};
+use crate::view::{
+    DEPTH_FORMAT, ImageLayouts, Images, RADIANCE_FORMAT, Region, SAMPLES_FORMAT, VISIBILITY_FORMAT,
+    WORKGROUP, World, shaded_size,
+};
+use crate::{Error, Frame, Instance, Options, Placement, View, composite};
 
 /// Reflected images that are kept on the GPU.
 const KEPT_IMAGES: usize = 4;
 
 /// Texels and what they are on the GPU.
 type KeptImages = Vec<(Arc<[u32]>, wgpu::TextureView)>;
+
+/// An instance's frame, and where it is seen, if anywhere.
+type PlacedFrame = (LocalFrame, Option<Numbered>);
 
 /// Draws scenes with an app's device and queue. It may be shared by threads.
 #[derive(Debug)]
@@ -35,15 +41,20 @@ pub struct Renderer {
     image_layout: wgpu::BindGroupLayout,
     /// Groups 0, 1 and 2 of the pass for sources.
     source_layouts: [wgpu::BindGroupLayout; 3],
-    composite_layout: wgpu::BindGroupLayout,
+    /// Of the pass for surfaces.
+    surface_layouts: [wgpu::BindGroupLayout; 2],
+    /// For pixels of one surface and of several.
+    composite_layouts: [wgpu::BindGroupLayout; 2],
     visibility_pipeline: wgpu::RenderPipeline,
     /// Groups 0, 1 and 2 of the kernels of vertices.
     vertex_layouts: [wgpu::BindGroupLayout; 3],
     kernels: Arc<Kernels>,
-    /// Into passes of the app's.
-    composite_pipeline: wgpu::RenderPipeline,
-    /// Into a target that is cleared; made when first needed.
-    target_pipeline: OnceLock<wgpu::RenderPipeline>,
+    /// The same with four samples per pixel, and the surfaces among them; made when first needed.
+    surface_pipelines: OnceLock<(wgpu::RenderPipeline, wgpu::ComputePipeline)>,
+    /// Into passes of the app's, for pixels of one surface and of several; made when first needed.
+    composite_pipelines: [OnceLock<wgpu::RenderPipeline>; 2],
+    /// The same into a target that is cleared.
+    target_pipelines: [OnceLock<wgpu::RenderPipeline>; 2],
     tables: wgpu::Buffer,
     /// Reflected images, the last one first.
     prefiltered: Arc<Mutex<KeptImages>>,
@@ -97,9 +108,8 @@ impl Renderer {
         let frame_layout = frame_layout(device);
         let scene_layout = scene_layout(device);
         let image_layout = image_layout(device);
-        let composite_layout = composite::layout(device);
         Ok(Self {
-            visibility_pipeline: visibility_pipeline(device, &frame_layout, &scene_layout),
+            visibility_pipeline: visibility_pipeline(device, [&frame_layout, &scene_layout], false),
             kernels: Arc::default(),
             vertex_layouts: [
                 vertex_frame_layout(device),
@@ -111,8 +121,10 @@ impl Renderer {
                 source_scene_layout(device),
                 source_image_layout(device),
             ],
-            composite_pipeline: composite::pipeline(device, &composite_layout, &options),
-            target_pipeline: OnceLock::new(),
+            surface_pipelines: OnceLock::new(),
+            surface_layouts: [surface_frame_layout(device), surface_image_layout(device)],
+            composite_pipelines: Default::default(),
+            target_pipelines: Default::default(),
             tables,
             prefiltered: Arc::default(),
             no_image: prefiltered_texture(device, queue, &[0]),
@@ -123,7 +135,7 @@ impl Renderer {
             frame_layout,
             scene_layout,
             image_layout,
-            composite_layout,
+            composite_layouts: [false, true].map(|surfaces| composite::layout(device, surfaces)),
             own: None,
             timestamps: Timestamps::new(device, queue),
             owner: Owner::default(),
@@ -141,13 +153,15 @@ impl Renderer {
             scene_layout: self.scene_layout.clone(),
             image_layout: self.image_layout.clone(),
             source_layouts: self.source_layouts.clone(),
-            composite_layout: self.composite_layout.clone(),
+            surface_layouts: self.surface_layouts.clone(),
+            composite_layouts: self.composite_layouts.clone(),
             visibility_pipeline: self.visibility_pipeline.clone(),
             vertex_layouts: self.vertex_layouts.clone(),
             kernels: self.kernels.clone(),
             no_fractions: self.no_fractions.clone(),
-            composite_pipeline: composite::pipeline(&self.device, &self.composite_layout, &options),
-            target_pipeline: OnceLock::new(),
+            surface_pipelines: self.surface_pipelines.clone(),
+            composite_pipelines: Default::default(),
+            target_pipelines: Default::default(),
             tables: self.tables.clone(),
             prefiltered: self.prefiltered.clone(),
             no_image: self.no_image.clone(),
@@ -229,7 +243,7 @@ impl Renderer {
     pub fn composite(&self, view: &View, pass: &mut wgpu::RenderPass) -> Result<(), Error> {
         self.check_view(view)?;
         let group = view.drawing.group().ok_or(Error::NotPrepared)?;
-        pass.set_pipeline(&self.composite_pipeline);
+        pass.set_pipeline(self.composite_pipeline(view.antialias()));
         pass.set_bind_group(0, group, &[]);
         pass.draw(0..3, 0..1);
         Ok(())
@@ -254,6 +268,7 @@ impl Renderer {
         // Several calls may share one encoder.
         view.resources.iter_mut().for_each(Resources::renew);
         view.drawing.renew();
+        view.world = World::default();
         let recording = self.timestamps.as_ref().and_then(Timestamps::begin);
         let instances = [Instance::from(scene)];
         let rows = 0..size[1];
@@ -280,7 +295,7 @@ impl Renderer {
                 timestamp_writes: recording.as_ref().map(|times| times.render(Pass::Tonemap)),
                 ..Default::default()
             });
-            pass.set_pipeline(self.target_pipeline());
+            pass.set_pipeline(self.target_pipeline(frame.antialias));
             pass.set_bind_group(0, view.drawing.group(), &[]);
             pass.draw(0..3, 0..1);
         }
@@ -301,7 +316,7 @@ impl Renderer {
         recording: Option<&Recording>,
     ) -> Result<(), Error> {
         self.check_view(view)?;
-        let drawn = self.place(view.size(), instances, frame)?;
+        let (drawn, world) = self.place(view.size(), instances, frame)?;
         let image = self.reflections(frame)?;
         view.resources
             .resize_with(instances.len(), Default::default);
@@ -312,22 +327,36 @@ impl Renderer {
                 resources.fill(self, instance.scene, frame, local, *numbered, &image)?;
             }
         }
-        self.make_images(view, frame.sources.is_some());
+        self.make_images(view, frame)?;
+        // Not in the app's pass.
+        self.composite_pipeline(frame.antialias);
         let images = view.images.as_ref().expect("just made");
         let encoding = (self.options.output).encoding(self.options.target_format);
         let flipped = (drawn.first()).is_some_and(|(local, _)| local.view.flipped_depth);
         let uniform = composite::uniform(view.size(), frame.exposure, encoding, flipped);
-        (view.drawing).fill(self, &self.composite_layout, images, uniform)?;
+        let layout = &self.composite_layouts[usize::from(frame.antialias)];
+        (view.drawing).fill(self, layout, images, uniform)?;
+        if frame.antialias {
+            let uniform = bytemuck::bytes_of(&world);
+            let usage = wgpu::BufferUsages::UNIFORM;
+            if (view.world.slot).fill(self, "relight world", uniform, usage)? {
+                view.world.group = Some(self.world_group(view.world.slot.buffer()));
+            }
+        }
 
         for resources in &mut view.resources {
-            resources.bind_vertices(self, &images.visibility_view);
+            resources.bind_vertices(self, &images.seen_view);
         }
         let drawn = instances.iter().zip(&view.resources).zip(&drawn);
         let drawn = drawn.filter(|(_, (_, numbered))| numbered.is_some());
         if rows.start == 0 {
             clear(encoder, &images.radiance_view);
             let mut pass = visibility_pass(encoder, images, recording);
-            pass.set_pipeline(&self.visibility_pipeline);
+            pass.set_pipeline(if frame.antialias {
+                &self.surface_pipelines().0
+            } else {
+                &self.visibility_pipeline
+            });
             for ((instance, resources), _) in drawn.clone() {
                 pass.set_bind_group(0, resources.frame_group(), &[0]);
                 pass.set_bind_group(1, &instance.scene.bind_group, &[]);
@@ -338,6 +367,14 @@ impl Renderer {
             label: Some("relight shade"),
             timestamp_writes: recording.map(|times| times.compute(Pass::Shade)),
         });
+        if let (0, Some(world), Some(surfaces)) = (rows.start, &view.world.group, &images.surfaces)
+        {
+            pass.set_pipeline(&self.surface_pipelines().1);
+            pass.set_bind_group(0, world, &[]);
+            pass.set_bind_group(1, surfaces, &[]);
+            let [x, y] = view.size().map(|side| side.div_ceil(WORKGROUP));
+            pass.dispatch_workgroups(x, y, 1);
+        }
         for ((Instance { scene, .. }, resources), _) in drawn {
             let mut dispatch = |pipeline: &wgpu::ComputePipeline, groups: [&wgpu::BindGroup; 3]| {
                 dispatch_bands(&mut pass, pipeline, groups, resources, &rows);
@@ -373,13 +410,14 @@ impl Renderer {
         Ok(())
     }
 
-    /// Every instance's frame, and its number and where it is seen; `None` if nowhere.
+    /// Every instance's frame, and its number and where it is seen, `None` if nowhere; and the camera
+    /// that they share.
     fn place(
         &self,
         size: [u32; 2],
         instances: &[Instance],
         frame: &Frame,
-    ) -> Result<Vec<(LocalFrame, Option<Numbered>)>, Error> {
+    ) -> Result<(Vec<PlacedFrame>, gpu::Frame), Error> {
         let ids = first_ids(
             instances
                 .iter()
@@ -389,30 +427,48 @@ impl Renderer {
         let near = (instances.iter())
             .map(|instance| instance.scene.near * instance.placement.scale)
             .fold(f32::INFINITY, f32::min);
-        let place = |(instance, first_id): (&Instance, u32)| {
+        let place = |(index, (instance, first_id)): (u32, (&Instance, u32))| {
             if instance.scene.owner != self.owner {
                 return Err(Error::Foreign { what: "scene" });
             }
             let local = frame.seen_from(&instance.placement, size, near)?;
             let region = Region::of_box(&local.view, instance.scene.bounds, size);
-            let numbered = region.map(|region| Numbered { first_id, region });
+            let numbered = region.map(|region| Numbered {
+                first_id,
+                index,
+                region,
+                extras: frame.antialias.then(|| region.extras(size[1])),
+            });
             Ok((local, numbered))
         };
-        instances.iter().zip(ids).map(place).collect()
+        let world = frame.seen_from(&Placement::IDENTITY, size, near.min(f32::MAX))?;
+        let drawn = (0..).zip(instances.iter().zip(ids)).map(place);
+        Ok((
+            drawn.collect::<Result<_, Error>>()?,
+            gpu::Frame::of_view(&world.view),
+        ))
     }
 
-    /// Makes the images of a view that has none, or none for sources where they are needed.
-    fn make_images(&self, view: &mut View, with_sources: bool) {
-        if (view.images.as_ref()).is_none_or(|images| with_sources && images.sources.is_none()) {
-            let layouts = [&self.image_layout, &self.source_layouts[2]];
-            view.images = Some(Images::new(
-                &self.device,
-                layouts,
-                view.size(),
-                with_sources,
-            ));
-            view.drawing.forget_images();
+    /// Makes the images of a view that has none, or others than are needed.
+    fn make_images(&self, view: &mut View, frame: &Frame) -> Result<(), Error> {
+        let with_sources = frame.sources.is_some();
+        if view.images.as_ref().is_some_and(|images| {
+            images.antialias() == frame.antialias && (images.sources.is_some() || !with_sources)
+        }) {
+            return Ok(());
         }
+        let [width, height] = shaded_size(view.size(), frame.antialias);
+        self.check_size(width, height)?;
+        let layouts = ImageLayouts {
+            shade: &self.image_layout,
+            sources: &self.source_layouts[2],
+            surfaces: &self.surface_layouts[1],
+        };
+        let size = view.size();
+        let images = Images::new(&self.device, &layouts, size, with_sources, frame.antialias);
+        view.images = Some(images);
+        view.drawing.forget_images();
+        Ok(())
     }
 
     /// How long the passes of a frame took: the last one whose times are known, some frames after
@@ -431,6 +487,11 @@ impl Renderer {
     /// [`View::visibility_buffer`] of the last frame that [`Self::render`] recorded.
     pub fn visibility_buffer(&self) -> Option<&wgpu::Texture> {
         self.own.as_ref().and_then(View::visibility_buffer)
+    }
+
+    #[cfg(feature = "offscreen")]
+    pub(crate) fn own_view(&self) -> Option<&View> {
+        self.own.as_ref()
     }
 
     /// The options that the renderer was made with.
@@ -598,15 +659,46 @@ impl Renderer {
         })
     }
 
-    fn target_pipeline(&self) -> &wgpu::RenderPipeline {
-        (self.target_pipeline).get_or_init(|| {
+    fn composite_pipeline(&self, surfaces: bool) -> &wgpu::RenderPipeline {
+        let index = usize::from(surfaces);
+        self.composite_pipelines[index].get_or_init(|| {
+            let layout = &self.composite_layouts[index];
+            composite::pipeline(&self.device, layout, &self.options, surfaces)
+        })
+    }
+
+    fn target_pipeline(&self, surfaces: bool) -> &wgpu::RenderPipeline {
+        let index = usize::from(surfaces);
+        self.target_pipelines[index].get_or_init(|| {
             let options = Options {
                 depth_stencil: None,
                 multisample: wgpu::MultisampleState::default(),
                 blend: None,
                 ..self.options.clone()
             };
-            composite::pipeline(&self.device, &self.composite_layout, &options)
+            let layout = &self.composite_layouts[index];
+            composite::pipeline(&self.device, layout, &options, surfaces)
+        })
+    }
+
+    /// Samples of visibility, and the surfaces among them.
+    fn surface_pipelines(&self) -> &(wgpu::RenderPipeline, wgpu::ComputePipeline) {
+        self.surface_pipelines.get_or_init(|| {
+            let groups = [&self.frame_layout, &self.scene_layout];
+            let surfaces = self.surface_layouts.each_ref();
+            (
+                visibility_pipeline(&self.device, groups, true),
+                compute_pipeline(&self.device, &surfaces, &wgsl::SURFACES),
+            )
+        })
+    }
+
+    /// Group 0 of the pass for surfaces.
+    fn world_group(&self, uniforms: &wgpu::Buffer) -> wgpu::BindGroup {
+        self.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("relight world"),
+            layout: &self.surface_layouts[0],
+            entries: &[frame_uniform_entry(uniforms)],
         })
     }
 
@@ -745,7 +837,7 @@ fn visibility_pass<'a>(
     encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
         label: Some("relight visibility buffer"),
         color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-            view: &images.visibility_view,
+            view: &images.drawn_view,
             depth_slice: None,
             resolve_target: None,
             ops: wgpu::Operations {
@@ -778,7 +870,7 @@ fn check_device(device: &wgpu::Device) -> Result<(), Error> {
         ),
         (
             "max_storage_textures_per_shader_stage",
-            1,
+            2,
             limits.max_storage_textures_per_shader_stage,
         ),
         (
@@ -1033,6 +1125,43 @@ fn vertex_image_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
     })
 }
 
+/// Group 0 of surfaces.wgsl.
+fn surface_frame_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    let uniform = wgpu::BindingType::Buffer {
+        ty: wgpu::BufferBindingType::Uniform,
+        has_dynamic_offset: false,
+        min_binding_size: None,
+    };
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("relight world"),
+        entries: &[layout_entry(0, wgpu::ShaderStages::COMPUTE, uniform)],
+    })
+}
+
+/// Group 1 of surfaces.wgsl.
+fn surface_image_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    let samples = |sample_type| wgpu::BindingType::Texture {
+        sample_type,
+        view_dimension: wgpu::TextureViewDimension::D2,
+        multisampled: true,
+    };
+    let written = |format| wgpu::BindingType::StorageTexture {
+        access: wgpu::StorageTextureAccess::WriteOnly,
+        format,
+        view_dimension: wgpu::TextureViewDimension::D2,
+    };
+    let compute = wgpu::ShaderStages::COMPUTE;
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("relight surfaces"),
+        entries: &[
+            layout_entry(0, compute, samples(wgpu::TextureSampleType::Uint)),
+            layout_entry(1, compute, samples(wgpu::TextureSampleType::Depth)),
+            layout_entry(2, compute, written(wgpu::TextureFormat::Rg32Uint)),
+            layout_entry(3, compute, written(wgpu::TextureFormat::R32Uint)),
+        ],
+    })
+}
+
 /// Group 2 of bindings.wgsl.
 fn image_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
     device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
@@ -1081,18 +1210,26 @@ fn pipeline_layout(
     })
 }
 
+/// Triangles to visibility; with `samples`, four per pixel and what tells surfaces apart.
 fn visibility_pipeline(
     device: &wgpu::Device,
-    frame: &wgpu::BindGroupLayout,
-    scene: &wgpu::BindGroupLayout,
+    groups: [&wgpu::BindGroupLayout; 2],
+    samples: bool,
 ) -> wgpu::RenderPipeline {
-    let module = shader(device, Entry::VisibilityBuffer);
+    let (entry, [vertex, fragment], format, count) = if samples {
+        let names = ["surface_samples_vertex", "surface_samples_fragment"];
+        (Entry::SurfaceSamples, names, SAMPLES_FORMAT, 4)
+    } else {
+        let names = ["visibility_buffer_vertex", "visibility_buffer_fragment"];
+        (Entry::VisibilityBuffer, names, VISIBILITY_FORMAT, 1)
+    };
+    let module = shader(device, entry);
     device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
         label: Some("relight visibility buffer"),
-        layout: Some(&pipeline_layout(device, &[frame, scene])),
+        layout: Some(&pipeline_layout(device, &groups)),
         vertex: wgpu::VertexState {
             module: &module,
-            entry_point: Some("visibility_buffer_vertex"),
+            entry_point: Some(vertex),
             compilation_options: wgpu::PipelineCompilationOptions::default(),
             buffers: &[],
         },
@@ -1108,12 +1245,15 @@ fn visibility_pipeline(
             stencil: wgpu::StencilState::default(),
             bias: wgpu::DepthBiasState::default(),
         }),
-        multisample: wgpu::MultisampleState::default(),
+        multisample: wgpu::MultisampleState {
+            count,
+            ..Default::default()
+        },
         fragment: Some(wgpu::FragmentState {
             module: &module,
-            entry_point: Some("visibility_buffer_fragment"),
+            entry_point: Some(fragment),
             compilation_options: wgpu::PipelineCompilationOptions::default(),
-            targets: &[Some(VISIBILITY_FORMAT.into())],
+            targets: &[Some(format.into())],
         }),
         multiview_mask: None,
         cache: None,

@@ -15,8 +15,9 @@ use crate::vertex_lights::VertexLights;
 use crate::view::Region;
 use crate::{Error, Frame, GpuScene, Renderer};
 
-/// Largest alignment of uniform buffer offsets that WebGPU allows a device to ask for.
-pub(crate) const UNIFORM_STRIDE: usize = 256;
+/// Bytes from the uniforms of one dispatch to those of the next: a multiple of the largest alignment
+/// that WebGPU allows a device to ask for.
+pub(crate) const UNIFORM_STRIDE: usize = 512;
 
 /// A buffer that is filled again and again.
 #[derive(Debug, Default)]
@@ -67,8 +68,8 @@ pub(crate) struct Resources {
     vertex_group: Option<wgpu::BindGroup>,
     /// Group 0 of the pass for sources.
     source_group: Option<wgpu::BindGroup>,
-    /// Dispatches, by the uniforms' order.
-    bands: Vec<Region>,
+    /// Dispatches, by the uniforms' order, and the rows of the picture that they begin with.
+    bands: Vec<(u32, Region)>,
 }
 
 /// An instance in the order of a frame.
@@ -76,8 +77,12 @@ pub(crate) struct Resources {
 pub(crate) struct Numbered {
     /// What the visibility buffer has for its first triangle.
     pub(crate) first_id: u32,
+    /// Its number.
+    pub(crate) index: u32,
     /// Where it may be seen.
     pub(crate) region: Region,
+    /// Where further surfaces of its pixels are, with antialiasing.
+    pub(crate) extras: Option<Region>,
 }
 
 impl Resources {
@@ -113,10 +118,18 @@ impl Resources {
             Method::Ambient | Method::Cells(_) => None,
         };
         uniform.vertex_stamp = (self.vertex_lights.as_ref()).map_or(0, VertexLights::stamp);
-        self.bands = numbered.region.bands(renderer.band()).collect();
+        uniform.instance = numbered.index;
+        let bands = |region: Region| region.bands(renderer.band());
+        self.bands = (bands(numbered.region).map(|band| (band.row, band))).collect();
+        if let Some(extras) = numbered.extras {
+            // Half as many rows for as many pixels.
+            let first = numbered.region.row;
+            let begin = |band: Region| (first + 2 * (band.row - extras.row), band);
+            self.bands.extend(bands(extras).map(begin));
+        }
         let mut uniforms = Vec::with_capacity(self.bands.len() * UNIFORM_STRIDE);
-        for band in &self.bands {
-            uniforms.extend_from_slice(bytemuck::bytes_of(&band.uniform(uniform)));
+        for (_, band) in &self.bands {
+            uniforms.extend_from_slice(bytemuck::bytes_of(&band.uniform(&uniform)));
             uniforms.resize(uniforms.len().next_multiple_of(UNIFORM_STRIDE), 0);
         }
         // A binding must not be empty.
@@ -237,8 +250,8 @@ impl Resources {
         (0..)
             .step_by(UNIFORM_STRIDE)
             .zip(&self.bands)
-            .filter(|(_, band)| rows.contains(&band.row))
-            .map(|(offset, band)| (offset, band.workgroups()))
+            .filter(|(_, (row, _))| rows.contains(row))
+            .map(|(offset, (_, band))| (offset, band.workgroups()))
     }
 }
 
@@ -282,6 +295,7 @@ fn uniforms(scene: &GpuScene, frame: &Frame, local: &LocalFrame) -> gpu::Frame {
     uniform.environment_rotation =
         (local.reflection_rotation.to_cols_array_2d()).map(|[x, y, z]| [x, y, z, 0.0]);
     uniform.triangle_count = scene.triangle_count;
+    uniform.to_world = (local.to_world.to_cols_array_2d()).map(|[x, y, z]| [x, y, z, 0.0]);
     uniform
 }
 

@@ -1,14 +1,17 @@
 //! The images of one size that frames are drawn in.
 
 use relight_shading::gpu;
+use relight_shading::surfaces::TILE;
 
 use crate::composite::Drawing;
 use crate::renderer::Owner;
-use crate::resources::Resources;
+use crate::resources::{Resources, Slot};
 use crate::{Error, Renderer};
 
 /// Format of the visibility buffer.
 pub(crate) const VISIBILITY_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::R32Uint;
+/// Format of samples of visibility.
+pub(crate) const SAMPLES_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Uint;
 /// Format of the depth buffer.
 pub(crate) const DEPTH_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
 /// Format of the linear image.
@@ -17,7 +20,7 @@ pub(crate) const RADIANCE_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgb
 /// Images of one size, and what else is kept from frame to frame:
 /// [`Renderer::prepare`] fills it, [`Renderer::composite`] draws it.
 ///
-/// It holds 44 bytes per pixel, 60 under environments with sources. An app
+/// It holds 44 bytes per pixel, 60 under environments with sources, 116 and 140 with antialiasing. An app
 /// has one per camera, and another, or [`Self::resize`], for another size.
 #[derive(Debug)]
 pub struct View {
@@ -27,6 +30,14 @@ pub struct View {
     /// By instance.
     pub(crate) resources: Vec<Resources>,
     pub(crate) drawing: Drawing,
+    pub(crate) world: World,
+}
+
+/// The camera that instances share, for the pass for surfaces.
+#[derive(Debug, Default)]
+pub(crate) struct World {
+    pub(crate) slot: Slot,
+    pub(crate) group: Option<wgpu::BindGroup>,
 }
 
 impl View {
@@ -37,7 +48,13 @@ impl View {
             images: None,
             resources: Vec::new(),
             drawing: Drawing::default(),
+            world: World::default(),
         }
+    }
+
+    /// Whether the last frame prepared was antialiased.
+    pub(crate) fn antialias(&self) -> bool {
+        self.images.as_ref().is_some_and(Images::antialias)
     }
 
     /// Columns and rows.
@@ -57,19 +74,33 @@ impl View {
     }
 
     /// The linear radiance of the last frame prepared (rgba32float, alpha is coverage),
-    /// not exposed; sampled or copied by commands after it.
+    /// not exposed; sampled or copied by commands after it. If it was antialiased, the radiance of
+    /// [`Self::surfaces`].
     pub fn radiance(&self) -> Option<&wgpu::Texture> {
         self.images.as_ref().map(|images| &images.radiance)
     }
 
     /// The triangle under each pixel of the last frame prepared (r32uint): its index + 1,
-    /// or 0 on the background. Those of the second instance go on where the first's end.
+    /// or 0 on the background. Those of the second instance go on where the first's end. `None` if it
+    /// was antialiased.
     pub fn visibility_buffer(&self) -> Option<&wgpu::Texture> {
-        self.images.as_ref().map(|images| &images.visibility)
+        (self.images.as_ref()).and_then(|images| images.visibility.as_ref())
+    }
+
+    /// Which surfaces the pixels of the last frame prepared show, if it was antialiased (r32uint):
+    /// three bits for each of four samples, the first lowest, and six of a number `base`. 0 is
+    /// background; 1 is the texel of [`Self::radiance`] in the pixel's place; a larger number n the texel
+    /// number i = `base` + n − 2 of the tile, column 8 x + i % 8 and row H + 4 y + i / 8 of the tile in
+    /// column x and row y, H being the height in whole tiles of 8 × 8 pixels.
+    pub fn surfaces(&self) -> Option<&wgpu::Texture> {
+        (self.images.as_ref())
+            .filter(|images| images.antialias())
+            .map(|images| &images.shown)
     }
 
     /// The depth of the last frame prepared (depth32float): reversed, from 1 in front to 0 on the
-    /// background; 1 less that of matrices whose depth is not reversed.
+    /// background; 1 less that of matrices whose depth is not reversed. Four samples per pixel if it
+    /// was antialiased.
     pub fn depth(&self) -> Option<&wgpu::Texture> {
         self.images.as_ref().map(|images| &images.depth)
     }
@@ -78,27 +109,55 @@ impl View {
 /// Images between the passes, all of one size.
 #[derive(Debug)]
 pub(crate) struct Images {
-    pub(crate) visibility: wgpu::Texture,
-    pub(crate) visibility_view: wgpu::TextureView,
+    /// Where there is no antialiasing.
+    visibility: Option<wgpu::Texture>,
+    /// What is shaded: the visibility buffer, or items of pixels.
+    pub(crate) seen_view: wgpu::TextureView,
+    /// What the pass of triangles draws into.
+    pub(crate) drawn_view: wgpu::TextureView,
     depth: wgpu::Texture,
     pub(crate) depth_view: wgpu::TextureView,
     pub(crate) radiance: wgpu::Texture,
     pub(crate) radiance_view: wgpu::TextureView,
+    /// Which pixels show something: the visibility buffer, or the surfaces of pixels.
+    pub(crate) shown_view: wgpu::TextureView,
+    shown: wgpu::Texture,
     pub(crate) bind_group: wgpu::BindGroup,
     /// Group 2 of the pass for irradiance.
     pub(crate) diffuse: wgpu::BindGroup,
     /// Group 2 of the pass for sources, if there was one.
     pub(crate) sources: Option<wgpu::BindGroup>,
+    /// Group 1 of the pass for surfaces, with antialiasing.
+    pub(crate) surfaces: Option<wgpu::BindGroup>,
+}
+
+/// Layouts of the groups that images are in.
+pub(crate) struct ImageLayouts<'a> {
+    pub(crate) shade: &'a wgpu::BindGroupLayout,
+    pub(crate) sources: &'a wgpu::BindGroupLayout,
+    pub(crate) surfaces: &'a wgpu::BindGroupLayout,
+}
+
+/// Columns and rows of what is shaded: a place for each pixel; with antialiasing, whole tiles of them,
+/// and half as many rows of further surfaces below.
+pub(crate) fn shaded_size([width, height]: [u32; 2], antialias: bool) -> [u32; 2] {
+    if !antialias {
+        return [width, height];
+    }
+    let [width, height] = [width, height].map(|side| side.next_multiple_of(TILE));
+    [width, height + height / 2]
 }
 
 impl Images {
+    #[allow(clippy::too_many_lines, reason = "one image after the other")]
     pub(crate) fn new(
         device: &wgpu::Device,
-        [layout, source_layout]: [&wgpu::BindGroupLayout; 2],
+        layouts: &ImageLayouts,
         size: [u32; 2],
         with_sources: bool,
+        antialias: bool,
     ) -> Self {
-        let sized = |label, format, usage, [width, height]: [u32; 2]| {
+        let texture = |label, format, usage, samples, [width, height]: [u32; 2]| {
             device.create_texture(&wgpu::TextureDescriptor {
                 label: Some(label),
                 size: wgpu::Extent3d {
@@ -107,93 +166,108 @@ impl Images {
                     depth_or_array_layers: 1,
                 },
                 mip_level_count: 1,
-                sample_count: 1,
+                sample_count: samples,
                 dimension: wgpu::TextureDimension::D2,
                 format,
                 usage,
                 view_formats: &[],
             })
         };
-        let texture = |label, format, usage| sized(label, format, usage, size);
-        let drawn = wgpu::TextureUsages::RENDER_ATTACHMENT;
-        let read = wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_SRC;
-        let written = wgpu::TextureUsages::STORAGE_BINDING;
-        let visibility = texture("relight visibility buffer", VISIBILITY_FORMAT, drawn | read);
-        let depth = texture("relight depth", DEPTH_FORMAT, drawn | read);
-        // Drawn into to clear it.
-        let usage = written | read | drawn;
-        let radiance = texture("relight radiance", RADIANCE_FORMAT, usage);
+        let bound = wgpu::TextureUsages::TEXTURE_BINDING;
+        let drawn = wgpu::TextureUsages::RENDER_ATTACHMENT | bound;
+        let copied = wgpu::TextureUsages::COPY_SRC;
+        let written = wgpu::TextureUsages::STORAGE_BINDING | bound;
         let view =
             |texture: &wgpu::Texture| texture.create_view(&wgpu::TextureViewDescriptor::default());
-        let visibility_view = view(&visibility);
-        let radiance_view = view(&radiance);
-        let source_size = if with_sources { size } else { [1; 2] };
-        let source_radiance = sized(
-            "relight source radiance",
-            RADIANCE_FORMAT,
-            written | wgpu::TextureUsages::TEXTURE_BINDING,
-            source_size,
-        );
-        let source_view = view(&source_radiance);
-        let irradiance = sized(
-            "relight irradiance",
-            RADIANCE_FORMAT,
-            written | wgpu::TextureUsages::TEXTURE_BINDING,
-            size,
-        );
-        let irradiance_view = view(&irradiance);
-        // Visibility buffer in, another image out.
-        let writing = |image: &wgpu::TextureView| {
+        let group = |label, layout, views: &[&wgpu::TextureView]| {
+            let entries: Vec<_> = (0..)
+                .zip(views)
+                .map(|(binding, view)| wgpu::BindGroupEntry {
+                    binding,
+                    resource: wgpu::BindingResource::TextureView(view),
+                })
+                .collect();
             device.create_bind_group(&wgpu::BindGroupDescriptor {
-                label: Some("relight images before shading"),
-                layout: source_layout,
-                entries: &[
-                    wgpu::BindGroupEntry {
-                        binding: 0,
-                        resource: wgpu::BindingResource::TextureView(&visibility_view),
-                    },
-                    wgpu::BindGroupEntry {
-                        binding: 1,
-                        resource: wgpu::BindingResource::TextureView(image),
-                    },
-                ],
+                label: Some(label),
+                layout,
+                entries: &entries,
             })
         };
-        let diffuse = writing(&irradiance_view);
-        let sources = with_sources.then(|| writing(&source_view));
-        let bind_group = device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some("relight images"),
-            layout,
-            entries: &[
-                wgpu::BindGroupEntry {
-                    binding: 0,
-                    resource: wgpu::BindingResource::TextureView(&visibility_view),
-                },
-                wgpu::BindGroupEntry {
-                    binding: 1,
-                    resource: wgpu::BindingResource::TextureView(&radiance_view),
-                },
-                wgpu::BindGroupEntry {
-                    binding: 2,
-                    resource: wgpu::BindingResource::TextureView(&source_view),
-                },
-                wgpu::BindGroupEntry {
-                    binding: 3,
-                    resource: wgpu::BindingResource::TextureView(&irradiance_view),
-                },
-            ],
-        });
+        let shaded = shaded_size(size, antialias);
+        // Drawn into to clear it.
+        let usage = written | copied | wgpu::TextureUsages::RENDER_ATTACHMENT;
+        let radiance = texture("relight radiance", RADIANCE_FORMAT, usage, 1, shaded);
+        let radiance_view = view(&radiance);
+        let samples = if antialias { 4 } else { 1 };
+        let depth = if antialias { drawn } else { drawn | copied };
+        let depth = texture("relight depth", DEPTH_FORMAT, depth, samples, size);
+        let depth_view = view(&depth);
+        let (visibility, drawn_view, seen_view, shown, surfaces);
+        if antialias {
+            drawn_view = view(&texture("relight samples", SAMPLES_FORMAT, drawn, 4, size));
+            let items = wgpu::TextureFormat::Rg32Uint;
+            let items = texture("relight surfaces", items, written, 1, shaded);
+            seen_view = view(&items);
+            let format = wgpu::TextureFormat::R32Uint;
+            shown = texture(
+                "relight surfaces of pixels",
+                format,
+                written | copied,
+                1,
+                size,
+            );
+            let views = [&drawn_view, &depth_view, &seen_view, &view(&shown)];
+            surfaces = Some(group("relight surfaces", layouts.surfaces, &views));
+            visibility = None;
+        } else {
+            let ids = texture(
+                "relight visibility buffer",
+                VISIBILITY_FORMAT,
+                drawn | copied,
+                1,
+                size,
+            );
+            drawn_view = view(&ids);
+            seen_view = view(&ids);
+            shown = ids.clone();
+            visibility = Some(ids);
+            surfaces = None;
+        }
+        let source_radiance = texture(
+            "relight source radiance",
+            RADIANCE_FORMAT,
+            written,
+            1,
+            if with_sources { shaded } else { [1; 2] },
+        );
+        let source_view = view(&source_radiance);
+        let irradiance = texture("relight irradiance", RADIANCE_FORMAT, written, 1, shaded);
+        let irradiance_view = view(&irradiance);
+        // Visibility buffer in, another image out.
+        let writing = |image| {
+            let views = [&seen_view, image];
+            group("relight images before shading", layouts.sources, &views)
+        };
+        let views = [&seen_view, &radiance_view, &source_view, &irradiance_view];
         Self {
-            diffuse,
-            sources,
+            diffuse: writing(&irradiance_view),
+            sources: with_sources.then(|| writing(&source_view)),
+            bind_group: group("relight images", layouts.shade, &views),
             visibility,
-            visibility_view,
-            depth_view: view(&depth),
+            seen_view,
+            drawn_view,
+            depth_view,
             depth,
             radiance,
             radiance_view,
-            bind_group,
+            shown_view: view(&shown),
+            shown,
+            surfaces,
         }
+    }
+
+    pub(crate) fn antialias(&self) -> bool {
+        self.surfaces.is_some()
     }
 }
 
@@ -255,6 +329,15 @@ impl Region {
         })
     }
 
+    /// Where further surfaces of the region's pixels are, in an image of so many rows.
+    pub(crate) fn extras(self, height: u32) -> Self {
+        Self {
+            row: height.next_multiple_of(TILE) + self.row / 2,
+            height: self.height.next_multiple_of(TILE) / 2,
+            ..self
+        }
+    }
+
     /// Dispatches of at most `band` rows.
     pub(crate) fn bands(self, band: u32) -> impl Iterator<Item = Self> {
         let end = self.row + self.height;
@@ -271,11 +354,11 @@ impl Region {
     }
 
     /// The uniforms of a dispatch.
-    pub(crate) fn uniform(self, frame: gpu::Frame) -> gpu::Frame {
+    pub(crate) fn uniform(self, frame: &gpu::Frame) -> gpu::Frame {
         gpu::Frame {
             first_row: self.row,
             first_column: self.column,
-            ..frame
+            ..*frame
         }
     }
 }

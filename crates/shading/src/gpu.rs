@@ -28,7 +28,7 @@ pub const MAX_ATLAS_LAYERS: u32 = 256;
 /// Largest side of the basis atlas in texels: WebGPU's default limit.
 pub const MAX_ATLAS_SIZE: u32 = 8192;
 
-/// What changes from frame to frame (uniform, 240 bytes).
+/// What changes from frame to frame (uniform, 304 bytes).
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct Frame {
@@ -80,6 +80,10 @@ pub struct Frame {
     pub perspective: f32,
     /// 1 where triangles that face the viewer turn clockwise in the picture.
     pub mirrored: u32,
+    /// Directions of the scene to those of the world that instances share, column after column.
+    pub to_world: [[f32; 4]; 3],
+    /// Number of the instance.
+    pub instance: u32,
     /// State of a vertex whose light fractions this frame has to find: number of the light shifted by
     /// [`crate::vertex_visibility::FRAME_BITS`], and number of the frame under it. 0: no fractions
     /// at vertices.
@@ -88,8 +92,6 @@ pub struct Frame {
     pub reserved_0: u32,
     /// Zero.
     pub reserved_1: u32,
-    /// Zero.
-    pub reserved_2: u32,
 }
 
 /// Most local lights of a frame.
@@ -565,6 +567,16 @@ impl Frame {
     /// no lights, `ambient`.
     pub fn new(view: &View, atlas: &AtlasLayout, distance_clamp: f32) -> Self {
         Self {
+            atlas_texel: [1.0 / atlas.width as f32, 1.0 / atlas.height as f32],
+            basis_resolution: atlas.basis_resolution as f32,
+            distance_clamp,
+            ..Self::of_view(view)
+        }
+    }
+
+    /// The frame of no scene.
+    pub fn of_view(view: &View) -> Self {
+        Self {
             view_projection: view.view_projection.to_cols_array_2d(),
             eye: view.eye.into(),
             light_count: 0,
@@ -574,9 +586,9 @@ impl Frame {
             spokes: 0,
             down: view.down.into(),
             first_row: 0,
-            atlas_texel: [1.0 / atlas.width as f32, 1.0 / atlas.height as f32],
-            basis_resolution: atlas.basis_resolution as f32,
-            distance_clamp,
+            atlas_texel: [0.0; 2],
+            basis_resolution: 0.0,
+            distance_clamp: 0.0,
             environment_rotation: [
                 [1.0, 0.0, 0.0, 0.0],
                 [0.0, 1.0, 0.0, 0.0],
@@ -593,10 +605,15 @@ impl Frame {
             first_column: 0,
             perspective: view.homogeneous_eye().w,
             mirrored: u32::from(view.mirrored),
+            to_world: [
+                [1.0, 0.0, 0.0, 0.0],
+                [0.0, 1.0, 0.0, 0.0],
+                [0.0, 0.0, 1.0, 0.0],
+            ],
+            instance: 0,
             vertex_stamp: 0,
             reserved_0: 0,
             reserved_1: 0,
-            reserved_2: 0,
         }
     }
 }
@@ -775,10 +792,11 @@ mod tests {
                 first_column,
                 perspective,
                 mirrored,
+                to_world,
+                instance,
                 vertex_stamp,
                 reserved_0,
                 reserved_1,
-                reserved_2,
             }
         );
         check_layout!(

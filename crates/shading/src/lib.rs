@@ -19,6 +19,7 @@ pub mod sources;
 pub mod spherical_gaussian;
 pub mod ssdf;
 pub mod surface;
+pub mod surfaces;
 pub mod tables;
 pub mod tonemap;
 pub mod transfer;

@@ -37,9 +37,15 @@ pub fn encode_srgb(linear: f32) -> f32 {
     }
 }
 
-/// An RGBA8 sRGB pixel of a linear radiance and coverage.
+/// An RGBA8 sRGB pixel of a linear radiance, multiplied by its coverage, and the coverage; the colour
+/// is not multiplied by it.
 pub fn pixel([red, green, blue, coverage]: [f32; 4], exposure: f32) -> [u8; 4] {
-    let color = neutral((Vec3::new(red, green, blue) * exposure).max(Vec3::ZERO));
+    let scale = if coverage > 0.0 {
+        exposure / coverage
+    } else {
+        exposure
+    };
+    let color = neutral((Vec3::new(red, green, blue) * scale).max(Vec3::ZERO));
     let quantize = |value: f32| (value * 255.0).round() as u8;
     let [red, green, blue] = color.to_array().map(|value| quantize(encode_srgb(value)));
     [red, green, blue, quantize(coverage)]
@@ -83,6 +89,10 @@ mod tests {
             [128, 128, 128, 255]
         );
         assert_eq!(pixel([0.5, 0.5, 0.5, 1.0], 2.0), pixel([1.0; 4], 1.0));
+        assert_eq!(
+            pixel([0.25, 0.25, 0.25, 0.5], 1.0)[..3],
+            pixel([0.5, 0.5, 0.5, 1.0], 1.0)[..3]
+        );
         assert_eq!(pixel([-1.0, -1.0, -1.0, 1.0], 1.0), [0, 0, 0, 255]);
     }
 }

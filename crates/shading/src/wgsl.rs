@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use crate::surface::{Join, Model};
 use crate::{
     brdf, cells, glossy, gpu, local_light, occluders, polar, prefiltered, shade, sources,
-    spherical_gaussian, surface, tables, tonemap, transfer, vertex_visibility,
+    spherical_gaussian, surface, surfaces, tables, tonemap, transfer, vertex_visibility,
 };
 
 /// What a shader module is for.
@@ -13,6 +13,10 @@ use crate::{
 pub enum Entry {
     /// Triangle under each pixel: `visibility_buffer_vertex`, `visibility_buffer_fragment`.
     VisibilityBuffer,
+    /// The same, four samples per pixel: `surface_samples_vertex`, `surface_samples_fragment`.
+    SurfaceSamples,
+    /// Samples of visibility to the surfaces of every pixel: `surfaces_main`, workgroups of a tile.
+    Surfaces,
     /// Visible fractions of lights at vertices: `vertices_mark`, workgroups of 8 × 8 pixels, and
     /// `vertices_main`, workgroups of 64 vertices and four lights.
     Vertices,
@@ -28,20 +32,27 @@ pub enum Entry {
     /// Linear radiance into a target: `composite_vertex`; `composite_fragment` or, where the target
     /// has depth, `composite_depth_fragment`.
     Composite,
+    /// The same for pixels of several surfaces: `composite_vertex`; `composite_fragment` and
+    /// `composite_depth_fragment` for targets of one sample, `composite_sample_fragment` and
+    /// `composite_sample_depth_fragment` for those of four.
+    CompositeSurfaces,
     /// Functions and bindings without an entry point, to append kernels to.
     Library,
 }
 
 impl Entry {
     /// All of them.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 11] = [
         Self::VisibilityBuffer,
+        Self::SurfaceSamples,
+        Self::Surfaces,
         Self::Vertices,
         Self::Diffuse,
         Self::Shade,
         Self::ShadeCells,
         Self::Sources,
         Self::Composite,
+        Self::CompositeSurfaces,
         Self::Library,
     ];
 }
@@ -59,7 +70,7 @@ pub struct Kernel {
     pub constants: &'static [(&'static str, f64)],
 }
 
-/// All compute pipelines.
+/// All compute pipelines that shade.
 pub const KERNELS: &[Kernel] = &[
     VERTICES_MARK,
     VERTICES,
@@ -142,6 +153,14 @@ pub const SOURCES: Kernel = Kernel {
     constants: &[],
 };
 
+/// [`Entry::Surfaces`]; before shading, with antialiasing.
+pub const SURFACES: Kernel = Kernel {
+    name: "surfaces",
+    entry: Entry::Surfaces,
+    entry_point: "surfaces_main",
+    constants: &[],
+};
+
 /// Joined in this order; the order does not matter to WGSL.
 const LIBRARY: &[&str] = &[
     include_str!("wgsl/bindings.wgsl"),
@@ -170,6 +189,17 @@ pub fn source(entry: Entry) -> String {
         Entry::VisibilityBuffer => {
             source += include_str!("wgsl/bindings.wgsl");
             source += include_str!("wgsl/visibility_buffer.wgsl");
+        }
+        Entry::SurfaceSamples => {
+            source += include_str!("wgsl/bindings.wgsl");
+            source += include_str!("wgsl/octahedral.wgsl");
+            source += include_str!("wgsl/surface_samples.wgsl");
+        }
+        Entry::Surfaces => {
+            source += include_str!("wgsl/bindings.wgsl");
+            source += include_str!("wgsl/camera.wgsl");
+            source += include_str!("wgsl/octahedral.wgsl");
+            source += include_str!("wgsl/surfaces.wgsl");
         }
         Entry::Vertices => {
             source.extend(LIBRARY.iter().copied());
@@ -200,6 +230,12 @@ pub fn source(entry: Entry) -> String {
         Entry::Composite => {
             source += include_str!("wgsl/tonemap.wgsl");
             source += include_str!("wgsl/composite.wgsl");
+            source += include_str!("wgsl/composite_pixels.wgsl");
+        }
+        Entry::CompositeSurfaces => {
+            source += include_str!("wgsl/tonemap.wgsl");
+            source += include_str!("wgsl/composite.wgsl");
+            source += include_str!("wgsl/composite_surfaces.wgsl");
         }
         Entry::Library => source.extend(LIBRARY.iter().copied()),
     }
@@ -245,6 +281,7 @@ fn constants() -> String {
     text += &occluders::wgsl_constants();
     text += &sources::wgsl_constants();
     text += &tonemap::wgsl_constants();
+    text += &surfaces::wgsl_constants();
     text += &transfer::wgsl_constants();
     text += &vertex_visibility::wgsl_constants();
     text

@@ -186,6 +186,10 @@ struct Render {
     /// How visible light is integrated.
     #[arg(long, value_enum, default_value = "polar")]
     method: MethodName,
+    /// Smooth silhouettes and edges: four samples of visibility per pixel, each distinct surface
+    /// shaded once. Compare such pictures with `truth --filter box`.
+    #[arg(long)]
+    antialias: bool,
     /// What surfaces see of the environment: its lobes alone, or also what its image has beyond
     /// them.
     #[arg(long, value_enum, default_value = "auto")]
@@ -456,6 +460,7 @@ fn run_render(arguments: &Render) -> anyhow::Result<Value> {
         rotation: glam::Quat::from_rotation_y(picture.rotate.to_radians()),
         local_lights: &local_lights,
         method,
+        antialias: arguments.antialias,
         ..relight_runtime::Frame::new(camera, &lights)
     };
     let start = Instant::now();

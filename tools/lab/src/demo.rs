@@ -110,6 +110,7 @@ pub fn run(options: &Options, monitor: Monitor) -> anyhow::Result<Report> {
     let camera = scene.camera.context("the demo scene has a camera")?;
     let frame = Frame {
         sources: sources.as_ref(),
+        antialias: true,
         ..Frame::new(camera, &lights)
     };
     let mut render = |method| {
@@ -136,7 +137,10 @@ pub fn run(options: &Options, monitor: Monitor) -> anyhow::Result<Report> {
         &scene,
         &frame,
         options.size,
-        &truth::Options::centers(options.samples),
+        &truth::Options {
+            filter: truth::Filter::Box,
+            ..truth::Options::centers(options.samples)
+        },
         Visibility::Exact,
         &row_done,
     );

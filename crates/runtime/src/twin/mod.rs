@@ -5,7 +5,7 @@ mod visibility_buffer;
 
 use std::cell::Cell;
 
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use relight_format::Scene;
 use relight_shading::occluders::Occluders;
@@ -14,6 +14,7 @@ use relight_shading::shade::{self, Lighting, Method, Reflections};
 use relight_shading::sources::Lit;
 use relight_shading::ssdf::{Basis, SignedDistance, Ssdf};
 use relight_shading::surface::{SurfacePoint, emission, surface_seen};
+use relight_shading::surfaces::{self, Item, Sample, Surfaces};
 use relight_shading::transfer::{Bounced, PackedTransfer};
 use relight_shading::vertex_visibility::Corners;
 
@@ -94,10 +95,15 @@ fn render_instances_while(
         });
         (direct + bounced + emitted).extend(1.0).to_array()
     };
+    let shaded = stage.map(shade_pixel);
+    let pixels = match &stage.surfaces {
+        Some(surfaces) => surfaces.resolve(&shaded),
+        None => shaded,
+    };
     Ok(Image {
         width,
         height,
-        pixels: stage.map(shade_pixel),
+        pixels,
     })
 }
 
@@ -205,7 +211,7 @@ impl SignedDistance for Counted<'_> {
     }
 }
 
-/// What `shade` makes of the surface under every pixel, its light and its visibility, row by
+/// What `shade` makes of the surface under every pixel's centre, its light and its visibility, row by
 /// row; the default where there is none.
 pub fn map_pixels<T: Default + Send>(
     scene: &Scene,
@@ -213,15 +219,21 @@ pub fn map_pixels<T: Default + Send>(
     size: [u32; 2],
     shade: impl Fn(&SurfacePoint, &Lighting, &Ssdf) -> T + Sync,
 ) -> Result<Vec<T>, Error> {
-    let stage = Stage::new(&[scene.into()], frame, size)?;
+    let frame = Frame {
+        antialias: false,
+        ..frame.clone()
+    };
+    let stage = Stage::new(&[scene.into()], &frame, size)?;
     Ok(stage.map(|seen, lighting, field| shade(&seen.point, lighting, field)))
 }
 
 /// A frame ready to be shaded.
 struct Stage<'a> {
-    width: u32,
     instances: Vec<Staged<'a>>,
-    ids: Vec<u32>,
+    /// What is shaded.
+    items: Vec<Item>,
+    /// With antialiasing.
+    surfaces: Option<Surfaces>,
     reflections: Option<&'a Prefiltered>,
 }
 
@@ -253,7 +265,13 @@ impl<'a> Stage<'a> {
                 .iter()
                 .map(|placed| placed.scene.triangles.len() as u32),
         )?;
-        let mut visible = visibility_buffer::Nearest::new([width, height]);
+        let pattern = visibility_buffer::pattern();
+        let samples = if frame.antialias {
+            &pattern[..]
+        } else {
+            &visibility_buffer::CENTRE
+        };
+        let mut visible = visibility_buffer::Nearest::new([width, height], samples);
         let stage = |(placed, first_id): (&Placed<'a>, u32)| {
             let scene = placed.scene;
             let local = frame.seen_from(&placed.placement, [width, height], near)?;
@@ -270,22 +288,46 @@ impl<'a> Stage<'a> {
                 fractions: None,
             })
         };
-        let mut instances: Vec<Staged> =
-            (instances.iter().zip(ids).map(stage)).collect::<Result<_, Error>>()?;
+        let mut instances = (instances.iter().zip(ids))
+            .map(stage)
+            .collect::<Result<Vec<_>, Error>>()?;
         if let Method::Polar(options) = frame.method {
             for staged in &mut instances {
                 staged.fractions = VertexFractions::new(staged, &visible.ids, options);
             }
         }
+        let world = frame.seen_from(&Placement::IDENTITY, [width, height], near.min(f32::MAX))?;
+        let surfaces = frame.antialias.then(|| {
+            let sample = |(&id, &depth): (&u32, &f32)| Sample {
+                id,
+                key: key(&instances, id),
+                depth,
+            };
+            let samples: Vec<Sample> = visible
+                .ids
+                .par_iter()
+                .zip(&visible.depths)
+                .map(sample)
+                .collect();
+            let (pixels, _) = samples.as_chunks();
+            Surfaces::new(&world.view, width, pixels)
+        });
+        let centres = |(index, &id): (u32, &u32)| Item {
+            id,
+            at: Vec2::new((index % width) as f32, (index / width) as f32) + 0.5,
+        };
         Ok(Self {
-            width,
             instances,
-            ids: visible.ids,
+            items: match &surfaces {
+                Some(surfaces) => surfaces.items.clone(),
+                None => (0..).zip(&visible.ids).map(centres).collect(),
+            },
+            surfaces,
             reflections: frame.reflections,
         })
     }
 
-    /// What `shade` makes of what every pixel sees, row by row; the default where that is nothing.
+    /// What `shade` makes of every item; the default where that is nothing.
     fn map<T: Default + Send>(
         &self,
         shade: impl Fn(&Seen, &Lighting, &Ssdf) -> T + Sync,
@@ -295,29 +337,22 @@ impl<'a> Stage<'a> {
             .iter()
             .map(|staged| self.lighting(staged))
             .collect();
-        let shade_pixel = |(index, &id): (usize, &u32)| {
-            if id == 0 {
+        let shade_item = |item: &Item| {
+            if item.id == 0 {
                 return T::default();
             }
-            let (x, y) = (index as u32 % self.width, index as u32 / self.width);
-            // The last one that begins there: those without triangles begin there too.
-            let instance = self
-                .instances
-                .partition_point(|staged| staged.first_id <= id)
-                - 1;
+            let (instance, triangle) = find(&self.instances, item.id);
             let Staged {
                 scene,
-                first_id,
                 local,
                 basis,
                 fractions,
                 ..
             } = &self.instances[instance];
-            let triangle = (id - first_id) as usize;
-            let corners = scene.triangles[triangle]
-                .vertices
-                .map(|vertex| scene.vertices[vertex as usize].position.into());
-            let weights = local.view.pixel_ray(x, y).barycentrics(corners);
+            let weights = local
+                .view
+                .ray(item.at)
+                .barycentrics(corners(scene, triangle));
             let eye = local.view.homogeneous_eye();
             let seen = Seen {
                 instance,
@@ -336,11 +371,10 @@ impl<'a> Stage<'a> {
             };
             shade(&seen, &lighting, &field)
         };
-        (self.ids.par_iter())
-            .enumerate()
+        (self.items.par_iter())
             // Short runs of pixels: some cost a hundred times what others do.
             .with_max_len(256)
-            .map(shade_pixel)
+            .map(shade_item)
             .collect()
     }
 
@@ -363,7 +397,32 @@ impl<'a> Stage<'a> {
     }
 }
 
-/// Tone-mapped sRGB RGBA8 of a linear image, row 0 first.
+/// Instance and triangle of an id that is not 0.
+fn find(instances: &[Staged], id: u32) -> (usize, usize) {
+    // The last one that begins there: those without triangles begin there too.
+    let instance = instances.partition_point(|staged| staged.first_id <= id) - 1;
+    (instance, (id - instances[instance].first_id) as usize)
+}
+
+fn corners(scene: &Scene, triangle: usize) -> [Vec3; 3] {
+    let corner = |vertex: u32| scene.vertices[vertex as usize].position.into();
+    scene.triangles[triangle].vertices.map(corner)
+}
+
+/// What tells the surface of a triangle from others.
+fn key(instances: &[Staged], id: u32) -> u32 {
+    if id == 0 {
+        return 0;
+    }
+    let (instance, triangle) = find(instances, id);
+    let Staged { scene, local, .. } = &instances[instance];
+    let [a, b, c] = corners(scene, triangle);
+    let normal = (local.to_world * (b - a).cross(c - a)).normalize();
+    let material = u32::from(scene.triangles[triangle].material);
+    surfaces::key(normal, surfaces::tag(material, instance as u32))
+}
+
+/// Tone-mapped sRGB RGBA8 of a linear image, row 0 first; colours are not multiplied by coverage.
 pub fn tonemap(image: &Image, exposure: f32) -> Vec<u8> {
     image
         .pixels

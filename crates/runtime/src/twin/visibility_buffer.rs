@@ -7,6 +7,7 @@ use glam::{Vec3, Vec4};
 use rayon::prelude::*;
 use relight_format::Scene;
 use relight_shading::camera::View;
+use relight_shading::surfaces::{PATTERN, SAMPLES};
 
 /// Steps per pixel that vertices snap to: 8 bits, what GPUs have.
 const SUBPIXELS: i64 = 256;
@@ -24,34 +25,46 @@ struct Projected {
     edges: [[i64; 3]; 3],
     /// Depth at the vertices over twice the area.
     depth: Vec3,
-    /// First and last column whose centres may lie inside.
+    /// First and last column that may have samples inside.
     columns: [usize; 2],
-    /// First and last row whose centres may lie inside.
+    /// First and last row that may have samples inside.
     rows: [usize; 2],
 }
 
 /// For every pixel, row 0 first: index of the visible triangle + 1, or 0 on the background.
 pub fn visibility_buffer(scene: &Scene, view: &View, width: u32, height: u32) -> Vec<u32> {
-    let mut nearest = Nearest::new([width, height]);
+    let mut nearest = Nearest::new([width, height], &CENTRE);
     nearest.draw(scene, view, 1);
     nearest.ids
 }
 
-/// What is nearest in every pixel.
-pub(super) struct Nearest {
-    size: [usize; 2],
-    pub(super) ids: Vec<u32>,
-    /// Reversed; 0 on the background.
-    depths: Vec<f32>,
+/// The middle of a pixel, in subpixels.
+pub(super) const CENTRE: [[i64; 2]; 1] = [[SUBPIXELS / 2; 2]];
+
+/// The samples of a pixel that shows several surfaces, in subpixels.
+pub(super) fn pattern() -> [[i64; 2]; SAMPLES] {
+    PATTERN.map(|at| at.map(|eighths| i64::from(eighths) * SUBPIXELS / 8))
 }
 
-impl Nearest {
-    pub(super) fn new(size: [u32; 2]) -> Self {
+/// What is nearest in every sample of every pixel.
+pub(super) struct Nearest<'a> {
+    size: [usize; 2],
+    samples: &'a [[i64; 2]],
+    pub(super) ids: Vec<u32>,
+    /// Reversed; 0 on the background.
+    pub(super) depths: Vec<f32>,
+}
+
+impl<'a> Nearest<'a> {
+    /// `samples`: where they are in a pixel, in subpixels.
+    pub(super) fn new(size: [u32; 2], samples: &'a [[i64; 2]]) -> Self {
         let size = size.map(|side| side as usize);
+        let count = size[0] * size[1] * samples.len();
         Self {
             size,
-            ids: vec![0; size[0] * size[1]],
-            depths: vec![0.0; size[0] * size[1]],
+            samples,
+            ids: vec![0; count],
+            depths: vec![0.0; count],
         }
     }
 
@@ -59,12 +72,14 @@ impl Nearest {
     pub(super) fn draw(&mut self, scene: &Scene, view: &View, first_id: u32) {
         let projected = project_scene(scene, view, first_id, self.size);
         let row = self.size[0];
-        (self.ids.par_chunks_mut(row * BAND))
-            .zip(self.depths.par_chunks_mut(row * BAND))
+        let samples = self.samples;
+        let texels = row * BAND * samples.len();
+        (self.ids.par_chunks_mut(texels))
+            .zip(self.depths.par_chunks_mut(texels))
             .enumerate()
             .for_each(|(band, (ids, depths))| {
                 for triangle in &projected {
-                    draw(triangle, band * BAND, row, ids, depths);
+                    draw(triangle, band * BAND, row, samples, ids, depths);
                 }
             });
     }
@@ -135,9 +150,9 @@ fn project(id: u32, corners: [Vec4; 3], [width, height]: [usize; 2]) -> Option<P
     if area <= 0 {
         return None;
     }
-    // Pixel i has its centre at (i + 1/2) SUBPIXELS.
+    // Pixel i reaches from i SUBPIXELS to (i + 1) SUBPIXELS.
     let range = |axis: usize, size: usize| {
-        let values = points.map(|point| point[axis] - SUBPIXELS / 2);
+        let values = points.map(|point| point[axis]);
         let first = values.into_iter().min()?.div_euclid(SUBPIXELS).max(0) as usize;
         let last = values.into_iter().max()?.div_euclid(SUBPIXELS);
         let last = usize::try_from(last).ok()?.min(size - 1);
@@ -153,27 +168,36 @@ fn project(id: u32, corners: [Vec4; 3], [width, height]: [usize; 2]) -> Option<P
 }
 
 /// Draws the rows from `first_row` on that `ids` and `depths` hold.
-fn draw(triangle: &Projected, first_row: usize, width: usize, ids: &mut [u32], depths: &mut [f32]) {
-    let end_row = first_row + ids.len() / width;
+fn draw(
+    triangle: &Projected,
+    first_row: usize,
+    width: usize,
+    samples: &[[i64; 2]],
+    ids: &mut [u32],
+    depths: &mut [f32],
+) {
+    let end_row = first_row + ids.len() / (width * samples.len());
     let rows = triangle.rows[0].max(first_row)..(triangle.rows[1] + 1).min(end_row);
     for row in rows {
-        let y = row as i64 * SUBPIXELS + SUBPIXELS / 2;
-        let line = (row - first_row) * width;
         for column in triangle.columns[0]..=triangle.columns[1] {
-            let x = column as i64 * SUBPIXELS + SUBPIXELS / 2;
-            let weights = triangle.edges.map(|[a, b, c]| a * x + b * y + c);
-            let covered = weights
-                .iter()
-                .zip(&triangle.edges)
-                // A centre on an edge counts for left edges and for top ones.
-                .all(|(&weight, &[a, b, _])| {
-                    weight > 0 || weight == 0 && (a > 0 || a == 0 && b > 0)
-                });
-            let weights = Vec3::from(weights.map(|weight| weight as f32));
-            let depth = triangle.depth.dot(weights);
-            if covered && depth > depths[line + column] {
-                depths[line + column] = depth;
-                ids[line + column] = triangle.id;
+            let first = ((row - first_row) * width + column) * samples.len();
+            for (index, [right, down]) in (first..).zip(samples) {
+                let x = column as i64 * SUBPIXELS + right;
+                let y = row as i64 * SUBPIXELS + down;
+                let weights = triangle.edges.map(|[a, b, c]| a * x + b * y + c);
+                let covered = weights
+                    .iter()
+                    .zip(&triangle.edges)
+                    // A sample on an edge counts for left edges and for top ones.
+                    .all(|(&weight, &[a, b, _])| {
+                        weight > 0 || weight == 0 && (a > 0 || a == 0 && b > 0)
+                    });
+                let weights = Vec3::from(weights.map(|weight| weight as f32));
+                let depth = triangle.depth.dot(weights);
+                if covered && depth > depths[index] {
+                    depths[index] = depth;
+                    ids[index] = triangle.id;
+                }
             }
         }
     }

@@ -233,6 +233,206 @@ pub fn instances_match_twin(gpu: &mut Gpu) -> Outcome {
     Ok(())
 }
 
+/// Pixels in which a sample may show another surface, as a fraction: of those that show several,
+/// where samples are tested in differently rounded arithmetic.
+const DIFFERENT_SAMPLES: f32 = 1e-3;
+
+/// Root mean square difference of all pixels, over the mean of `b`.
+fn picture_rmse(a: &Image, b: &Image) -> f32 {
+    let (mut square, mut sum) = (0.0, 0.0);
+    for (a, b) in a.pixels.iter().zip(&b.pixels) {
+        for channel in 0..4 {
+            square += (a[channel] - b[channel]).powi(2);
+            sum += b[channel];
+        }
+    }
+    (square * 4.0 * b.pixels.len() as f32).sqrt() / sum
+}
+
+pub fn antialiasing_matches_twin(gpu: &mut Gpu) -> Outcome {
+    let lights = lights();
+    let scenes = [scenes::sphere_over_plane(), scenes::noise(7)];
+    let uploaded = [gpu.upload(&scenes[0])?, gpu.upload(&scenes[1])?];
+    let [first, second, third] = placements();
+    let placements = [(0, first), (1, second), (0, third)];
+    let instances = placements.map(|(which, placement)| Instance {
+        scene: &uploaded[which],
+        placement,
+    });
+    let placed = placements.map(|(which, placement)| twin::Placed {
+        scene: &scenes[which],
+        placement,
+    });
+    // No whole number of tiles.
+    for size in [[160, 120], [93, 61]] {
+        let aspect = size[0] as f32 / size[1] as f32;
+        for (name, camera) in [
+            ("pinhole", Viewpoint::Pinhole(scenes::camera())),
+            (
+                "perspective",
+                matrices(project::perspective(0.6, aspect, NEAR_PLANE, 50.0)),
+            ),
+            (
+                "orthographic",
+                matrices(project::orthographic(
+                    -1.6, 1.6, -1.2, 1.2, NEAR_PLANE, 50.0,
+                )),
+            ),
+        ] {
+            let frame = Frame {
+                camera,
+                antialias: true,
+                ..frame(&lights, POLAR)
+            };
+            let mut view = gpu.renderer.view(size)?;
+            let mut encoder = gpu
+                .device
+                .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+            gpu.renderer
+                .prepare(&mut encoder, &mut view, &instances, &frame)?;
+            gpu.queue.submit([encoder.finish()]);
+            let found = Image {
+                width: size[0],
+                height: size[1],
+                pixels: gpu.read_radiance(&view)?,
+            };
+            let expected = twin::render_instances(&placed, &frame, size[0], size[1])?;
+            let partly = expected
+                .pixels
+                .iter()
+                .filter(|pixel| pixel[3] > 0.0 && pixel[3] < 1.0);
+            let partly = partly.count();
+            let differs = |(a, b): &(&[f32; 4], &[f32; 4])| {
+                a.iter()
+                    .zip(*b)
+                    .any(|(a, b)| (a - b).abs() > 1e-3 * b.abs().max(0.1))
+            };
+            let pairs = found.pixels.iter().zip(&expected.pixels);
+            let different = pairs.filter(differs).count();
+            println!("{name}: {different} pixels differ, {partly} show background in part");
+            assert!(partly > 50, "{name}: {partly} pixels");
+            assert!(different as f32 <= DIFFERENT_SAMPLES * found.pixels.len() as f32);
+        }
+    }
+    Ok(())
+}
+
+/// Four samples are closer to many than one is, and cost little more.
+pub fn antialiasing_is_closer_to_the_truth(_: &mut Gpu) -> Outcome {
+    const MANY: u32 = 6;
+    let lights = lights();
+    let scene = scenes::sphere_over_plane();
+    let plain = frame(&lights, Method::Ambient);
+    let smooth = Frame {
+        antialias: true,
+        ..plain.clone()
+    };
+    let large = twin::render(&scene, &plain, MANY * SIZE[0], MANY * SIZE[1])?;
+    let mean = |index: u32| {
+        let (x, y) = (index % SIZE[0] * MANY, index / SIZE[0] * MANY);
+        let mut sum = glam::Vec4::ZERO;
+        for (dx, dy) in (0..MANY).flat_map(|dy| (0..MANY).map(move |dx| (dx, dy))) {
+            sum += glam::Vec4::from(large.pixels[((y + dy) * large.width + x + dx) as usize]);
+        }
+        (sum / (MANY * MANY) as f32).to_array()
+    };
+    let truth = Image {
+        width: SIZE[0],
+        height: SIZE[1],
+        pixels: (0..SIZE[0] * SIZE[1]).map(mean).collect(),
+    };
+    let [one, four] = [&plain, &smooth].map(|frame| twin::render(&scene, frame, SIZE[0], SIZE[1]));
+    let errors = [one?, four?].map(|image| picture_rmse(&image, &truth));
+    println!(
+        "relative RMSE of one sample and four against {}: {errors:?}",
+        MANY * MANY
+    );
+    assert!(errors[1] < 0.6 * errors[0], "{errors:?}");
+    Ok(())
+}
+
+/// What is composited is what the linear picture says, blended over what was there.
+pub fn antialiased_edges_blend(gpu: &mut Gpu) -> Outcome {
+    let lights = lights();
+    let frame = Frame {
+        camera: matrices(project::perspective(0.6, aspect(), NEAR_PLANE, 50.0)),
+        antialias: true,
+        ..frame(&lights, Method::Ambient)
+    };
+    let scene = scenes::sphere_over_plane();
+    // Behind everything, so that what is not covered is blue.
+    let hidden = Quad {
+        corners: [Vec3::splat(900.0); 4],
+        color: [0.0; 4],
+    };
+    let mut pictures = Vec::new();
+    let mut linear = None;
+    for samples in [1, 4] {
+        let options = Options {
+            target_format: wgpu::TextureFormat::Rgba16Float,
+            depth_stencil: Some(wgpu::DepthStencilState {
+                format: wgpu::TextureFormat::Depth32Float,
+                depth_write_enabled: Some(true),
+                depth_compare: Some(wgpu::CompareFunction::Less),
+                stencil: wgpu::StencilState::default(),
+                bias: wgpu::DepthBiasState::default(),
+            }),
+            multisample: wgpu::MultisampleState {
+                count: samples,
+                ..Default::default()
+            },
+            ..Options::default()
+        };
+        let matrix = project::perspective(0.6, aspect(), NEAR_PLANE, 50.0) * look();
+        let picture = with_options(gpu, options, |gpu| {
+            let uploaded = gpu.upload(&scene)?;
+            let mut view = gpu.renderer.view(SIZE)?;
+            let mut encoder = gpu
+                .device
+                .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+            let instances = [Instance::from(&uploaded)];
+            gpu.renderer
+                .prepare(&mut encoder, &mut view, &instances, &frame)?;
+            gpu.queue.submit([encoder.finish()]);
+            linear = Some(gpu.read_radiance(&view)?);
+            Ok(draw_in_a_pass(
+                gpu,
+                &view,
+                matrix,
+                false,
+                [&hidden, &hidden],
+            )?)
+        })?;
+        pictures.push(picture);
+    }
+    let linear = linear.expect("two pictures");
+    let mut partly = 0;
+    for (index, pixel) in linear.iter().enumerate() {
+        let blue = (1.0 - pixel[3]) + pixel[2] * frame.exposure;
+        partly += usize::from(pixel[3] > 0.0 && pixel[3] < 1.0);
+        for picture in &pictures {
+            let half = u16::from_le_bytes([picture[8 * index + 4], picture[8 * index + 5]]);
+            let found = half_to_f32(half);
+            // Half floats have eleven bits, and four samples are added in them.
+            assert!(
+                (found - blue).abs() <= 4e-3 * blue.max(0.1),
+                "pixel {index}: {found}, not {blue}"
+            );
+        }
+    }
+    assert!(partly > 100, "{partly} pixels");
+    Ok(())
+}
+
+/// Of normal numbers and zero.
+fn half_to_f32(half: u16) -> f32 {
+    let (exponent, mantissa) = (i32::from(half >> 10 & 31), f32::from(half & 1023));
+    match exponent {
+        0 => mantissa * 2f32.powi(-24),
+        _ => (1.0 + mantissa / 1024.0) * 2f32.powi(exponent - 15),
+    }
+}
+
 /// Camera, light and scene turned alike: the same picture.
 pub fn turning_the_world_changes_nothing(_: &mut Gpu) -> Outcome {
     let lights = lights();
@@ -433,7 +633,7 @@ fn distance(ray: &relight_shading::camera::Ray, [a, b, c]: [Vec3; 3]) -> f32 {
 /// of one pixel may see either.
 const DEPTH_GAP: f32 = 0.02;
 
-#[allow(clippy::too_many_lines, reason = "one story from begin to end")]
+#[allow(clippy::too_many_lines, reason = "one pixel's objects after the other")]
 pub fn scenes_stand_among_the_apps_objects(gpu: &mut Gpu) -> Outcome {
     let lights = lights();
     let scene = scenes::sphere_over_plane();
@@ -648,7 +848,7 @@ pub fn views_are_used_again(gpu: &mut Gpu) -> Outcome {
     Ok(())
 }
 
-#[allow(clippy::too_many_lines, reason = "one story from begin to end")]
+#[allow(clippy::too_many_lines, reason = "a table of wrong uses")]
 pub fn wrong_uses_are_errors(gpu: &mut Gpu) -> Outcome {
     let new = |options| Renderer::new(&gpu.device, &gpu.queue, options).map(|_| ());
     let with_format = |target_format| Options {
@@ -770,6 +970,39 @@ pub fn wrong_uses_are_errors(gpu: &mut Gpu) -> Outcome {
     let result = gpu.renderer.composite(&view, &mut pass);
     assert!(matches!(result, Err(Error::NotPrepared)), "{result:?}");
     Ok(())
+}
+
+/// Parts of a frame, one after the other, are the frame.
+pub fn parts_make_a_frame(gpu: &mut Gpu) -> Outcome {
+    let lights = lights();
+    let options = Options {
+        rows_per_dispatch: 16,
+        ..Options::default()
+    };
+    with_options(gpu, options, |gpu| {
+        let scene = gpu.upload(&scenes::sphere_over_plane())?;
+        let instances = [Instance::from(&scene)];
+        for antialias in [false, true] {
+            let frame = Frame {
+                antialias,
+                ..frame(&lights, Method::Ambient)
+            };
+            let mut view = gpu.renderer.view(SIZE)?;
+            prepare(gpu, &mut view, &instances, &frame)?;
+            let whole = gpu.read_radiance(&view)?;
+            let mut view = gpu.renderer.view(SIZE)?;
+            for first in (0..SIZE[1]).step_by(32) {
+                let rows = first..first + 32;
+                let mut encoder = gpu
+                    .device
+                    .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+                (gpu.renderer).prepare_rows(&mut encoder, &mut view, &instances, &frame, rows)?;
+                gpu.queue.submit([encoder.finish()]);
+            }
+            assert!(gpu.read_radiance(&view)? == whole, "antialias: {antialias}");
+        }
+        Ok(())
+    })
 }
 
 pub fn any_number_of_rows_is_dispatched(gpu: &mut Gpu) -> Outcome {

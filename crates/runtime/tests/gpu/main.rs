@@ -2,6 +2,7 @@
 //! `RELIGHT_NO_GPU=1` says that there is none: then they count as skipped.
 
 mod engine;
+mod examples;
 mod probe;
 mod reflection;
 mod scenes;
@@ -40,6 +41,7 @@ static GPU: Mutex<Option<Gpu>> = Mutex::new(None);
 
 type Outcome = Result<(), Failed>;
 
+#[allow(clippy::too_many_lines, reason = "a table of tests")]
 fn main() -> ExitCode {
     let no_gpu = std::env::var_os("RELIGHT_NO_GPU").is_some_and(|value| value == "1");
     let with_gpu = |name: &str, run: fn(&mut Gpu) -> Outcome| {
@@ -104,6 +106,18 @@ fn main() -> ExitCode {
         with_gpu("passes_are_timed", passes_are_timed),
         with_gpu("engine::matrices_match_twin", engine::matrices_match_twin),
         with_gpu("engine::cameras_agree", engine::cameras_agree),
+        with_gpu(
+            "engine::antialiasing_matches_twin",
+            engine::antialiasing_matches_twin,
+        ),
+        with_gpu(
+            "engine::antialiasing_is_closer_to_the_truth",
+            engine::antialiasing_is_closer_to_the_truth,
+        ),
+        with_gpu(
+            "engine::antialiased_edges_blend",
+            engine::antialiased_edges_blend,
+        ),
         with_gpu("engine::instances_match_twin", engine::instances_match_twin),
         with_gpu(
             "engine::turning_the_world_changes_nothing",
@@ -121,6 +135,11 @@ fn main() -> ExitCode {
         with_gpu(
             "engine::wrong_uses_are_errors",
             engine::wrong_uses_are_errors,
+        ),
+        with_gpu("engine::parts_make_a_frame", engine::parts_make_a_frame),
+        with_gpu(
+            "examples_make_their_pictures",
+            examples::examples_make_their_pictures,
         ),
         with_gpu(
             "engine::any_number_of_rows_is_dispatched",
@@ -162,6 +181,7 @@ fn frame(lights: &[SphericalGaussian], method: Method) -> Frame<'_> {
         sources: None,
         local_lights: &[],
         method,
+        antialias: false,
         exposure: 0.8,
     }
 }

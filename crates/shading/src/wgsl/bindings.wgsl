@@ -46,12 +46,15 @@ struct Frame {
     perspective: f32,
     // 1: triangles that face the viewer turn clockwise in the picture.
     mirrored: u32,
+    // Directions of the scene to those of the world that instances share.
+    to_world: mat3x3<f32>,
+    // Number of the instance.
+    instance: u32,
     // State of a vertex whose light fractions this frame has to find: number of the light <<
     // VERTEX_VISIBILITY_FRAME_BITS | number of the frame under it. 0: no fractions at vertices.
     vertex_stamp: u32,
     reserved_0: u32,
     reserved_1: u32,
-    reserved_2: u32,
 }
 
 // A sphere that emits.

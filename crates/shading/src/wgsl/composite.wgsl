@@ -14,9 +14,6 @@ struct Composite {
 
 @group(0) @binding(0) var<uniform> composite: Composite;
 @group(0) @binding(1) var linear_radiance: texture_2d<f32>;
-@group(0) @binding(2) var seen_ids: texture_2d<u32>;
-@group(0) @binding(3) var seen_depth: texture_depth_2d;
-
 struct Place {
     @builtin(position) position: vec4<f32>,
     // In pixels of the images, whatever viewport they are drawn into.
@@ -40,41 +37,28 @@ fn composite_pixel(place: Place) -> vec2<u32> {
     return vec2<u32>(clamp(place.pixel, vec2(0.0), composite.size - 1.0));
 }
 
-@fragment
-fn composite_fragment(place: Place) -> @location(0) vec4<f32> {
-    let pixel = composite_pixel(place);
-    if textureLoad(seen_ids, pixel, 0).x == 0u {
-        discard;
-    }
-    return composite_encode(textureLoad(linear_radiance, pixel, 0));
-}
-
-@fragment
-fn composite_depth_fragment(place: Place) -> Drawn {
-    let pixel = composite_pixel(place);
-    if textureLoad(seen_ids, pixel, 0).x == 0u {
-        discard;
-    }
-    let depth = textureLoad(seen_depth, pixel, 0);
-    return Drawn(
-        composite_encode(textureLoad(linear_radiance, pixel, 0)),
-        select(depth, 1.0 - depth, composite.flipped_depth == 1u),
-    );
-}
-
-fn composite_encode(radiance: vec4<f32>) -> vec4<f32> {
-    let exposed = radiance.rgb * composite.exposure;
+// Linear radiance to linear target or display colour, the coverage of which is 1.
+fn composite_color(radiance: vec3<f32>) -> vec3<f32> {
+    let exposed = radiance * composite.exposure;
     if composite.encoding == 0u {
-        return vec4(exposed, radiance.a);
+        return exposed;
     }
-    let color = tonemap_neutral(max(exposed, vec3(0.0)));
-    if composite.encoding == 1u {
-        return vec4(color, radiance.a);
+    return tonemap_neutral(max(exposed, vec3(0.0)));
+}
+
+// As the target stores it: linear but for encoding 2, multiplied by coverage.
+fn composite_store(color: vec3<f32>, coverage: f32) -> vec4<f32> {
+    if composite.encoding != 2u {
+        return vec4(color * coverage, coverage);
     }
-    return vec4(
+    let encoded = vec3(
         tonemap_encode_srgb(color.r),
         tonemap_encode_srgb(color.g),
         tonemap_encode_srgb(color.b),
-        radiance.a,
     );
+    return vec4(encoded * coverage, coverage);
+}
+
+fn composite_depth(depth: f32) -> f32 {
+    return select(depth, 1.0 - depth, composite.flipped_depth == 1u);
 }

@@ -9,6 +9,14 @@ fn octahedral_encode(direction: vec3<f32>) -> vec2<f32> {
     return q * 0.5 + 0.5;
 }
 
+// The direction at a point of the unit square.
+fn octahedral_decode(uv: vec2<f32>) -> vec3<f32> {
+    let q = uv * 2.0 - 1.0;
+    let y = 1.0 - abs(q.x) - abs(q.y);
+    let p = select(octahedral_fold(q), q, y >= 0.0);
+    return normalize(vec3(p.x, y, p.y));
+}
+
 // The texel of an n × n map that continues it at `at`, which may lie up to one map outside.
 fn octahedral_wrap(at: vec2<i32>, n: i32) -> vec2<i32> {
     var inside = at;

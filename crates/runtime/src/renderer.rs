@@ -41,6 +41,8 @@ pub struct Renderer {
     image_layout: wgpu::BindGroupLayout,
     /// Groups 0, 1 and 2 of the pass for sources.
     source_layouts: [wgpu::BindGroupLayout; 3],
+    /// Group 2 of the pass for irradiance.
+    diffuse_image_layout: wgpu::BindGroupLayout,
     /// Of the pass for surfaces.
     surface_layouts: [wgpu::BindGroupLayout; 2],
     /// For pixels of one surface and of several.
@@ -121,6 +123,7 @@ impl Renderer {
                 source_scene_layout(device),
                 source_image_layout(device),
             ],
+            diffuse_image_layout: diffuse_image_layout(device),
             surface_pipelines: OnceLock::new(),
             surface_layouts: [surface_frame_layout(device), surface_image_layout(device)],
             composite_pipelines: Default::default(),
@@ -153,6 +156,7 @@ impl Renderer {
             scene_layout: self.scene_layout.clone(),
             image_layout: self.image_layout.clone(),
             source_layouts: self.source_layouts.clone(),
+            diffuse_image_layout: self.diffuse_image_layout.clone(),
             surface_layouts: self.surface_layouts.clone(),
             composite_layouts: self.composite_layouts.clone(),
             visibility_pipeline: self.visibility_pipeline.clone(),
@@ -376,14 +380,17 @@ impl Renderer {
             pass.dispatch_workgroups(x, y, 1);
         }
         for ((Instance { scene, .. }, resources), _) in drawn {
-            let mut dispatch = |pipeline: &wgpu::ComputePipeline, groups: [&wgpu::BindGroup; 3]| {
-                dispatch_bands(&mut pass, pipeline, groups, resources, &rows);
-            };
             if let (Some(group), Ok(scene), Some(images)) =
                 (resources.source_group(), &scene.sources, &images.sources)
             {
-                dispatch(self.source_pipeline(), [group, scene, images]);
+                let groups = [group, scene, images];
+                let sources = (frame.sources.as_ref()).map_or(0, |sources| sources.count() as u32);
+                let pipeline = self.source_pipeline();
+                dispatch_bands(&mut pass, pipeline, groups, resources, (&rows, sources));
             }
+            let mut dispatch = |pipeline: &wgpu::ComputePipeline, groups: [&wgpu::BindGroup; 3]| {
+                dispatch_bands(&mut pass, pipeline, groups, resources, (&rows, 1));
+            };
             let frame_group = resources.frame_group();
             let groups = [frame_group, &scene.bind_group, &images.bind_group];
             if let Method::Cells(_) = frame.method {
@@ -399,7 +406,7 @@ impl Renderer {
                 pass.dispatch_workgroups(x, y, 1);
             }
             let mut dispatch = |pipeline: &wgpu::ComputePipeline, groups: [&wgpu::BindGroup; 3]| {
-                dispatch_bands(&mut pass, pipeline, groups, resources, &rows);
+                dispatch_bands(&mut pass, pipeline, groups, resources, (&rows, 1));
             };
             let diffuse = [frame_group, &scene.bind_group, &images.diffuse];
             dispatch(self.diffuse_pipeline(), diffuse);
@@ -451,9 +458,10 @@ impl Renderer {
 
     /// Makes the images of a view that has none, or others than are needed.
     fn make_images(&self, view: &mut View, frame: &Frame) -> Result<(), Error> {
-        let with_sources = frame.sources.is_some();
+        let sources = frame.sources.as_ref();
+        let sources = sources.map_or(0, |sources| sources.count() as u32);
         if view.images.as_ref().is_some_and(|images| {
-            images.antialias() == frame.antialias && (images.sources.is_some() || !with_sources)
+            images.antialias() == frame.antialias && images.source_layers >= sources
         }) {
             return Ok(());
         }
@@ -462,10 +470,11 @@ impl Renderer {
         let layouts = ImageLayouts {
             shade: &self.image_layout,
             sources: &self.source_layouts[2],
+            diffuse: &self.diffuse_image_layout,
             surfaces: &self.surface_layouts[1],
         };
         let size = view.size();
-        let images = Images::new(&self.device, &layouts, size, with_sources, frame.antialias);
+        let images = Images::new(&self.device, &layouts, size, sources, frame.antialias);
         view.images = Some(images);
         view.drawing.forget_images();
         Ok(())
@@ -581,7 +590,7 @@ impl Renderer {
     }
 
     fn diffuse_pipeline(&self) -> &wgpu::ComputePipeline {
-        let image = &self.source_layouts[2];
+        let image = &self.diffuse_image_layout;
         let layouts = [&self.frame_layout, &self.scene_layout, image];
         (self.kernels.diffuse)
             .get_or_init(|| compute_pipeline(&self.device, &layouts, &wgsl::DIFFUSE))
@@ -801,14 +810,14 @@ fn dispatch_bands(
     pipeline: &wgpu::ComputePipeline,
     groups: [&wgpu::BindGroup; 3],
     resources: &Resources,
-    rows: &Range<u32>,
+    (rows, layers): (&Range<u32>, u32),
 ) {
     pass.set_pipeline(pipeline);
     pass.set_bind_group(1, groups[1], &[]);
     pass.set_bind_group(2, groups[2], &[]);
     for (offset, [x, y]) in resources.dispatches(rows) {
         pass.set_bind_group(0, groups[0], &[offset]);
-        pass.dispatch_workgroups(x, y, 1);
+        pass.dispatch_workgroups(x, y, layers);
     }
 }
 
@@ -1068,9 +1077,25 @@ fn source_scene_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
 
 /// Group 2 of bindings.wgsl as sources need it.
 fn source_image_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
-    let [visibility, radiance, ..] = image_entries();
+    let [visibility, ..] = image_entries();
+    let found = wgpu::BindingType::StorageTexture {
+        access: wgpu::StorageTextureAccess::WriteOnly,
+        format: RADIANCE_FORMAT,
+        view_dimension: wgpu::TextureViewDimension::D2Array,
+    };
+    // Groups of images bind one after the other.
+    let found = layout_entry(1, wgpu::ShaderStages::COMPUTE, found);
     device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
         label: Some("relight source images"),
+        entries: &[visibility, found],
+    })
+}
+
+/// Group 2 of bindings.wgsl as irradiance needs it.
+fn diffuse_image_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    let [visibility, radiance, ..] = image_entries();
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("relight irradiance images"),
         entries: &[visibility, radiance],
     })
 }
@@ -1182,11 +1207,16 @@ fn image_entries() -> [wgpu::BindGroupLayoutEntry; 4] {
         view_dimension: wgpu::TextureViewDimension::D2,
     };
     let sources = wgpu::TextureSampleType::Float { filterable: false };
+    let layers = wgpu::BindingType::Texture {
+        sample_type: sources,
+        view_dimension: wgpu::TextureViewDimension::D2Array,
+        multisampled: false,
+    };
     let compute = wgpu::ShaderStages::COMPUTE;
     [
         layout_entry(0, compute, texture(wgpu::TextureSampleType::Uint)),
         layout_entry(1, compute, radiance),
-        layout_entry(2, compute, texture(sources)),
+        layout_entry(2, compute, layers),
         layout_entry(3, compute, texture(sources)),
     ]
 }

@@ -20,7 +20,7 @@ pub(crate) const RADIANCE_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgb
 /// Images of one size, and what else is kept from frame to frame:
 /// [`Renderer::prepare`] fills it, [`Renderer::composite`] draws it.
 ///
-/// It holds 44 bytes per pixel, 60 under environments with sources, 116 and 140 with antialiasing. An app
+/// It holds 44 bytes per pixel, 16 more per source, 116 and 24 more per source with antialiasing. An app
 /// has one per camera, and another, or [`Self::resize`], for another size.
 #[derive(Debug)]
 pub struct View {
@@ -127,6 +127,8 @@ pub(crate) struct Images {
     pub(crate) diffuse: wgpu::BindGroup,
     /// Group 2 of the pass for sources, if there was one.
     pub(crate) sources: Option<wgpu::BindGroup>,
+    /// Sources that there is room for.
+    pub(crate) source_layers: u32,
     /// Group 1 of the pass for surfaces, with antialiasing.
     pub(crate) surfaces: Option<wgpu::BindGroup>,
 }
@@ -135,6 +137,7 @@ pub(crate) struct Images {
 pub(crate) struct ImageLayouts<'a> {
     pub(crate) shade: &'a wgpu::BindGroupLayout,
     pub(crate) sources: &'a wgpu::BindGroupLayout,
+    pub(crate) diffuse: &'a wgpu::BindGroupLayout,
     pub(crate) surfaces: &'a wgpu::BindGroupLayout,
 }
 
@@ -154,16 +157,16 @@ impl Images {
         device: &wgpu::Device,
         layouts: &ImageLayouts,
         size: [u32; 2],
-        with_sources: bool,
+        source_layers: u32,
         antialias: bool,
     ) -> Self {
-        let texture = |label, format, usage, samples, [width, height]: [u32; 2]| {
+        let layered = |label, format, usage, samples, [width, height]: [u32; 2], layers| {
             device.create_texture(&wgpu::TextureDescriptor {
                 label: Some(label),
                 size: wgpu::Extent3d {
                     width,
                     height,
-                    depth_or_array_layers: 1,
+                    depth_or_array_layers: layers,
                 },
                 mip_level_count: 1,
                 sample_count: samples,
@@ -173,6 +176,8 @@ impl Images {
                 view_formats: &[],
             })
         };
+        let texture =
+            |label, format, usage, samples, size| layered(label, format, usage, samples, size, 1);
         let bound = wgpu::TextureUsages::TEXTURE_BINDING;
         let drawn = wgpu::TextureUsages::RENDER_ATTACHMENT | bound;
         let copied = wgpu::TextureUsages::COPY_SRC;
@@ -233,25 +238,33 @@ impl Images {
             visibility = Some(ids);
             surfaces = None;
         }
-        let source_radiance = texture(
+        let source_radiance = layered(
             "relight source radiance",
             RADIANCE_FORMAT,
             written,
             1,
-            if with_sources { shaded } else { [1; 2] },
+            if source_layers > 0 { shaded } else { [1; 2] },
+            source_layers.max(1),
         );
-        let source_view = view(&source_radiance);
+        let source_view = source_radiance.create_view(&wgpu::TextureViewDescriptor {
+            dimension: Some(wgpu::TextureViewDimension::D2Array),
+            ..Default::default()
+        });
         let irradiance = texture("relight irradiance", RADIANCE_FORMAT, written, 1, shaded);
         let irradiance_view = view(&irradiance);
         // Visibility buffer in, another image out.
         let writing = |image| {
             let views = [&seen_view, image];
-            group("relight images before shading", layouts.sources, &views)
+            group("relight images before shading", layouts.diffuse, &views)
         };
         let views = [&seen_view, &radiance_view, &source_view, &irradiance_view];
         Self {
             diffuse: writing(&irradiance_view),
-            sources: with_sources.then(|| writing(&source_view)),
+            sources: (source_layers > 0).then(|| {
+                let views = [&seen_view, &source_view];
+                group("relight sources' images", layouts.sources, &views)
+            }),
+            source_layers,
             bind_group: group("relight images", layouts.shade, &views),
             visibility,
             seen_view,

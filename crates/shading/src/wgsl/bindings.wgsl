@@ -239,11 +239,13 @@ struct Material {
 @group(2) @binding(0) var visibility_buffer: texture_2d<u32>;
 // Linear radiance; alpha is 1 where a surface was shaded and 0 on the background.
 @group(2) @binding(1) var radiance: texture_storage_2d<rgba32float, write>;
-// What sources add to the radiance, if frame.source_count is not 0.
-@group(2) @binding(2) var source_radiance: texture_2d<f32>;
+// What every source adds to the radiance, a layer each.
+@group(2) @binding(2) var source_radiance: texture_2d_array<f32>;
 // Irradiance by `lights` and `local_lights`, unless by cells.
 @group(2) @binding(3) var irradiance: texture_2d<f32>;
 // Light fractions at vertices alone: the stamp of the frame that each was last wanted in, and what
 // light_fractions is.
 @group(2) @binding(4) var<storage, read_write> vertex_states: array<atomic<u32>>;
 @group(2) @binding(5) var light_fractions_found: texture_storage_2d<rgba32float, write>;
+// Sources alone: source_radiance.
+@group(2) @binding(1) var source_radiance_found: texture_storage_2d_array<rgba32float, write>;

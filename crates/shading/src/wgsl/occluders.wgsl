@@ -1,32 +1,64 @@
 // Twin of occluders.rs.
 
-// Whether anything lies on the ray in front of its origin.
+// A walk along a ray: the next node, and what is left of a leaf's triangles.
+struct OccludersWalk {
+    node: u32,
+    triangle: u32,
+    last: u32,
+    blocked: bool,
+}
+
+// Whether anything lies on the ray in front of its origin. Eight steps at a time: software GPUs
+// bound the iterations of a shader's loops, all together.
 fn occluders_block(origin: vec3<f32>, direction: vec3<f32>) -> bool {
     let least = vec3(OCCLUDERS_LEAST_COMPONENT);
     let inverse = 1.0 / select(direction, least, abs(direction) < least);
     let end = arrayLength(&occluder_nodes);
-    var place = 0u;
-    while place < end {
-        let node = occluder_nodes[place];
+    var walk = OccludersWalk(0u, 0u, 0u, false);
+    while !walk.blocked && (walk.node < end || walk.triangle < walk.last) {
+        walk = occluders_step(walk, end, origin, direction, inverse);
+        walk = occluders_step(walk, end, origin, direction, inverse);
+        walk = occluders_step(walk, end, origin, direction, inverse);
+        walk = occluders_step(walk, end, origin, direction, inverse);
+        walk = occluders_step(walk, end, origin, direction, inverse);
+        walk = occluders_step(walk, end, origin, direction, inverse);
+        walk = occluders_step(walk, end, origin, direction, inverse);
+        walk = occluders_step(walk, end, origin, direction, inverse);
+    }
+    return walk.blocked;
+}
+
+// A triangle or a node further.
+fn occluders_step(
+    walk: OccludersWalk,
+    end: u32,
+    origin: vec3<f32>,
+    direction: vec3<f32>,
+    inverse: vec3<f32>,
+) -> OccludersWalk {
+    var next = walk;
+    if walk.blocked {
+        return next;
+    }
+    if walk.triangle < walk.last {
+        next.blocked = occluders_meet(walk.triangle, origin, direction);
+        next.triangle++;
+    } else if walk.node < end {
+        let node = occluder_nodes[walk.node];
         let a = (node.low - origin) * inverse;
         let b = (node.high - origin) * inverse;
         let near = min(a, b);
         let far = max(a, b);
         let enter = max(max(max(near.x, near.y), near.z), 0.0);
         if enter > min(min(far.x, far.y), far.z) {
-            place = node.next;
-            continue;
+            next.node = node.next;
+        } else {
+            next.node++;
+            next.triangle = node.triangles >> OCCLUDERS_COUNT_BITS;
+            next.last = next.triangle + (node.triangles & OCCLUDERS_MAX_TRIANGLES);
         }
-        let first = node.triangles >> OCCLUDERS_COUNT_BITS;
-        let last = first + (node.triangles & OCCLUDERS_MAX_TRIANGLES);
-        for (var i = first; i < last; i++) {
-            if occluders_meet(i, origin, direction) {
-                return true;
-            }
-        }
-        place++;
     }
-    return false;
+    return next;
 }
 
 // Möller & Trumbore 1997.

@@ -24,8 +24,8 @@ fn shade_main(@builtin(global_invocation_id) id: vec3<u32>) {
     ssdf_load(clusters[triangle.w >> 16u], corners, weights);
     // First, so that lobes that add nothing to it are left out.
     var sources = vec3(0.0);
-    if frame.source_count > 0u {
-        sources = textureLoad(source_radiance, pixel, 0).xyz;
+    for (var source = 0u; source < frame.source_count; source++) {
+        sources += textureLoad(source_radiance, pixel, source, 0).xyz;
     }
     let direct = shade(point, sources, Seen(pixel, corners, weights));
     var bounced = vec3(0.0);

@@ -1,4 +1,6 @@
-// Twin of sources.rs, and the entry point that finds what sources add to a pixel.
+// Twin of sources.rs, and the entry point that finds what one source (z) adds to a pixel: one
+// invocation for all would walk further through the scene than software GPUs let a shader loop
+// (Mesa's llvmpipe ends all loops after 65,536 iterations).
 
 @compute @workgroup_size(8, 8)
 fn sources_main(@builtin(global_invocation_id) id: vec3<u32>) {
@@ -23,11 +25,9 @@ fn sources_main(@builtin(global_invocation_id) id: vec3<u32>) {
     let point = surface_point(corners, triangle.w & 0xffffu, weights);
     var sum = vec3(0.0);
     if dot(point.normal, point.view) > 0.0 {
-        for (var source = 0u; source < frame.source_count; source++) {
-            sum += sources_radiance(source, point);
-        }
+        sum = sources_radiance(id.z, point);
     }
-    textureStore(radiance, pixel, vec4(sum, 1.0));
+    textureStore(source_radiance_found, pixel, id.z, vec4(sum, 1.0));
 }
 
 // Radiance of one source from `point` towards the eye, which is above its horizon.

@@ -105,6 +105,16 @@ macro_rules! replays {
 
 replays!(scene environment material parts gltf obj mtl hdr exr rgl merl toml);
 
+/// The corpus has today's files: those of an earlier form of the format reach nothing.
+#[test]
+fn seeds_are_valid() {
+    let limits = relight_format::Limits::default();
+    let seed = |index: usize| corpus(&TARGETS[index]).swap_remove(0).1;
+    relight_format::read_scene(&seed(0), &limits).expect("tests/golden of the format");
+    relight_format::read_environment(&seed(1), &limits).expect("tests/golden of the format");
+    relight_format::read_material(&seed(2), &limits).expect("tests/golden of the format");
+}
+
 /// Structure-aware mutants are what they are meant to be: their checksums hold.
 #[test]
 fn mutants_get_past_checksums() {
@@ -113,7 +123,7 @@ fn mutants_get_past_checksums() {
     let limits = relight_format::Limits::default();
     let mut random = Random(1);
     let (mut past, mut changed) = (0, 0);
-    for _ in 0..2000 {
+    for _ in 0..200 {
         let seed = random.next();
         let change = &mut |bytes: &mut Vec<u8>| random.change(bytes);
         let mutant = mutate::mutant(target.repair, &bytes, seed, MOST, change).expect("an asset");
@@ -126,6 +136,6 @@ fn mutants_get_past_checksums() {
         assert_ne!(issue, Some(relight_format::Issue::BadCompression));
         past += u32::from(issue.is_none());
     }
-    assert!(changed > 1800, "{changed} of 2000 mutants differ");
+    assert!(changed > 180, "{changed} of 200 mutants differ");
     assert!(past > 0, "no mutant is valid");
 }

@@ -299,7 +299,8 @@ mod tests {
                 .unwrap_or_else(|error| panic!("{entry:?}: {}", error.emit_to_string(&source)));
             naga::valid::Validator::new(
                 naga::valid::ValidationFlags::all(),
-                naga::valid::Capabilities::empty(),
+                // `sample_index`, which WebGPU always has.
+                naga::valid::Capabilities::MULTISAMPLED_SHADING,
             )
             .validate(&module)
             .unwrap_or_else(|error| panic!("{entry:?}: {}", error.emit_to_string(&source)));

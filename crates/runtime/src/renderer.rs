@@ -629,14 +629,8 @@ impl Renderer {
             layout: &self.vertex_layouts[0],
             entries: &[
                 frame_uniform_entry(uniforms),
-                wgpu::BindGroupEntry {
-                    binding: 1,
-                    resource: lights.as_entire_binding(),
-                },
-                wgpu::BindGroupEntry {
-                    binding: 2,
-                    resource: self.tables.as_entire_binding(),
-                },
+                buffer_entry(1, lights),
+                buffer_entry(2, &self.tables),
             ],
         })
     }
@@ -652,18 +646,9 @@ impl Renderer {
             label: Some("relight light fractions"),
             layout: &self.vertex_layouts[2],
             entries: &[
-                wgpu::BindGroupEntry {
-                    binding: 0,
-                    resource: wgpu::BindingResource::TextureView(visibility),
-                },
-                wgpu::BindGroupEntry {
-                    binding: 4,
-                    resource: states.as_entire_binding(),
-                },
-                wgpu::BindGroupEntry {
-                    binding: 5,
-                    resource: wgpu::BindingResource::TextureView(fractions),
-                },
+                texture_entry(0, visibility),
+                buffer_entry(4, states),
+                texture_entry(5, fractions),
             ],
         })
     }
@@ -719,14 +704,8 @@ impl Renderer {
             layout: &self.source_layouts[0],
             entries: &[
                 frame_uniform_entry(uniforms),
-                wgpu::BindGroupEntry {
-                    binding: 5,
-                    resource: points.as_entire_binding(),
-                },
-                wgpu::BindGroupEntry {
-                    binding: 6,
-                    resource: scales.as_entire_binding(),
-                },
+                buffer_entry(5, points),
+                buffer_entry(6, scales),
             ],
         })
     }
@@ -775,30 +754,12 @@ impl Renderer {
             layout: &self.frame_layout,
             entries: &[
                 frame_uniform_entry(uniforms),
-                wgpu::BindGroupEntry {
-                    binding: 1,
-                    resource: lights.as_entire_binding(),
-                },
-                wgpu::BindGroupEntry {
-                    binding: 2,
-                    resource: self.tables.as_entire_binding(),
-                },
-                wgpu::BindGroupEntry {
-                    binding: 3,
-                    resource: local_lights.as_entire_binding(),
-                },
-                wgpu::BindGroupEntry {
-                    binding: 4,
-                    resource: wgpu::BindingResource::TextureView(prefiltered),
-                },
-                wgpu::BindGroupEntry {
-                    binding: 7,
-                    resource: wgpu::BindingResource::TextureView(products),
-                },
-                wgpu::BindGroupEntry {
-                    binding: 8,
-                    resource: wgpu::BindingResource::TextureView(fractions),
-                },
+                buffer_entry(1, lights),
+                buffer_entry(2, &self.tables),
+                buffer_entry(3, local_lights),
+                texture_entry(4, prefiltered),
+                texture_entry(7, products),
+                texture_entry(8, fractions),
             ],
         })
     }
@@ -1036,6 +997,20 @@ fn scene_entries() -> [wgpu::BindGroupLayoutEntry; 9] {
         layout_entry(7, compute, sampler),
         layout_entry(10, compute, words),
     ]
+}
+
+pub(crate) fn buffer_entry(binding: u32, buffer: &wgpu::Buffer) -> wgpu::BindGroupEntry<'_> {
+    wgpu::BindGroupEntry {
+        binding,
+        resource: buffer.as_entire_binding(),
+    }
+}
+
+pub(crate) fn texture_entry(binding: u32, texture: &wgpu::TextureView) -> wgpu::BindGroupEntry<'_> {
+    wgpu::BindGroupEntry {
+        binding,
+        resource: wgpu::BindingResource::TextureView(texture),
+    }
 }
 
 pub(crate) fn frame_uniform_entry(uniforms: &wgpu::Buffer) -> wgpu::BindGroupEntry<'_> {

@@ -9,7 +9,7 @@ use relight_shading::transfer::{self, DistantLight, PackedTransfer};
 use wgpu::util::{DeviceExt as _, TextureDataOrder};
 
 use crate::frame::{bounds, near_plane};
-use crate::renderer::Owner;
+use crate::renderer::{Owner, buffer_entry, texture_entry};
 use crate::transfer::filled_buffer;
 use crate::{Error, occluders};
 
@@ -147,23 +147,14 @@ impl GpuScene {
         let mut entries: Vec<_> = buffers
             .iter()
             .zip(0..)
-            .map(|(buffer, binding)| wgpu::BindGroupEntry {
-                binding,
-                resource: buffer.as_entire_binding(),
-            })
+            .map(|(buffer, binding)| buffer_entry(binding, buffer))
             .collect();
-        entries.push(wgpu::BindGroupEntry {
-            binding: 6,
-            resource: wgpu::BindingResource::TextureView(&view),
-        });
+        entries.push(texture_entry(6, &view));
         entries.push(wgpu::BindGroupEntry {
             binding: 7,
             resource: wgpu::BindingResource::Sampler(&sampler),
         });
-        entries.push(wgpu::BindGroupEntry {
-            binding: 10,
-            resource: wgpu::BindingResource::TextureView(&words),
-        });
+        entries.push(texture_entry(10, &words));
         let bind_group = device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("relight scene"),
             layout,
@@ -275,10 +266,7 @@ fn source_group(
     let buffers = shared.into_iter().chain([&nodes, &triangles]);
     let entries: Vec<_> = buffers
         .zip([0, 1, 4, 5, 8, 9])
-        .map(|(buffer, binding)| wgpu::BindGroupEntry {
-            binding,
-            resource: buffer.as_entire_binding(),
-        })
+        .map(|(buffer, binding)| buffer_entry(binding, buffer))
         .collect();
     Ok(Ok(device.create_bind_group(&wgpu::BindGroupDescriptor {
         label: Some("relight occluders"),

@@ -165,6 +165,7 @@ pub const SURFACES: Kernel = Kernel {
 const LIBRARY: &[&str] = &[
     include_str!("wgsl/bindings.wgsl"),
     include_str!("wgsl/camera.wgsl"),
+    include_str!("wgsl/seen.wgsl"),
     include_str!("wgsl/octahedral.wgsl"),
     include_str!("wgsl/spherical_gaussian.wgsl"),
     include_str!("wgsl/prefiltered.wgsl"),

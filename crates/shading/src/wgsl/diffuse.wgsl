@@ -4,24 +4,14 @@
 @compute @workgroup_size(8, 8)
 fn diffuse_main(@builtin(global_invocation_id) id: vec3<u32>) {
     let pixel = id.xy + vec2(frame.first_column, frame.first_row);
-    if any(pixel >= textureDimensions(visibility_buffer)) {
+    let seen = seen_triangle(pixel);
+    if seen.x >= frame.triangle_count {
         return;
     }
-    let seen = textureLoad(visibility_buffer, pixel, 0).xy;
-    // Background, and what belongs to others, wraps to more than there is.
-    let number = seen.x - frame.first_id;
-    if number >= frame.triangle_count {
-        return;
-    }
-    let triangle = triangles[number];
+    let triangle = triangles[seen.x];
     let material = triangle.w & 0xffffu;
     let corners = triangle.xyz;
-    let weights = barycentrics(
-        vertices[corners.x].position,
-        vertices[corners.y].position,
-        vertices[corners.z].position,
-        seen_ray(pixel, seen.y),
-    );
+    let weights = seen_barycentrics(corners, pixel, seen.y);
     let shape = surface_shape(corners, material, weights);
     if materials[material].has_diffuse == 0u || dot(shape.normal, shape.view) <= 0.0 {
         textureStore(radiance, pixel, vec4(0.0));

@@ -5,23 +5,13 @@
 @compute @workgroup_size(8, 8)
 fn sources_main(@builtin(global_invocation_id) id: vec3<u32>) {
     let pixel = id.xy + vec2(frame.first_column, frame.first_row);
-    if any(pixel >= textureDimensions(visibility_buffer)) {
+    let seen = seen_triangle(pixel);
+    if seen.x >= frame.triangle_count {
         return;
     }
-    let seen = textureLoad(visibility_buffer, pixel, 0).xy;
-    // Background, and what belongs to others, wraps to more than there is.
-    let number = seen.x - frame.first_id;
-    if number >= frame.triangle_count {
-        return;
-    }
-    let triangle = triangles[number];
+    let triangle = triangles[seen.x];
     let corners = triangle.xyz;
-    let weights = barycentrics(
-        vertices[corners.x].position,
-        vertices[corners.y].position,
-        vertices[corners.z].position,
-        seen_ray(pixel, seen.y),
-    );
+    let weights = seen_barycentrics(corners, pixel, seen.y);
     let point = surface_point(corners, triangle.w & 0xffffu, weights);
     var sum = vec3(0.0);
     if dot(point.normal, point.view) > 0.0 {

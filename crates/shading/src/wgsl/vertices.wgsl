@@ -4,16 +4,11 @@
 @compute @workgroup_size(8, 8)
 fn vertices_mark(@builtin(global_invocation_id) id: vec3<u32>) {
     let pixel = id.xy + vec2(frame.first_column, frame.first_row);
-    if any(pixel >= textureDimensions(visibility_buffer)) {
+    let seen = seen_triangle(pixel);
+    if seen.x >= frame.triangle_count {
         return;
     }
-    let seen = textureLoad(visibility_buffer, pixel, 0).xy;
-    // Background, and what belongs to others, wraps to more than there is.
-    let number = seen.x - frame.first_id;
-    if number >= frame.triangle_count {
-        return;
-    }
-    let corners = triangles[number].xyz;
+    let corners = triangles[seen.x].xyz;
     vertices_want(corners.x);
     vertices_want(corners.y);
     vertices_want(corners.z);

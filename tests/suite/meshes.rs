@@ -2,6 +2,8 @@
 
 use std::fmt::Write as _;
 
+use relight_format::math;
+
 /// A sphere of radius 1 over a square of side 6, as an OBJ file. The sphere has
 /// `2 · steps²` or so triangles, the square `2 · steps²`.
 pub fn sphere_over_ground(steps: usize) -> String {
@@ -14,9 +16,9 @@ pub fn sphere_over_ground(steps: usize) -> String {
                 TAU * column as f32 / steps as f32,
             );
             let (x, y, z) = (
-                theta.sin() * phi.cos(),
-                theta.cos(),
-                theta.sin() * phi.sin(),
+                math::sin(theta) * math::cos(phi),
+                math::cos(theta),
+                math::sin(theta) * math::sin(phi),
             );
             let _ = writeln!(obj, "v {x} {} {z}\nvn {x} {y} {z}", y + 1.25);
         }

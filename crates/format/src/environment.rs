@@ -1,5 +1,6 @@
 //! Distant lighting as a sum of spherical Gaussians, beside sources with an outline of their own.
 
+use crate::math;
 use std::f32::consts::{PI, TAU};
 
 use bytemuck::{Pod, Zeroable};
@@ -115,7 +116,8 @@ impl Source {
     pub fn direction(&self) -> [f32; 3] {
         let theta = self.theta + 0.5 * (self.rows as f32 - 1.0) * self.row_step;
         let phi = self.phi + 0.5 * (self.columns as f32 - 1.0) * self.column_step;
-        let ((sin_theta, cos_theta), (sin_phi, cos_phi)) = (theta.sin_cos(), phi.sin_cos());
+        let ((sin_theta, cos_theta), (sin_phi, cos_phi)) =
+            (math::sin_cos(theta), math::sin_cos(phi));
         [sin_theta * sin_phi, cos_theta, -sin_theta * cos_phi]
     }
 
@@ -125,7 +127,7 @@ impl Source {
         let middle = self.theta + 0.5 * (height - self.row_step);
         [
             height,
-            self.columns as f32 * self.column_step * middle.sin(),
+            self.columns as f32 * self.column_step * math::sin(middle),
         ]
     }
 }

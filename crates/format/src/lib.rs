@@ -17,6 +17,7 @@ mod error;
 mod geometry;
 mod material;
 mod material_asset;
+pub mod math;
 mod prediction;
 mod scene;
 mod transfer;

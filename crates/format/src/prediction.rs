@@ -90,6 +90,7 @@ fn predict(image: impl Fn(usize) -> i8, texel: usize, n: usize) -> i8 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::math;
 
     #[test]
     fn images_come_back() {
@@ -113,7 +114,8 @@ mod tests {
         let basis: Vec<i8> = (0..n * n * 4)
             .map(|i| {
                 let (x, y) = (i / 4 % n, i / 4 / n);
-                (60.0 * ((x as f32 * 0.1).sin() + (y as f32 * 0.07 + (i % 4) as f32).cos())) as i8
+                (60.0 * (math::sin(x as f32 * 0.1) + math::cos(y as f32 * 0.07 + (i % 4) as f32)))
+                    as i8
             })
             .collect();
         let large = differences(&basis, n as u32)

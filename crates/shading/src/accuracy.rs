@@ -1,6 +1,7 @@
 //! How far the lobes of `brdf` are from the reflection models of `reference`: quadrature for
 //! error tables, tests and reports. On the CPU only.
 
+use relight_format::math;
 use std::f32::consts::PI;
 
 use glam::Vec3;
@@ -48,11 +49,12 @@ pub fn accuracy(reflection: &Reflection, view: Vec3) -> Accuracy {
     for i in 0..RADII {
         let u = (i as f32 + 0.5) / RADII as f32;
         let theta = PI * u * u * u;
-        let solid_angle = theta.sin() * 3.0 * PI * u * u / RADII as f32 * 2.0 * PI / ANGLES as f32;
+        let solid_angle =
+            math::sin(theta) * 3.0 * PI * u * u / RADII as f32 * 2.0 * PI / ANGLES as f32;
         for j in 0..ANGLES {
             let phi = 2.0 * PI * (j as f32 + 0.5) / ANGLES as f32;
-            let around = first * phi.cos() + second * phi.sin();
-            let wi = mirror * theta.cos() + around * theta.sin();
+            let around = first * math::cos(phi) + second * math::sin(phi);
+            let wi = mirror * math::cos(theta) + around * math::sin(theta);
             if wi.z <= 0.0 {
                 continue;
             }

@@ -15,6 +15,7 @@
 //! albedo, Fresnel included, which is tabulated over roughness and angle.
 
 use glam::{Vec2, Vec2Swizzles as _, Vec3};
+use relight_format::math;
 
 use crate::reference;
 use crate::spherical_gaussian::SphericalGaussian;
@@ -134,7 +135,7 @@ fn shape(values: &[f32], reflection: &Reflection, wo: Vec3) -> SpecularLobes {
     };
     let cosine = wo.z.max(MIN_COSINE);
     let stretched = Stretch::new(width, incidence, cosine);
-    let limit = 2f32.powf((MIXTURES - 1) as f32 / MIXTURES_PER_OCTAVE);
+    let limit = math::powf(2f32, (MIXTURES - 1) as f32 / MIXTURES_PER_OCTAVE);
     let full_ratio = (stretched.long / stretched.short).sqrt();
     let ratio = full_ratio.min(limit);
     // Beyond the table a lobe keeps its length and is made wider.
@@ -149,7 +150,7 @@ fn shape(values: &[f32], reflection: &Reflection, wo: Vec3) -> SpecularLobes {
         ANISOTROPIC_PAIRS
     };
     let table = 2 * usize::from(model == Model::Ggx) + usize::from(!isotropic);
-    let position = ratio.max(1.0).log2() * MIXTURES_PER_OCTAVE;
+    let position = math::log2(ratio.max(1.0)) * MIXTURES_PER_OCTAVE;
     let node = (position as usize).min(MIXTURES - 2);
     let first = (table * MIXTURES + node) * MIXTURE_STRIDE;
     let mixture = |i: usize| {
@@ -172,11 +173,11 @@ fn shape(values: &[f32], reflection: &Reflection, wo: Vec3) -> SpecularLobes {
         push(Vec2::ZERO, 1.0, 1.0);
         return lobes;
     }
-    push(Vec2::ZERO, mixture(0).exp(), mixture(1).exp());
+    push(Vec2::ZERO, math::exp(mixture(0)), math::exp(mixture(1)));
     let step = stretched.long_axis * width * ((ratio * ratio - 1.0).max(0.0).sqrt() / ratio);
     for pair in 0..pairs {
-        let scale = mixture(2 + 3 * pair).exp();
-        let weight = mixture(3 + 3 * pair).exp();
+        let scale = math::exp(mixture(2 + 3 * pair));
+        let weight = math::exp(mixture(3 + 3 * pair));
         if round {
             push(Vec2::ZERO, scale, 2.0 * weight);
         } else {
@@ -257,13 +258,13 @@ fn tilt(
         Vec2::splat(0.5f32.sqrt())
     };
     let at_low = modulation(reflection, wo, azimuth, low);
-    let slope = (modulation(reflection, wo, azimuth, high) / at_low).ln() / (high - low);
+    let slope = math::ln(modulation(reflection, wo, azimuth, high) / at_low) / (high - low);
     let k = slope.max(-MAX_TILT * sharpness);
     let sum = sharpness * axis + Vec3::new(0.0, 0.0, k);
     let tilted = sum.length();
     // tilted − sharpness − k low, without the difference of the first two.
     let exponent = k * (2.0 * sharpness * axis.z + k) / (tilted + sharpness) - k * low;
-    let amplitude = Vec3::splat(weight * at_low * exponent.exp());
+    let amplitude = Vec3::splat(weight * at_low * math::exp(exponent));
     SphericalGaussian {
         axis: sum / tilted,
         sharpness: tilted,
@@ -522,10 +523,11 @@ fn reference_albedo(reflection: &Reflection, wo: Vec3) -> [f64; 2] {
 #[cfg(test)]
 mod fit {
     use super::{ANISOTROPIC_PAIRS, MIXTURE_STRIDE, MIXTURES, MIXTURES_PER_OCTAVE};
+    use relight_format::math;
 
     /// exp(−r²).
     pub fn gaussian(r_squared: f64) -> f64 {
-        (-r_squared).exp()
+        math::exp(-r_squared)
     }
 
     /// 1/(1 + r²)².
@@ -576,7 +578,7 @@ mod fit {
         }
         (0..MIXTURES)
             .map(|i| {
-                let ratio = 2f64.powf(i as f64 / f64::from(MIXTURES_PER_OCTAVE));
+                let ratio = math::powf(2f64, i as f64 / f64::from(MIXTURES_PER_OCTAVE));
                 let samples = samples(profile, ratio, weight);
                 parameters = levenberg_marquardt(&samples, ratio, pairs, parameters);
                 let mut row = [0.0; MIXTURE_STRIDE];
@@ -654,7 +656,7 @@ mod fit {
         };
         let mut sharpness = [0.0; MAX_PARAMETERS];
         for k in std::iter::once(0).chain((2..n).step_by(3)) {
-            sharpness[k] = p[k].exp();
+            sharpness[k] = math::exp(p[k]);
         }
         for &Sample {
             x,
@@ -668,7 +670,7 @@ mod fit {
             let mut gaussian = |k: usize, d: f64, derivative: f64| {
                 let s = sharpness[k];
                 let r_squared = (x - d) * (x - d) + y * y;
-                let value = (p[k + 1] - s * r_squared).exp();
+                let value = math::exp(p[k + 1] - s * r_squared);
                 row[k] -= s * r_squared * value;
                 row[k + 1] += value;
                 if derivative != 0.0 {
@@ -687,7 +689,7 @@ mod fit {
         let mut row = [0.0; MAX_PARAMETERS];
         let mut sum = 0.0;
         for (k, count) in std::iter::once((0, 1.0)).chain((2..n).step_by(3).map(|k| (k, 2.0))) {
-            let energy = count * (p[k + 1] - p[k]).exp() / ratio;
+            let energy = count * math::exp(p[k + 1] - p[k]) / ratio;
             row[k] = -energy;
             row[k + 1] = energy;
             sum += energy;
@@ -783,8 +785,8 @@ mod tests {
             alpha
         };
         let reflection = Reflection::new(model, Vec3::splat(f0), alpha);
-        let (sin, cos) = degrees.to_radians().sin_cos();
-        let view = Vec3::new(sin * azimuth.cos(), sin * azimuth.sin(), cos);
+        let (sin, cos) = math::sin_cos(degrees.to_radians());
+        let view = Vec3::new(sin * math::cos(azimuth), sin * math::sin(azimuth), cos);
         local_point(Appearance::new(Vec3::ZERO, &[reflection]), view)
     }
 

@@ -1,6 +1,7 @@
 //! World to clip space, pixels to rays, and rays to barycentric coordinates.
 
 use glam::{DMat3, DVec3, DVec4, Mat4, Vec2, Vec3, Vec4};
+use relight_format::math;
 use relight_format::{Camera, FieldOfView};
 
 /// How a picture is looked at.
@@ -93,11 +94,11 @@ impl View {
         let (width, height) = (width as f32, height as f32);
         let (half_width, half_height) = match camera.field_of_view {
             FieldOfView::X(angle) => {
-                let tangent = (0.5 * angle).tan();
+                let tangent = math::tan(0.5 * angle);
                 (tangent, tangent * height / width)
             }
             FieldOfView::Y(angle) => {
-                let tangent = (0.5 * angle).tan();
+                let tangent = math::tan(0.5 * angle);
                 (tangent * width / height, tangent)
             }
         };

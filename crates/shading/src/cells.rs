@@ -14,6 +14,7 @@
 //! - About the axis of a lobe cells reach to 1 % of its peak, so that nothing need be made up
 //!   for, and the horizon is a second signed distance.
 
+use relight_format::math;
 use std::f32::consts::PI;
 
 use glam::{Vec2, Vec3};
@@ -89,13 +90,13 @@ impl Moments {
 ///
 /// Differences are taken of angles, not of antiderivatives.
 fn inner(start: f32, width: f32) -> [f32; 5] {
-    let (s0, c0) = start.sin_cos();
-    let (s1, c1) = (start + width).sin_cos();
-    let middle = (start + 0.5 * width).sin();
+    let (s0, c0) = math::sin_cos(start);
+    let (s1, c1) = math::sin_cos(start + width);
+    let middle = math::sin(start + 0.5 * width);
     // c0 − c1 and s1 − s0.
-    let falls = 2.0 * middle * (0.5 * width).sin();
+    let falls = 2.0 * middle * math::sin(0.5 * width);
     let rises = falls * (c0 + c1) / (s0 + s1).max(f32::MIN_POSITIVE);
-    let sine = width.sin();
+    let sine = math::sin(width);
     let square = width * width;
     let less_sine = if width.abs() < 0.5 {
         width * square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0))
@@ -125,7 +126,7 @@ pub fn strip(normal: Vec3, base: f32, from: Vec2, to: Vec2) -> Moments {
         let half = 0.5 / panels * step;
         for [node, weight] in NODES {
             for at in [middle - node * half, middle + node * half] {
-                let (sine, cosine) = at.x.sin_cos();
+                let (sine, cosine) = math::sin_cos(at.x);
                 let across = normal.x * cosine + normal.y * sine;
                 let [s2, sc, s3, s2c, sc2] = inner(base, at.y);
                 let weight = weight * half.x;
@@ -168,8 +169,8 @@ impl Coordinates {
 
 /// The unit vector of (φ, θ), in the cells' frame.
 fn direction(at: Vec2) -> Vec3 {
-    let (s, c) = at.y.sin_cos();
-    Vec3::new(at.x.cos() * s, at.x.sin() * s, c)
+    let (s, c) = math::sin_cos(at.y);
+    Vec3::new(math::cos(at.x) * s, math::sin(at.x) * s, c)
 }
 
 /// Nodes on \[−1, 1\] of the samples that lobes are fitted to, by Gauss and Legendre.
@@ -199,7 +200,7 @@ impl Cell {
             let place = Vec2::new((index % 3) as f32, (index / 3) as f32) - 1.0;
             let at = middle + place * node;
             let outer = [place.x, place.y].map(|place| FIT_WEIGHTS[usize::from(place != 0.0)]);
-            *sample = (direction(at), outer[0] * outer[1] * at.y.sin());
+            *sample = (direction(at), outer[0] * outer[1] * math::sin(at.y));
             sum += sample.1;
         }
         for (_, weight) in &mut samples {
@@ -219,11 +220,11 @@ impl Cell {
         let least = (corners.as_flattened().iter())
             .map(|corner| corner.dot(centre))
             .fold(1.0, f32::min);
-        least.acos()
+        math::acos(least)
     }
 
     fn solid_angle(&self) -> f32 {
-        (self.high.x - self.low.x) * (self.low.y.cos() - self.high.y.cos())
+        (self.high.x - self.low.x) * (math::cos(self.low.y) - math::cos(self.high.y))
     }
 
     /// α and β of `exp(λ(p·ω − 1)) ≈ α + β p·ω`, and the root mean square of what is left.
@@ -231,7 +232,7 @@ impl Cell {
         // 1 − p·ω without cancellation.
         let samples = self.samples.map(|(direction, weight)| {
             let aside = 0.5 * (direction - axis).length_squared();
-            [weight, aside, (-sharpness * aside).exp()]
+            [weight, aside, math::exp(-sharpness * aside)]
         });
         let (mut mean, mut value) = (0.0, 0.0);
         for [weight, aside, found] in samples {
@@ -402,7 +403,7 @@ impl<F: SignedDistance, A: FnMut(Cell, Option<Boundary>, Vec3)> Integral<'_, F, 
     /// The lesser of the distances to the visibility boundary and to the horizon.
     fn distance(&self, direction: Vec3) -> f32 {
         let world = self.frame.to_world(direction);
-        let horizon = self.normal.dot(direction).clamp(-1.0, 1.0).asin();
+        let horizon = math::asin(self.normal.dot(direction).clamp(-1.0, 1.0));
         self.field.distance(world).min(horizon)
     }
 
@@ -599,7 +600,7 @@ impl Boundary {
         }
         for [row, column] in samples {
             let line = pole.dot(cell.directions[row][column]);
-            let miss = distances[row][column] - line.clamp(-1.0, 1.0).asin();
+            let miss = distances[row][column] - math::asin(line.clamp(-1.0, 1.0));
             sum += miss * miss;
         }
         (0.2 * sum).sqrt()
@@ -616,7 +617,7 @@ pub fn around(lobes: &[SphericalGaussian]) -> (Vec3, f32) {
     let pole = mean.normalize_or(Vec3::Y);
     let reach = (lobes.iter())
         .map(|lobe| {
-            let aside = pole.dot(lobe.axis).clamp(-1.0, 1.0).acos();
+            let aside = math::acos(pole.dot(lobe.axis).clamp(-1.0, 1.0));
             (aside + support_radius(lobe.sharpness)).min(PI)
         })
         .fold(0.0, f32::max);
@@ -664,11 +665,11 @@ mod tests {
             for j in 0..steps {
                 let theta = base + height * (f64::from(j) + 0.5) / f64::from(steps);
                 let direction = glam::DVec3::new(
-                    at.x.cos() * theta.sin(),
-                    at.x.sin() * theta.sin(),
-                    theta.cos(),
+                    math::cos(at.x) * math::sin(theta),
+                    math::sin(at.x) * math::sin(theta),
+                    math::cos(theta),
                 );
-                let area = step.x * height / f64::from(steps * steps) * theta.sin();
+                let area = step.x * height / f64::from(steps * steps) * math::sin(theta);
                 let cosine = n.dot(direction);
                 size += (area * cosine).abs();
                 let terms = [1.0, direction.x, direction.y, direction.z];
@@ -726,7 +727,7 @@ mod tests {
 
     impl SignedDistance for HalfSpace {
         fn distance(&self, direction: Vec3) -> f32 {
-            self.0.dot(direction).clamp(-1.0, 1.0).asin()
+            math::asin(self.0.dot(direction).clamp(-1.0, 1.0))
         }
     }
 
@@ -798,7 +799,7 @@ mod tests {
                 let at = low + place * size;
                 if leaf.visible(at) {
                     let direction = leaf.direction(at);
-                    let area = size.x * size.y * at.y.sin();
+                    let area = size.x * size.y * math::sin(at.y);
                     sum += (alpha + beta * lobes[0].axis.dot(direction)) * area * direction.y;
                 }
             }

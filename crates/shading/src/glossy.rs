@@ -8,6 +8,7 @@
 //! replaces them, and visibility is integrated once for every light and reflection.
 
 use glam::Vec3;
+use relight_format::math;
 
 use crate::brdf::{MAX_SPECULAR_LOBES, SpecularLobes, specular_lobes};
 use crate::reference;
@@ -184,7 +185,7 @@ fn shortening(sharpness: f32) -> f32 {
     if sharpness < 0.25 {
         return 1.0 - sharpness * (1.0 / 3.0 - sharpness * sharpness / 45.0);
     }
-    1.0 / sharpness - 2.0 / ((2.0 * sharpness.min(40.0)).exp() - 1.0)
+    1.0 / sharpness - 2.0 / (math::exp(2.0 * sharpness.min(40.0)) - 1.0)
 }
 
 /// Two unit vectors at right angles to the unit vector `axis` (Duff et al. 2017).
@@ -251,7 +252,7 @@ mod tests {
             for column in 0..COLUMNS {
                 let azimuth = TAU * (column as f32 + 0.5) / COLUMNS as f32;
                 let sine = (1.0 - z * z).sqrt();
-                let wi = Vec3::new(sine * azimuth.cos(), sine * azimuth.sin(), z);
+                let wi = Vec3::new(sine * math::cos(azimuth), sine * math::sin(azimuth), z);
                 sum +=
                     light.evaluate(wi).x * reference::evaluate_specular(reflection, wi, view).x * z;
             }
@@ -269,7 +270,7 @@ mod tests {
         ] {
             let reflection = Reflection::new(model, Vec3::splat(0.8), Vec2::new(x, y));
             for degrees in [10f32, 45.0, 65.0] {
-                let (sine, cosine) = degrees.to_radians().sin_cos();
+                let (sine, cosine) = math::sin_cos(degrees.to_radians());
                 let view = Vec3::new(0.8 * sine, 0.6 * sine, cosine);
                 let point = local_point(Appearance::new(Vec3::ZERO, &[reflection]), view);
                 let glossy = Glossy::new(&point, &reflection);

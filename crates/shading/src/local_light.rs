@@ -6,6 +6,7 @@
 //! in its direction is nearer than the light.
 
 use glam::Vec3;
+use relight_format::math;
 
 use crate::gpu;
 use crate::spherical_gaussian::{SphericalGaussian, energy};
@@ -43,8 +44,8 @@ impl From<&LocalLight> for gpu::LocalLight {
         let (direction, spot_scale, spot_offset) = match light.spot {
             None => (Vec3::Y, 0.0, 1.0),
             Some(spot) => {
-                let outer = spot.outer_angle.cos();
-                let scale = 1.0 / (spot.inner_angle.cos() - outer).max(1e-4);
+                let outer = math::cos(spot.outer_angle);
+                let scale = 1.0 / (math::cos(spot.inner_angle) - outer).max(1e-4);
                 (spot.direction, scale, -outer * scale)
             }
         };
@@ -120,9 +121,9 @@ mod tests {
             assert!(lobe.axis.distance(Vec3::Y) < 1e-6);
             // Tilted so that the sphere stays above the horizon: π L sin²σ cos θ.
             for tilt in [0.0f32, 0.5, 1.0] {
-                let irradiance =
-                    lobe.amplitude.x * Tables::get().cosine_integral(lobe.sharpness, tilt.cos());
-                let expected = 3.0 * PI * (radius / 2.0).powi(2) * tilt.cos();
+                let irradiance = lobe.amplitude.x
+                    * Tables::get().cosine_integral(lobe.sharpness, math::cos(tilt));
+                let expected = 3.0 * PI * (radius / 2.0).powi(2) * math::cos(tilt);
                 assert!(
                     (irradiance / expected - 1.0).abs() < IRRADIANCE_TOLERANCE,
                     "{radius} {tilt}: {irradiance} for {expected}"
@@ -140,7 +141,7 @@ mod tests {
         };
         let energy_at = |angle: f32| {
             // On a circle about the light, so that the distance stays.
-            let point = Vec3::new(2.0 * angle.sin(), 2.0 - 2.0 * angle.cos(), 0.0);
+            let point = Vec3::new(2.0 * math::sin(angle), 2.0 - 2.0 * math::cos(angle), 0.0);
             light(0.1, Some(spot)).lobe(point).integral().x
         };
         let whole = light(0.1, None).lobe(Vec3::ZERO).integral().x;

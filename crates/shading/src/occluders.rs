@@ -237,6 +237,7 @@ pub fn wgsl_constants() -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use relight_format::math;
 
     /// Pseudorandom numbers in [0, 1).
     fn uniform(index: u32) -> f32 {
@@ -332,7 +333,7 @@ mod tests {
                 let cosine = 1.0 - (1.0 - cosine) * uniform(200 * cone + ray);
                 let sine = (1.0 - cosine * cosine).sqrt();
                 let (sin, cos) =
-                    (std::f32::consts::TAU * uniform(700_000 + 200 * cone + ray)).sin_cos();
+                    math::sin_cos(std::f32::consts::TAU * uniform(700_000 + 200 * cone + ray));
                 occluders.block(origin, axis * cosine + (x * cos + y * sin) * sine)
             });
             let met = occluders.meet_cone(origin, axis, cosine);

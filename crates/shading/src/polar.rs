@@ -10,6 +10,7 @@
 //! the distance and its slope along the spoke tell how far aside the boundary lies, hence
 //! which part of the wedge is visible.
 
+use relight_format::math;
 use std::f32::consts::PI;
 
 use glam::{Vec2, Vec3};
@@ -66,7 +67,7 @@ impl PolarOptions {
     /// For a lobe that can add `share` times what has been gathered before.
     #[must_use]
     pub fn for_share(self, share: f32) -> Self {
-        let factor = (MOST_SPOKES * share.min(1.0).powf(SPOKES_EXPONENT)).max(LEAST_SPOKES);
+        let factor = (MOST_SPOKES * math::powf(share.min(1.0), SPOKES_EXPONENT)).max(LEAST_SPOKES);
         Self {
             spokes: ((self.spokes as f32 * factor + 0.5) as u32).max(1),
         }
@@ -92,7 +93,7 @@ pub fn integrate(
 ) -> f32 {
     let cosine = normal.dot(axis);
     let radius = support_radius(sharpness);
-    if cosine <= -radius.min(0.5 * PI).sin() {
+    if cosine <= -math::sin(radius.min(0.5 * PI)) {
         return 0.0;
     }
     let unoccluded = Tables::get().cosine_integral(sharpness, cosine);
@@ -114,11 +115,15 @@ pub fn integrate(
     let shortest = (SHORTEST_STEP * radius).min(SHORTEST_STEP_LIMIT);
     let count = options.spokes as f32;
     let wedge = WEDGE * PI / count;
-    let (radius_sine, radius_cosine) = radius.sin_cos();
+    let (radius_sine, radius_cosine) = math::sin_cos(radius);
     let at_radius = moments(sharpness, radius);
     // Spokes turn by one angle.
-    let turn = Vec2::from_angle(2.0 * PI / count);
-    let mut azimuth = Vec2::from_angle(2.0 * PI * PHASE / count);
+    let at = |angle| {
+        let (sin, cos) = math::sin_cos(angle);
+        Vec2::new(cos, sin)
+    };
+    let turn = at(2.0 * PI / count);
+    let mut azimuth = at(2.0 * PI * PHASE / count);
     let mut visible = 0.0;
     let mut whole = 0.0;
     for _ in 0..options.spokes {
@@ -130,9 +135,9 @@ pub fn integrate(
         let mut end = radius;
         let mut last = weights.dot(at_radius);
         if cosine < 0.0 {
-            start = (-cosine).atan2(weights.y);
+            start = math::atan2(-cosine, weights.y);
         } else if weights.dot(Vec2::new(radius_cosine, radius_sine)) < 0.0 {
-            end = end.min(cosine.atan2(-weights.y));
+            end = end.min(math::atan2(cosine, -weights.y));
             last = weights.dot(moments(sharpness, end));
         }
         if start >= end {
@@ -143,7 +148,7 @@ pub fn integrate(
         let mut here = distance;
         let mut first = 0.0;
         if start > 0.0 {
-            let (sine, cosine) = start.sin_cos();
+            let (sine, cosine) = math::sin_cos(start);
             sine_here = sine;
             here = field.distance(axis * cosine + outward * sine);
             first = weights.dot(moments(sharpness, start));
@@ -154,7 +159,7 @@ pub fn integrate(
         let mut sum = -covered * first;
         while theta + RELAXATION * here.abs() < end {
             let next = (theta + (RELAXATION * here.abs()).max(shortest)).min(end);
-            let (sine_there, cosine_there) = next.sin_cos();
+            let (sine_there, cosine_there) = math::sin_cos(next);
             let there = field.distance(axis * cosine_there + outward * sine_there);
             let rise = (there - here) / (next - theta);
             let aside = (1.0 - rise * rise).max(0.0).sqrt();
@@ -209,12 +214,12 @@ fn root(a: f32, b: f32, otherwise: bool) -> f32 {
 /// Angle from the axis at which the lobe has fallen to [`CUT`]; π where it never does.
 pub(crate) fn support_radius(sharpness: f32) -> f32 {
     let half_chord = (cut_exponent() / sharpness.max(f32::MIN_POSITIVE)).sqrt();
-    2.0 * half_chord.min(1.0).asin()
+    2.0 * math::asin(half_chord.min(1.0))
 }
 
 /// ∫₀^θ exp(λ(cos t − 1)) cos t sin t dt, and the same of sin² t.
 fn moments(sharpness: f32, theta: f32) -> Vec2 {
-    let half_chord = (0.5 * theta).sin();
+    let half_chord = math::sin(0.5 * theta);
     Vec2::new(
         cosine_moment(sharpness, 2.0 * half_chord * half_chord),
         Tables::get().sine_squared_moment(sharpness, half_chord),
@@ -229,7 +234,7 @@ pub(crate) fn any_orthogonal(axis: Vec3) -> Vec3 {
 
 /// λ sin²(θ/2) where the lobe has fallen to [`CUT`].
 fn cut_exponent() -> f32 {
-    -0.5 * CUT.ln()
+    -0.5 * math::ln(CUT)
 }
 
 /// The constants of this module, as WGSL.
@@ -296,7 +301,7 @@ mod tests {
     impl Caps {
         fn exact(&self, direction: DVec3) -> f64 {
             let distances = self.circles.iter().map(|&(center, radius)| {
-                2.0 * (0.5 * (direction - center).length()).min(1.0).asin() - radius
+                2.0 * math::asin((0.5 * (direction - center).length()).min(1.0)) - radius
             });
             if self.all {
                 distances.fold(f64::INFINITY, f64::min)
@@ -330,7 +335,7 @@ mod tests {
             let y = 2.0 * self.uniform() - 1.0;
             let azimuth = 2.0 * PI * self.uniform();
             let radius = (1.0 - y * y).sqrt();
-            DVec3::new(radius * azimuth.cos(), y, radius * azimuth.sin())
+            DVec3::new(radius * math::cos(azimuth), y, radius * math::sin(azimuth))
         }
     }
 
@@ -352,11 +357,11 @@ mod tests {
                     .map(|_| (random.direction(), 0.2 + 1.2 * random.uniform()))
                     .collect();
                 // λ from 0.5 to 3e4; the axis within three widths of a rim.
-                let sharpness = 0.5 * 6e4f64.powf(random.uniform());
+                let sharpness = 0.5 * math::powf(6e4f64, random.uniform());
                 let (center, radius) = circles[0];
                 let aside = center.cross(random.direction()).normalize();
                 let angle = radius + 3.0 * (2.0 * random.uniform() - 1.0) / sharpness.sqrt();
-                let axis = center * angle.cos() + aside * angle.sin();
+                let axis = center * math::cos(angle) + aside * math::sin(angle);
                 let field = Caps::new(circles, index % 8 < 4);
                 let truth = truth(&field, sharpness, axis, normal);
                 Case {
@@ -373,17 +378,17 @@ mod tests {
     /// Midpoint rule over equal shares of the lobe's energy and over azimuth.
     fn truth(field: &Caps, sharpness: f64, axis: DVec3, normal: DVec3) -> f64 {
         let n = 150;
-        let shares = 1.0 - (-2.0 * sharpness).exp();
+        let shares = 1.0 - math::exp(-2.0 * sharpness);
         let tangent = axis.any_orthonormal_vector();
         let bitangent = axis.cross(tangent);
         let mut sum = 0.0;
         for i in 0..n {
             let share = (f64::from(i) + 0.5) / f64::from(n) * shares;
-            let cosine = 1.0 + (1.0 - share).ln() / sharpness;
+            let cosine = 1.0 + math::ln(1.0 - share) / sharpness;
             let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
             for j in 0..n {
                 let azimuth = 2.0 * PI * (f64::from(j) + 0.5) / f64::from(n);
-                let outward = tangent * azimuth.cos() + bitangent * azimuth.sin();
+                let outward = tangent * math::cos(azimuth) + bitangent * math::sin(azimuth);
                 let direction = axis * cosine + outward * sine;
                 let weight = normal.dot(direction);
                 if weight > 0.0 && field.exact(direction) > 0.0 {
@@ -412,7 +417,7 @@ mod tests {
             let (mut error, mut total) = (0.0, 0.0);
             for case in &cases {
                 // Every lobe counts alike, whatever its sharpness.
-                let energy = 2.0 * PI * (1.0 - (-2.0 * case.sharpness).exp()) / case.sharpness;
+                let energy = 2.0 * PI * (1.0 - math::exp(-2.0 * case.sharpness)) / case.sharpness;
                 error += ((estimate(case, spokes) - case.truth) / energy).powi(2);
                 total += (case.truth / energy).powi(2);
             }
@@ -437,7 +442,7 @@ mod tests {
     fn nothing_in_the_way_gives_the_whole_integral() {
         let mut random = Random(2);
         for index in 0..200 {
-            let sharpness = 1e-3 * 1e8f64.powf(random.uniform()) as f32;
+            let sharpness = 1e-3 * math::powf(1e8f64, random.uniform()) as f32;
             let axis = random.direction().as_vec3();
             let normal = random.direction().as_vec3();
             let sign = if index % 2 == 0 { 1.0 } else { -1.0 };

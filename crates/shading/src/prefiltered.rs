@@ -6,6 +6,7 @@
 //! difference. So lookups need be exact only as far as the lights are not the image: small
 //! bright lights, which the levels blur and mix worst, are in the lights.
 
+use relight_format::math;
 use std::sync::Arc;
 
 use glam::Vec3;
@@ -74,14 +75,14 @@ impl Prefiltered {
     pub fn radiance(&self, axis: Vec3, sharpness: f32) -> Vec3 {
         let rows = (sharpness / relight_format::Prefiltered::SHARPNESS).max(1.0);
         let widest = (self.levels - 1) as f32;
-        let level = (self.levels as f32 - 0.5 * rows.log2()).clamp(0.0, widest);
+        let level = (self.levels as f32 - 0.5 * math::log2(rows)).clamp(0.0, widest);
         let sharper = level.floor().min((widest - 1.0).max(0.0));
         let number = sharper as u32;
         let a = self.bilinear(number, axis);
         let b = self.bilinear((number + 1).min(self.levels - 1), axis);
         // Linear in the root of the sharpness: between small lights, of which lobes see as much
         // as they are sharp, and large ones.
-        a.lerp(b, 2.0 * (1.0 - (sharper - level).exp2()))
+        a.lerp(b, 2.0 * (1.0 - math::exp2(sharper - level)))
     }
 
     fn bilinear(&self, level: u32, direction: Vec3) -> Vec3 {
@@ -182,7 +183,7 @@ mod tests {
     #[test]
     fn texels_keep_eight_bits_of_the_brightest_channel() {
         for i in 0..400 {
-            let scale = 2f32.powf(0.1 * (i - 230) as f32);
+            let scale = math::powf(2f32, 0.1 * (i - 230) as f32);
             let radiance = Vec3::new(1.0, 0.37, 0.002) * scale;
             if scale > 65_000.0 {
                 continue;
@@ -202,7 +203,7 @@ mod tests {
     #[test]
     fn differences_keep_eight_bits_and_their_sign() {
         for i in 0..400 {
-            let scale = 2f32.powf(0.1 * (i - 200) as f32);
+            let scale = math::powf(2f32, 0.1 * (i - 200) as f32);
             let radiance = Vec3::new(-1.0, 0.37, 0.002) * scale;
             if scale > 130_000.0 {
                 continue;
@@ -311,7 +312,7 @@ mod tests {
         for i in 0..100 {
             // Either side of the quarter planes x = 0 or z = 0 below the equator.
             let angle = 0.015 * i as f32 + 0.01;
-            let near = |side: f32| Vec3::new(side, -angle.sin(), angle.cos()).normalize();
+            let near = |side: f32| Vec3::new(side, -math::sin(angle), math::cos(angle)).normalize();
             let [a, b] = [1e-6, -1e-6].map(|side| image.radiance(near(side), 3.0).x);
             assert!((a - b).abs() < 0.01, "{a} {b}");
         }

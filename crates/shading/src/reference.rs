@@ -9,6 +9,7 @@
 //! Masking and shadowing of the microfacet models is Smith's, separable:
 //! `G(wi, wo) = G1(wi) G1(wo)` (Walter et al. 2007), as in Mitsuba 3 `roughconductor`.
 
+use relight_format::math;
 use std::f32::consts::{FRAC_1_PI, PI};
 
 use glam::{Vec2, Vec3};
@@ -65,7 +66,7 @@ pub fn sample(appearance: &Appearance, wo: Vec3, u: [f32; 3]) -> Option<Vec3> {
         let half = sample_half_vector(reflection, wo, u[1], u[2]);
         2.0 * half.dot(wo) * half - wo
     } else {
-        let (sin, cos) = (2.0 * PI * u[2]).sin_cos();
+        let (sin, cos) = math::sin_cos(2.0 * PI * u[2]);
         let radius = u[1].sqrt();
         Vec3::new(radius * cos, radius * sin, (1.0 - u[1]).sqrt())
     };
@@ -117,9 +118,9 @@ impl Reflection<'_> {
         let slope_squared = ((h.x / x).powi(2) + (h.y / y).powi(2)) / (h.z * h.z);
         match self.model {
             Model::None => 0.0,
-            Model::BlinnPhong => (x + 8.0) / (8.0 * PI) * h.z.powf(x),
-            Model::Ward => (-slope_squared).exp() / (4.0 * PI * x * y),
-            Model::CookTorrance => (-slope_squared).exp() / (PI * x * y * h.z.powi(4)),
+            Model::BlinnPhong => (x + 8.0) / (8.0 * PI) * math::powf(h.z, x),
+            Model::Ward => math::exp(-slope_squared) / (4.0 * PI * x * y),
+            Model::CookTorrance => math::exp(-slope_squared) / (PI * x * y * h.z.powi(4)),
             Model::Ggx => ggx(h, self.alpha),
             Model::AshikhminShirley => 0.25 * ashikhmin_shirley(h, self.alpha),
         }
@@ -183,7 +184,7 @@ fn ashikhmin_shirley(h: Vec3, alpha: Vec2) -> f32 {
         0.0
     };
     let scale = ((exponents.x + 1.0) * (exponents.y + 1.0)).sqrt() / (2.0 * PI);
-    scale * h.z.max(0.0).powf(exponent)
+    scale * math::powf(h.z.max(0.0), exponent)
 }
 
 /// How often [`sample`] chooses the diffuse base, then each reflection; `None` for a black
@@ -203,26 +204,26 @@ fn probabilities(appearance: &Appearance, wo: Vec3) -> Option<[f32; 1 + MAX_REFL
 /// Draws a half vector; for GGX among those visible from `wo` (Heitz 2018).
 fn sample_half_vector(reflection: &Reflection, wo: Vec3, u: f32, v: f32) -> Vec3 {
     let Vec2 { x, y } = reflection.alpha;
-    let (sin, cos) = (2.0 * PI * v).sin_cos();
+    let (sin, cos) = math::sin_cos(2.0 * PI * v);
     match reflection.model {
         Model::None | Model::BlinnPhong => {
-            let z = (1.0 - u).powf(1.0 / (x + 1.0));
+            let z = math::powf(1.0 - u, 1.0 / (x + 1.0));
             let radius = (1.0 - z * z).max(0.0).sqrt();
             Vec3::new(radius * cos, radius * sin, z)
         }
         Model::Ward | Model::CookTorrance => {
-            let radius = (-(1.0 - u).ln()).sqrt();
+            let radius = (-math::ln(1.0 - u)).sqrt();
             Vec3::new(x * radius * cos, y * radius * sin, 1.0).normalize()
         }
         Model::AshikhminShirley => {
             let exponents = 2.0 / (reflection.alpha * reflection.alpha);
-            let azimuth = f32::atan2(
+            let azimuth = math::atan2(
                 (exponents.x + 1.0).sqrt() * sin,
                 (exponents.y + 1.0).sqrt() * cos,
             );
-            let (sin, cos) = azimuth.sin_cos();
+            let (sin, cos) = math::sin_cos(azimuth);
             let exponent = exponents.x * cos * cos + exponents.y * sin * sin;
-            let z = (1.0 - u).powf(1.0 / (exponent + 1.0));
+            let z = math::powf(1.0 - u, 1.0 / (exponent + 1.0));
             let radius = (1.0 - z * z).max(0.0).sqrt();
             Vec3::new(radius * cos, radius * sin, z)
         }
@@ -250,10 +251,10 @@ fn half_vector_pdf(reflection: &Reflection, h: Vec3, wo: Vec3) -> f32 {
     let Vec2 { x, y } = reflection.alpha;
     match reflection.model {
         Model::None => 0.0,
-        Model::BlinnPhong => (x + 1.0) / (2.0 * PI) * h.z.powf(x),
+        Model::BlinnPhong => (x + 1.0) / (2.0 * PI) * math::powf(h.z, x),
         Model::Ward | Model::CookTorrance => {
             let slope_squared = ((h.x / x).powi(2) + (h.y / y).powi(2)) / (h.z * h.z);
-            (-slope_squared).exp() / (PI * x * y * h.z.powi(3))
+            math::exp(-slope_squared) / (PI * x * y * h.z.powi(3))
         }
         Model::AshikhminShirley => ashikhmin_shirley(h, reflection.alpha),
         Model::Ggx => {
@@ -308,8 +309,8 @@ mod tests {
         [(5.0f32, 0.3f32), (40.0, 1.2), (70.0, -2.0)]
             .into_iter()
             .map(|(degrees, azimuth)| {
-                let (sin, cos) = degrees.to_radians().sin_cos();
-                Vec3::new(sin * azimuth.cos(), sin * azimuth.sin(), cos)
+                let (sin, cos) = math::sin_cos(degrees.to_radians());
+                Vec3::new(sin * math::cos(azimuth), sin * math::sin(azimuth), cos)
             })
     }
 
@@ -336,7 +337,7 @@ mod tests {
                 let azimuth = 2.0 * PI * (column as f32 + 0.5) / columns as f32;
                 let sine = (1.0 - z * z).sqrt();
                 (
-                    Vec3::new(sine * azimuth.cos(), sine * azimuth.sin(), z),
+                    Vec3::new(sine * math::cos(azimuth), sine * math::sin(azimuth), z),
                     solid_angle,
                 )
             })
@@ -401,7 +402,7 @@ mod tests {
         const SECTORS: usize = 8;
         let cell = |w: Vec3| {
             let ring = ((w.z * RINGS as f32) as usize).min(RINGS - 1);
-            let turn = w.y.atan2(w.x) / (2.0 * PI) + 0.5;
+            let turn = math::atan2(w.y, w.x) / (2.0 * PI) + 0.5;
             ring * SECTORS + ((turn * SECTORS as f32) as usize).min(SECTORS - 1)
         };
         for appearance in appearances() {
@@ -456,7 +457,7 @@ mod tests {
                     let found = albedo(model, alpha, 0.0, wo);
                     println!(
                         "{model:?} {alpha} at {:.0}°: {found:.3}",
-                        wo.z.acos().to_degrees()
+                        math::acos(wo.z).to_degrees()
                     );
                     assert!(
                         found <= bound + INTEGRAL_TOLERANCE,

@@ -1,6 +1,7 @@
 //! Radiance of a surface point: lights times reflection, lobe by lobe, over what is
 //! visible.
 
+use relight_format::math;
 use std::f32::consts::{FRAC_1_PI, FRAC_PI_2, PI, TAU};
 
 use glam::{Mat3, Vec3};
@@ -327,7 +328,7 @@ fn diffused(
     for index in 0..=RING {
         let mut axis = point.normal;
         if index > 0 {
-            let (sine, cosine) = (TAU * index as f32 / RING as f32).sin_cos();
+            let (sine, cosine) = math::sin_cos(TAU * index as f32 / RING as f32);
             let aside = point.tangent * cosine + point.bitangent * sine;
             axis = RING_COSINE * axis + (1.0 - RING_COSINE * RING_COSINE).sqrt() * aside;
         }
@@ -463,7 +464,7 @@ mod tests {
 
     impl SignedDistance for HalfSpace {
         fn distance(&self, direction: Vec3) -> f32 {
-            self.0.dot(direction).clamp(-1.0, 1.0).asin()
+            math::asin(self.0.dot(direction).clamp(-1.0, 1.0))
         }
     }
 
@@ -485,9 +486,9 @@ mod tests {
                 let azimuth = 2.4 * i as f32;
                 let sine = (1.0 - z * z).sqrt();
                 SphericalGaussian {
-                    axis: Vec3::new(sine * azimuth.cos(), sine * azimuth.sin(), z),
-                    sharpness: 2.0 * 100f32.powf(t),
-                    amplitude: 20f32.powf(t) * Vec3::new(1.0, 0.5 + 0.5 * t, 1.0 - 0.6 * t),
+                    axis: Vec3::new(sine * math::cos(azimuth), sine * math::sin(azimuth), z),
+                    sharpness: 2.0 * math::powf(100f32, t),
+                    amplitude: math::powf(20f32, t) * Vec3::new(1.0, 0.5 + 0.5 * t, 1.0 - 0.6 * t),
                 }
             })
             .collect()
@@ -513,12 +514,12 @@ mod tests {
         ];
         for (model, x, y) in surfaces {
             for (degrees, azimuth) in [(10f32, 0.4f32), (45.0, 2.0), (65.0, -1.0)] {
-                let (sin, cos) = degrees.to_radians().sin_cos();
+                let (sin, cos) = math::sin_cos(degrees.to_radians());
                 let color = Vec3::new(0.6, 0.5, 0.4);
                 let reflection = Reflection::new(model, color, Vec2::new(x, y));
                 points.push(local_point(
                     Appearance::new(Vec3::new(0.2, 0.3, 0.4), &[reflection]),
-                    Vec3::new(sin * azimuth.cos(), sin * azimuth.sin(), cos),
+                    Vec3::new(sin * math::cos(azimuth), sin * math::sin(azimuth), cos),
                 ));
             }
         }
@@ -546,7 +547,7 @@ mod tests {
             for column in 0..COLUMNS {
                 let azimuth = 2.0 * PI * (column as f32 + 0.5) / COLUMNS as f32;
                 let sine = (1.0 - z * z).sqrt();
-                let wi = Vec3::new(sine * azimuth.cos(), sine * azimuth.sin(), z);
+                let wi = Vec3::new(sine * math::cos(azimuth), sine * math::sin(azimuth), z);
                 let radiance: Vec3 = lights.iter().map(|light| light.evaluate(wi)).sum();
                 incident.push((wi, radiance * z * 2.0 * PI / (ROWS * COLUMNS) as f32));
             }
@@ -592,9 +593,9 @@ mod tests {
             (Model::Ggx, 0.4, 0.05),
         ] {
             for (degrees, azimuth) in [(80f32, 0.4f32), (85.0, 2.0), (88.0, -1.0), (89.5, 4.0)] {
-                let (sin, cos) = degrees.to_radians().sin_cos();
+                let (sin, cos) = math::sin_cos(degrees.to_radians());
                 let mut point = points()[0];
-                point.view = Vec3::new(sin * azimuth.cos(), sin * azimuth.sin(), cos);
+                point.view = Vec3::new(sin * math::cos(azimuth), sin * math::sin(azimuth), cos);
                 point.appearance.diffuse = Vec3::ZERO;
                 point.appearance.reflections[0].model = model;
                 point.appearance.reflections[0].alpha = Vec2::new(x, y);

@@ -6,6 +6,7 @@
 //! points and the rim agree that all of the source is visible, or nothing. The exact reflection models
 //! ([`crate::reference`]) weigh what arrives.
 
+use relight_format::math;
 use std::sync::Arc;
 
 use glam::{Mat3, Vec3};
@@ -142,7 +143,7 @@ fn cone_and_rim(points: &[gpu::SourcePoint]) -> impl Iterator<Item = gpu::Source
     };
     let (x, y) = axis.any_orthonormal_pair();
     let rim = (0..RIM).map(move |index| {
-        let (sin, cos) = (std::f32::consts::TAU * index as f32 / RIM as f32).sin_cos();
+        let (sin, cos) = math::sin_cos(std::f32::consts::TAU * index as f32 / RIM as f32);
         let toward = x * cos + y * sin;
         let farthest = directions
             .clone()
@@ -184,7 +185,7 @@ impl Grid {
         for (row, texels) in texels.chunks_exact(grid.columns as usize).enumerate() {
             let theta = grid.theta + row as f32 * grid.row_step;
             let solid_angle =
-                grid.column_step * 2.0 * (0.5 * grid.row_step).sin() * theta.sin().max(0.0);
+                grid.column_step * 2.0 * math::sin(0.5 * grid.row_step) * math::sin(theta).max(0.0);
             let mut sum = 0.0;
             for texel in texels {
                 sum += luminance(*texel) * solid_angle;
@@ -203,7 +204,8 @@ impl Grid {
         let (column, u) = draw(&self.columns[row * columns..][..columns], u);
         let theta = self.stored.theta + (row as f32 + tent(v)) * self.stored.row_step;
         let phi = self.stored.phi + (column as f32 + tent(u)) * self.stored.column_step;
-        let ((sin_theta, cos_theta), (sin_phi, cos_phi)) = (theta.sin_cos(), phi.sin_cos());
+        let ((sin_theta, cos_theta), (sin_phi, cos_phi)) =
+            (math::sin_cos(theta), math::sin_cos(phi));
         let texel = self.texels[row * columns + column];
         (
             Vec3::new(sin_theta * sin_phi, cos_theta, -sin_theta * cos_phi),
@@ -396,8 +398,10 @@ mod tests {
                 let mut sum = Vec3::ZERO;
                 for row in 0..source.rows {
                     let theta = source.theta + row as f32 * source.row_step;
-                    let solid_angle =
-                        source.column_step * 2.0 * theta.sin() * (0.5 * source.row_step).sin();
+                    let solid_angle = source.column_step
+                        * 2.0
+                        * math::sin(theta)
+                        * math::sin(0.5 * source.row_step);
                     for _ in 0..source.columns {
                         sum += solid_angle * Vec3::from(*texels.next().unwrap());
                     }
@@ -449,6 +453,7 @@ mod tests {
     const QUADRATURE_TOLERANCE: f32 = 0.02;
 
     #[test]
+    #[allow(clippy::disallowed_methods)]
     fn reflected_light_is_that_of_the_models() {
         let environment = environment();
         let sources = Sources::new(&environment).unwrap();

@@ -5,6 +5,7 @@
 //! Spatially-Varying Reflectance"), rearranged so that no difference of nearly equal
 //! numbers is formed in `f32`.
 
+use relight_format::math;
 use std::f32::consts::PI;
 
 use glam::{Mat3, Vec3};
@@ -80,7 +81,7 @@ fn decay(exponent: f32) -> f32 {
     if exponent < -87.0 {
         0.0
     } else {
-        exponent.exp()
+        math::exp(exponent)
     }
 }
 
@@ -119,7 +120,7 @@ fn decay_0(z: f32) -> f32 {
     if z > NO_DECAY_LEFT {
         return 1.0 / z;
     }
-    (1.0 - (-z).exp()) / z
+    (1.0 - math::exp(-z)) / z
 }
 
 /// ∫₀¹ t exp(−z t) dt = (1 − (1 + z) e⁻ᶻ) / z².
@@ -127,7 +128,7 @@ fn decay_1(z: f32) -> f32 {
     if z < SERIES_LIMIT {
         return 1.0 / 2.0 - z * (1.0 / 3.0 - z * (1.0 / 8.0 - z * (1.0 / 30.0 - z / 144.0)));
     }
-    (1.0 - (1.0 + z) * (-z).exp()) / (z * z)
+    (1.0 - (1.0 + z) * math::exp(-z)) / (z * z)
 }
 
 /// π and the constants of this module, as WGSL.
@@ -156,7 +157,7 @@ mod tests {
                 let (mut sine, mut cosine) = (0.0, 0.0);
                 for i in 0..n {
                     let u = (f64::from(i) + 0.5) / f64::from(n) * q;
-                    let weight = (-sharpness * u).exp() * q / f64::from(n);
+                    let weight = math::exp(-sharpness * u) * q / f64::from(n);
                     sine += weight;
                     cosine += weight * (1.0 - u);
                 }
@@ -209,6 +210,7 @@ mod tests {
     }
 
     #[test]
+    #[allow(clippy::disallowed_methods)]
     fn rotation_moves_the_axis_alone() {
         let lobe = SphericalGaussian {
             axis: Vec3::X,

@@ -192,6 +192,7 @@ fn snorm16(value: i16) -> f32 {
 
 #[cfg(test)]
 mod tests {
+    use relight_format::math;
     use relight_format::{BakeReport, Representation, Triangle, Vertex, VisibilityParameters};
 
     use super::*;
@@ -295,8 +296,8 @@ mod tests {
         for i in 1..100 {
             let angle = -PI * i as f32 / 100.0;
             for sides in [
-                [-1.0, 1.0].map(|side| Vec3::new(angle.cos(), angle.sin(), side * step)),
-                [-1.0, 1.0].map(|side| Vec3::new(side * step, angle.sin(), angle.cos())),
+                [-1.0, 1.0].map(|side| Vec3::new(math::cos(angle), math::sin(angle), side * step)),
+                [-1.0, 1.0].map(|side| Vec3::new(side * step, math::sin(angle), math::cos(angle))),
             ] {
                 let [a, b] = sides.map(|direction| ssdf.distance(direction));
                 // The field spans a radian within a texel of 0.2 rad: slopes stay below 100.

@@ -6,6 +6,7 @@
 
 use glam::{Vec2, Vec3, Vec4, Vec4Swizzles as _};
 pub use relight_format::MAX_REFLECTIONS;
+use relight_format::math;
 use relight_format::{
     Blend, FittedLobe, Layer, Material, RATIO_NODES, RATIO_SIZE, Scene, Specular, Surface, Texture,
     TextureEncoding, TextureShape, TextureSlot, Vertex,
@@ -439,7 +440,8 @@ pub fn surface_seen(
         let (direction, factor) = anisotropy.unwrap_or((Vec2::X, 1.0));
         let strength = anisotropy_strength * factor;
         if strength > 0.0 {
-            let rotated = Vec2::from_angle(*anisotropy_rotation).rotate(direction);
+            let (sin, cos) = math::sin_cos(*anisotropy_rotation);
+            let rotated = Vec2::new(cos, sin).rotate(direction);
             tangent = turn(tangent, rotated);
         }
         let reflection = Reflection::new(
@@ -604,7 +606,7 @@ fn decode_srgb(encoded: f32) -> f32 {
     if encoded <= 0.040_45 {
         encoded / 12.92
     } else {
-        ((encoded + 0.055) / 1.055).powf(2.4)
+        math::powf((encoded + 0.055) / 1.055, 2.4)
     }
 }
 
@@ -895,7 +897,7 @@ mod tests {
         assert!(
             point
                 .tangent
-                .distance(Vec3::new(0.5f32.cos(), 0.5f32.sin(), 0.0))
+                .distance(Vec3::new(math::cos(0.5f32), math::sin(0.5f32), 0.0))
                 < ROUNDING
         );
         assert!(
@@ -911,7 +913,7 @@ mod tests {
             at(&scene(material.clone(), vec![texture]), 0.2, 0.2)
         };
         let point = direction([128, 255, 255, 255]);
-        let expected = Vec3::new(-(0.5f32.sin()), 0.5f32.cos(), 0.0);
+        let expected = Vec3::new(-(math::sin(0.5f32)), math::cos(0.5f32), 0.0);
         // A byte cannot hold a direction component of exactly 0.
         assert!(point.tangent.distance(expected) < 5e-3, "{}", point.tangent);
         let isotropic = direction([128, 255, 0, 255]).appearance.reflections[0].alpha;

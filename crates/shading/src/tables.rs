@@ -9,6 +9,7 @@
 //! with the lobe, so that a table sees the same shape at every sharpness. Entries are
 //! scaled by (λ + SCALE)^1.5, which leaves them of order 1 in every row.
 
+use relight_format::math;
 use std::f32::consts::PI;
 use std::sync::OnceLock;
 
@@ -87,7 +88,7 @@ impl Tables {
     /// is at the signed angular distance `distance` from the axis, + inside, radians,
     /// clamped to ±π/2.
     pub fn hemisphere_fraction(&self, sharpness: f32, distance: f32) -> f32 {
-        let sine = distance.clamp(-0.5 * PI, 0.5 * PI).sin();
+        let sine = math::sin(distance.clamp(-0.5 * PI, 0.5 * PI));
         let tail = self.lookup(FRACTION, sharpness, sine.abs());
         if sine > 0.0 { 1.0 - tail } else { tail }
     }
@@ -139,7 +140,7 @@ fn compute() -> Vec<f32> {
         let t = row as f64 / ROWS as f64;
         let sharpness = (f64::from(HALF) * t / (1.0 - t)).min(INFINITE);
         let zoom = (sharpness / f64::from(WIDE)).sqrt().max(1.0);
-        let scale = (sharpness + f64::from(SCALE)).powf(1.5);
+        let scale = math::powf(sharpness + f64::from(SCALE), 1.5);
         let total = quadrature::energy(sharpness);
         let mut sine_squared = 0.0;
         for column in 0..=COLUMNS {
@@ -160,6 +161,7 @@ fn compute() -> Vec<f32> {
 /// The integrals behind the tables, in `f64`.
 #[cfg(test)]
 mod quadrature {
+    use relight_format::math;
     use std::f64::consts::{FRAC_PI_2, PI};
 
     /// ∫ exp(λ(p·ω − 1)) dω.
@@ -167,34 +169,37 @@ mod quadrature {
         if sharpness == 0.0 {
             return 4.0 * PI;
         }
-        -2.0 * PI * (-2.0 * sharpness).exp_m1() / sharpness
+        -2.0 * PI * math::exp_m1(-2.0 * sharpness) / sharpness
     }
 
     /// ∫ exp(λ(cos t − 1)) sin² t dt between sin(t/2) = `from` and `to`. With u = sin(t/2)
     /// = sin v the integrand is exp(−2λu²) 8 u² cos² v dv.
     pub fn sine_squared(sharpness: f64, from: f64, to: f64) -> f64 {
-        gauss(from.asin(), to.min(1.0).asin(), |v| {
-            let u = v.sin();
-            8.0 * (-2.0 * sharpness * u * u).exp() * (u * v.cos()).powi(2)
+        gauss(math::asin(from), math::asin(to.min(1.0)), |v| {
+            let u = math::sin(v);
+            8.0 * math::exp(-2.0 * sharpness * u * u) * (u * math::cos(v)).powi(2)
         })
     }
 
     /// ∫ exp(λ(p·ω − 1)) {1, −n·ω} dω over n·ω < 0, with n·p = `sine` ≥ 0. Rings of
     /// constant depression β under the horizon integrate to a Bessel function I₀.
     pub fn below_horizon(sharpness: f64, sine: f64) -> (f64, f64) {
-        let alpha = sine.min(1.0).asin();
+        let alpha = math::asin(sine.min(1.0));
         let ring = |beta: f64| {
-            let chord = (0.5 * (alpha + beta)).sin();
-            let cosine = beta.cos();
+            let chord = math::sin(0.5 * (alpha + beta));
+            let cosine = math::cos(beta);
             let exponent = -2.0 * sharpness * chord * chord;
-            2.0 * PI * cosine * exponent.exp() * bessel_i0e(sharpness * alpha.cos() * cosine)
+            2.0 * PI
+                * cosine
+                * math::exp(exponent)
+                * bessel_i0e(sharpness * math::cos(alpha) * cosine)
         };
         // exp(−½ reach²) is below f32's smallest step relative to the lobe's peak.
         let reach = 7.0;
         let end = (reach / sharpness.sqrt()).min(FRAC_PI_2);
         let middle = 0.35 * end;
         let sum = |f: &dyn Fn(f64) -> f64| gauss(0.0, middle, f) + gauss(middle, end, f);
-        (sum(&ring), sum(&|beta| ring(beta) * beta.sin()))
+        (sum(&ring), sum(&|beta| ring(beta) * math::sin(beta)))
     }
 
     /// exp(−|x|) I₀(x) (Abramowitz & Stegun 1964, 9.8.1 and 9.8.2; relative error 2e-7).
@@ -210,7 +215,7 @@ mod quadrature {
                 0.036_076_8,
                 0.004_581_3,
             ];
-            return (-x).exp() * horner((x / 3.75).powi(2), &c);
+            return math::exp(-x) * horner((x / 3.75).powi(2), &c);
         }
         let c = [
             0.398_942_28,
@@ -284,7 +289,7 @@ mod tests {
     /// Sharpnesses from 2⁻⁶ to 2¹⁸, denser than the rows, and the extremes.
     fn sharpnesses() -> impl Iterator<Item = f32> {
         (-24..=72)
-            .map(|i| 2f32.powf(i as f32 / 4.0))
+            .map(|i| math::powf(2f32, i as f32 / 4.0))
             .chain([0.0, 1e-6, 1e7])
     }
 
@@ -296,8 +301,8 @@ mod tests {
             let reach = (8.0 / lambda.sqrt()).min(2.0) * 0.5;
             for i in 0..=50 {
                 let half_chord = reach * f64::from(i) / 50.0;
-                let exact = midpoint(0.0, 2.0 * half_chord.asin(), |t| {
-                    (-2.0 * lambda * (0.5 * t).sin().powi(2)).exp() * t.sin().powi(2)
+                let exact = midpoint(0.0, 2.0 * math::asin(half_chord), |t| {
+                    math::exp(-2.0 * lambda * math::sin(0.5 * t).powi(2)) * math::sin(t).powi(2)
                 });
                 let found = Tables::get().sine_squared_moment(sharpness, half_chord as f32);
                 let energy = quadrature::energy(lambda) / (2.0 * std::f64::consts::PI);
@@ -319,7 +324,7 @@ mod tests {
                 let elevation = (f64::from(i) / 24.0 * 5.0 * width).clamp(-1.5, 1.5);
                 let [energy, inside, cosine] = hemisphere(lambda, elevation);
                 let tables = Tables::get();
-                let found = tables.cosine_integral(sharpness, elevation.sin() as f32);
+                let found = tables.cosine_integral(sharpness, math::sin(elevation) as f32);
                 worst[0] = worst[0].max((f64::from(found) - cosine).abs() / energy);
                 let found = tables.hemisphere_fraction(sharpness, elevation as f32);
                 worst[1] = worst[1].max((f64::from(found) - inside / energy).abs());
@@ -336,16 +341,17 @@ mod tests {
     /// azimuth integral over the visible arc is in closed form.
     fn hemisphere(lambda: f64, elevation: f64) -> [f64; 3] {
         use std::f64::consts::PI;
-        let (sine, cosine) = elevation.sin_cos();
+        let (sine, cosine) = math::sin_cos(elevation);
         let ring = |theta: f64| {
-            let (a, b) = (sine * theta.cos(), cosine * theta.sin());
+            let (a, b) = (sine * math::cos(theta), cosine * math::sin(theta));
             // n·ω = a + b cos φ.
-            let half = (-a / b).clamp(-1.0, 1.0).acos();
-            let weight = (-2.0 * lambda * (0.5 * theta).sin().powi(2)).exp() * theta.sin();
+            let half = math::acos((-a / b).clamp(-1.0, 1.0));
+            let weight =
+                math::exp(-2.0 * lambda * math::sin(0.5 * theta).powi(2)) * math::sin(theta);
             [
                 weight * 2.0 * PI,
                 weight * 2.0 * half,
-                weight * 2.0 * (a * half + b * half.sin()),
+                weight * 2.0 * (a * half + b * math::sin(half)),
             ]
         };
         let end = (9.0 / lambda.sqrt()).min(PI);

@@ -2,6 +2,7 @@
 //! Group 2024) and the sRGB transfer function (IEC 61966-2-1).
 
 use glam::Vec3;
+use relight_format::math;
 
 /// Peak above which colours are compressed.
 const START: f32 = 0.8 - 0.04;
@@ -33,7 +34,7 @@ pub fn encode_srgb(linear: f32) -> f32 {
     if linear <= 0.003_130_8 {
         12.92 * linear
     } else {
-        1.055 * linear.powf(1.0 / 2.4) - 0.055
+        1.055 * math::powf(linear, 1.0 / 2.4) - 0.055
     }
 }
 

@@ -5,6 +5,7 @@
 //! 2003, "Clustered Principal Components for Precomputed Radiance Transfer"), and pixels
 //! interpolate the weights.
 
+use relight_format::math;
 use std::f32::consts::{FRAC_1_PI, PI};
 use std::sync::OnceLock;
 
@@ -105,10 +106,10 @@ fn zonal(sharpness: f32) -> [f32; MAX_TRANSFER_ORDER as usize + 1] {
         values[0] = 4.0 * PI;
         return values;
     }
-    let whole = 2.0 * std::f64::consts::PI * -(-2.0 * lambda).exp_m1() / lambda;
+    let whole = 2.0 * std::f64::consts::PI * -math::exp_m1(-2.0 * lambda) / lambda;
     if lambda > 40.0 {
         // Upwards: each from the two before, stable while l stays below λ.
-        let slope = 1.0 / (lambda.tanh()) - 1.0 / lambda;
+        let slope = 1.0 / (math::tanh(lambda)) - 1.0 / lambda;
         let (mut before, mut value) = (1.0, slope);
         values[0] = whole as f32;
         for (l, stored) in values.iter_mut().enumerate().skip(1) {
@@ -475,7 +476,7 @@ mod tests {
             let z = 1.0 - 2.0 * (row as f32 + 0.5) / rows as f32;
             let sine = (1.0 - z * z).sqrt();
             (0..2 * rows).map(move |column| {
-                let (sin, cos) = (PI * (column as f32 + 0.5) / rows as f32).sin_cos();
+                let (sin, cos) = math::sin_cos(PI * (column as f32 + 0.5) / rows as f32);
                 let area = 4.0 * PI / (2 * rows * rows) as f32;
                 (Vec3::new(sine * cos, sine * sin, z), area)
             })

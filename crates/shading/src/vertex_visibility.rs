@@ -6,6 +6,7 @@
 //! edge passes between them and pixels integrate for themselves.
 
 use glam::Vec3;
+use relight_format::math;
 
 use crate::polar::{self, PolarOptions, support_radius};
 use crate::shade::{negligible, share};
@@ -145,7 +146,7 @@ impl LightFractions {
         if !visible && !hidden {
             return None;
         }
-        let aside = 2.0 * (0.5 * light.axis.distance(lobe.axis)).min(1.0).asin();
+        let aside = 2.0 * math::asin((0.5 * light.axis.distance(lobe.axis)).min(1.0));
         let reach = REACH * support_radius(light.sharpness);
         let fraction = if visible { 1.0 } else { 0.0 };
         (aside + support_radius(lobe.sharpness) <= reach).then_some(fraction)
@@ -182,7 +183,7 @@ mod tests {
 
     impl SignedDistance for HalfSpace {
         fn distance(&self, direction: Vec3) -> f32 {
-            self.0.dot(direction).clamp(-1.0, 1.0).asin()
+            math::asin(self.0.dot(direction).clamp(-1.0, 1.0))
         }
     }
 

@@ -7,6 +7,7 @@
 //! count in this measure.
 
 use glam::Vec3;
+use relight_format::math;
 
 use crate::visibility::Directions;
 
@@ -65,7 +66,7 @@ impl Weighting {
             wall: 1.0,
         };
         let wall: Vec<f32> = (weighting.directions.as_slice().iter())
-            .map(|direction| direction.x.asin())
+            .map(|direction| math::asin(direction.x))
             .collect();
         let up = Normal {
             direction: Vec3::Y,
@@ -117,7 +118,7 @@ mod tests {
         let wall = |off: f32| -> Vec<f32> {
             let directions = weighting.directions.as_slice().iter();
             directions
-                .map(|d| (d.x.asin() + off).clamp(-0.5, 0.5))
+                .map(|d| (math::asin(d.x) + off).clamp(-0.5, 0.5))
                 .collect()
         };
         let up = Normal {
@@ -142,7 +143,7 @@ mod tests {
     fn boundaries_below_the_horizon_cost_next_to_nothing() {
         let weighting = Weighting::new(64);
         let floor: Vec<f32> = (weighting.directions.as_slice().iter())
-            .map(|direction| direction.y.asin() + 0.1)
+            .map(|direction| math::asin(direction.y) + 0.1)
             .collect();
         let cost = |direction: Vec3, tilt: f32| {
             let mut weights = vec![0.0; floor.len()];

@@ -23,6 +23,7 @@ pub use samples::{Fitted, Samples};
 mod tests {
     use glam::Vec3;
     use nalgebra::DMatrix;
+    use relight_format::math;
 
     use super::*;
     use crate::visibility::Directions;
@@ -55,7 +56,7 @@ mod tests {
         for (resolution, off) in [(64, 0.01f32), (64, -0.003), (32, 0.01)] {
             let directions = Directions::new(resolution);
             let wall = |off: f32| {
-                let distances = directions.as_slice().iter().map(|d| d.x.asin() + off);
+                let distances = directions.as_slice().iter().map(|d| math::asin(d.x) + off);
                 DMatrix::from_iterator(directions.as_slice().len(), 1, distances)
             };
             let exact = samples(wall(0.0));
@@ -124,8 +125,11 @@ mod tests {
     #[test]
     fn a_set_of_low_rank_is_stored_to_quantisation() {
         let ssdfs = DMatrix::from_fn(256, 40, |texel, vertex| {
-            let (a, b) = ((texel as f32 * 0.1).sin(), (texel as f32 * 0.07).cos());
-            0.2 * a + 0.1 * b * (vertex as f32 * 0.3).sin()
+            let (a, b) = (
+                math::sin(texel as f32 * 0.1),
+                math::cos(texel as f32 * 0.07),
+            );
+            0.2 * a + 0.1 * b * math::sin(vertex as f32 * 0.3)
         });
         let ssdfs = samples(ssdfs);
         let compressed = encode(&ssdfs.fitted(), &analyse(&ssdfs, 3).images, 1e-4);
@@ -166,7 +170,7 @@ mod tests {
         let ssdfs = DMatrix::from_fn(64 * 64, 300, |texel, _| {
             state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
             let rounding = 1e-6 * (state >> 8) as f32 / (1 << 24) as f32;
-            directions.as_slice()[texel].y.asin().clamp(-0.5, 0.5) + rounding
+            math::asin(directions.as_slice()[texel].y).clamp(-0.5, 0.5) + rounding
         });
         let ssdfs = samples(ssdfs);
         let fitted = ssdfs.fitted();

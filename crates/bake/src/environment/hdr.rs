@@ -3,6 +3,7 @@
 //! Row 0 is +Y; with θ from +Y and φ about it, a direction is
 //! (sinθ sinφ, cosθ, −sinθ cosφ), and u = φ/2π, v = θ/π run over the image.
 
+use relight_format::math;
 use std::f64::consts::{PI, TAU};
 use std::fs::File;
 use std::io::{BufRead, BufReader, Cursor, Read};
@@ -569,14 +570,14 @@ impl LatLong {
     /// Direction of image coordinates u (columns) and v (rows), each in 0..=1; unit.
     pub fn direction_at(u: f64, v: f64) -> DVec3 {
         let ((sin_phi, cos_phi), (sin_theta, cos_theta)) =
-            ((TAU * u).sin_cos(), (PI * v).sin_cos());
+            (math::sin_cos(TAU * u), math::sin_cos(PI * v));
         DVec3::new(sin_theta * sin_phi, cos_theta, -sin_theta * cos_phi)
     }
 
     /// Image coordinates of a direction of any length: u in 0..1, v in 0..=1.
     pub fn coordinates(direction: DVec3) -> (f64, f64) {
-        let u = (direction.x.atan2(-direction.z) / TAU).rem_euclid(1.0);
-        let v = direction.x.hypot(direction.z).atan2(direction.y) / PI;
+        let u = (math::atan2(direction.x, -direction.z) / TAU).rem_euclid(1.0);
+        let v = math::atan2(math::hypot(direction.x, direction.z), direction.y) / PI;
         // rem_euclid rounds tiny negative numbers to 1.
         (if u < 1.0 { u } else { 0.0 }, v)
     }
@@ -595,7 +596,7 @@ impl LatLong {
         let half = PI / (2.0 * self.height as f64);
         let centre = (2 * row + 1) as f64 * half;
         // cos(centre − half) − cos(centre + half), without cancellation.
-        TAU / self.width as f64 * 2.0 * centre.sin() * half.sin()
+        TAU / self.width as f64 * 2.0 * math::sin(centre) * math::sin(half)
     }
 
     /// The pixel at a column and row.

@@ -1,5 +1,6 @@
 //! Closed forms of spherical Gaussians of amplitude 1, with derivatives.
 
+use relight_format::math;
 use std::f64::consts::PI;
 
 use glam::DVec3;
@@ -28,13 +29,13 @@ pub(super) struct Pair {
 impl Shape {
     /// Angle from the axis beyond which the lobe counts as zero, radians.
     pub(super) fn radius(&self) -> f64 {
-        (1.0 - SUPPORT / self.sharpness).max(-1.0).acos()
+        math::acos((1.0 - SUPPORT / self.sharpness).max(-1.0))
     }
 
     /// ∫ G over the sphere, and its derivative by sharpness.
     pub(super) fn integral(&self) -> (f64, f64) {
         let lambda = self.sharpness;
-        let value = 2.0 * PI * -(-2.0 * lambda).exp_m1() / lambda;
+        let value = 2.0 * PI * -math::exp_m1(-2.0 * lambda) / lambda;
         (value, value * (langevin(lambda) - 1.0))
     }
 
@@ -46,7 +47,7 @@ impl Shape {
         // ‖a p + b p'‖, and that less a + b without cancellation.
         let length = (sum * sum - across).max(0.0).sqrt().max(1e-9);
         let excess = -across / (length + sum);
-        let value = 2.0 * PI * -(-2.0 * length).exp_m1() / length * excess.exp();
+        let value = 2.0 * PI * -math::exp_m1(-2.0 * length) / length * math::exp(excess);
         let slope = value * langevin(length) / length;
         let cosine = self.axis.dot(other.axis);
         Pair {
@@ -114,7 +115,7 @@ pub(super) fn langevin(x: f64) -> f64 {
     if x < 1e-2 {
         x / 3.0 - x * x * x / 45.0
     } else {
-        let e = (-2.0 * x).exp();
+        let e = math::exp(-2.0 * x);
         (1.0 + e) / (1.0 - e) - 1.0 / x
     }
 }
@@ -175,7 +176,7 @@ mod tests {
         }
         let at = |step: f64| {
             function(&Shape {
-                sharpness: shape.sharpness * f64::exp(step),
+                sharpness: shape.sharpness * math::exp(step),
                 ..*shape
             })
             .value
@@ -218,7 +219,7 @@ mod tests {
             ..LatLong::default()
         };
         let evaluate = |shape: &Shape, direction: DVec3| {
-            (-0.5 * shape.sharpness * direction.distance_squared(shape.axis)).exp()
+            math::exp(-0.5 * shape.sharpness * direction.distance_squared(shape.axis))
         };
         for shape in &shapes()[..4] {
             for other in &shapes()[..4] {

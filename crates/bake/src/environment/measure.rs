@@ -1,5 +1,6 @@
 //! How far lobes are from their image.
 
+use relight_format::math;
 use std::f64::consts::{PI, TAU};
 
 use glam::{DVec3, Vec3};
@@ -28,8 +29,8 @@ pub fn render(lobes: &[Lobe], width: u32, height: u32) -> LatLong {
                 .iter()
                 .filter(|lobe| {
                     // Along the row the direction nearest the axis differs by this angle.
-                    let angle = theta - lobe.axis[1].clamp(-1.0, 1.0).acos();
-                    lobe.sharpness * 2.0 * (0.5 * angle).sin().powi(2) < NEGLIGIBLE
+                    let angle = theta - math::acos(lobe.axis[1].clamp(-1.0, 1.0));
+                    lobe.sharpness * 2.0 * math::sin(0.5 * angle).powi(2) < NEGLIGIBLE
                 })
                 .collect();
             let size = &size;
@@ -40,7 +41,7 @@ pub fn render(lobes: &[Lobe], width: u32, height: u32) -> LatLong {
                     let distance = direction.distance_squared(lobe.axis.into());
                     let exponent = 0.5 * lobe.sharpness * distance;
                     if exponent < NEGLIGIBLE {
-                        sum += Vec3::from(lobe.amplitude) * (-exponent).exp();
+                        sum += Vec3::from(lobe.amplitude) * math::exp(-exponent);
                     }
                 }
                 sum.to_array()
@@ -68,7 +69,7 @@ fn render_source(source: &Source, texels: &[[f32; 3]], image: &mut LatLong) {
     let (rows, columns) = (source.rows as i64, source.columns as i64);
     let light = |row: i64| {
         let theta = source.theta + row as f32 * source.row_step;
-        f64::from(source.column_step * 2.0 * theta.sin() * (0.5 * source.row_step).sin())
+        f64::from(source.column_step * 2.0 * math::sin(theta) * math::sin(0.5 * source.row_step))
     };
     let mut wanted = [0.0; 3];
     for (row, texels) in (0..).zip(texels.chunks_exact(columns as usize)) {
@@ -179,7 +180,7 @@ pub fn irradiance_error(image: &LatLong, lobes: &[Lobe]) -> f32 {
         .map(|index| {
             // Fibonacci lattice.
             let y = 1.0 - (2 * index + 1) as f64 / DIRECTIONS as f64;
-            let (sin, cos) = (golden * index as f64).sin_cos();
+            let (sin, cos) = math::sin_cos(golden * index as f64);
             let normal = DVec3::new(cos, 0.0, sin) * (1.0 - y * y).sqrt() + DVec3::Y * y;
             let mut truth = [0.0; 3];
             for (at, flux) in &cells {
@@ -223,20 +224,20 @@ fn shape(lobe: &Lobe) -> Shape {
 fn cosine_integral(shape: &Shape, cosine: f64) -> f64 {
     const PARTS: usize = 64;
     let lambda = shape.sharpness;
-    let whole = -(-2.0 * lambda).exp_m1();
+    let whole = -math::exp_m1(-2.0 * lambda);
     let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
     let mut sum = 0.0;
     for part in 0..PARTS {
         // cos θ of the circle that holds this part of the lobe.
         let inside = (part as f64 + 0.5) / PARTS as f64 * whole;
-        let cos_theta = 1.0 + (-inside).ln_1p() / lambda;
+        let cos_theta = 1.0 + math::ln_1p(-inside) / lambda;
         let sin_theta = (1.0 - cos_theta * cos_theta).max(0.0).sqrt();
         let (a, b) = (cos_theta * cosine, sin_theta * sine);
         sum += if a >= b {
             TAU * a
         } else if a > -b {
-            let half = (-a / b).acos();
-            2.0 * (a * half + b * half.sin())
+            let half = math::acos(-a / b);
+            2.0 * (a * half + b * math::sin(half))
         } else {
             0.0
         };
@@ -302,7 +303,7 @@ mod tests {
                 for column in 0..grid.width {
                     let direction = grid.direction(column, row).as_dvec3();
                     sum += grid.solid_angle(row)
-                        * (sharpness * (direction.y - 1.0)).exp()
+                        * math::exp(sharpness * (direction.y - 1.0))
                         * direction.dot(normal).max(0.0);
                 }
             }

@@ -2,6 +2,7 @@
 
 use rayon::prelude::*;
 use relight_format::Prefiltered;
+use relight_format::math;
 use relight_shading::{octahedral, prefiltered};
 
 use super::level::Level;
@@ -21,7 +22,7 @@ const LEAST_VARIANCE: f64 = 0.3;
 /// Prefilters an image. The sharpest level has no more texels than the image has pixels.
 pub fn prefilter(image: &LatLong) -> Prefiltered {
     let pixels = f64::from(image.width) * f64::from(image.height);
-    let levels = ((0.5 * pixels.log2()) as u32).clamp(1, MAX_LEVELS);
+    let levels = ((0.5 * math::log2(pixels)) as u32).clamp(1, MAX_LEVELS);
     let mut cells = Level::from_image(image, image.height as usize);
     let mut texels = Vec::with_capacity(Prefiltered::texel_count(levels));
     for level in 0..levels {

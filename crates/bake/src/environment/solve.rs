@@ -10,6 +10,7 @@
 //! centres agree. Its integral times a lobe is the sum over cells of flux times the lobe
 //! blurred by the tent of a pixel and the box of a cell, and a blurred lobe is a lobe.
 
+use relight_format::math;
 use std::f64::consts::PI;
 
 use glam::DVec3;
@@ -169,7 +170,7 @@ impl Problem {
 
     /// Solid angle of the image's pixels in some direction, but for the poles.
     fn pixel_area(&self, axis: DVec3) -> f64 {
-        self.pixel * self.pixel * axis.x.hypot(axis.z).max(0.1)
+        self.pixel * self.pixel * math::hypot(axis.x, axis.z).max(0.1)
     }
 
     /// Where to integrate a lobe: the coarsest level that resolves it.
@@ -284,7 +285,7 @@ impl Problem {
         let moved = |index: usize, x: &[f64]| {
             let [s, t] = frames[index];
             let axis = fit.shapes[index].axis + s * x[0] + t * x[1];
-            let sharpness = fit.shapes[index].sharpness * x[2].clamp(-20.0, 20.0).exp();
+            let sharpness = fit.shapes[index].sharpness * math::exp(x[2].clamp(-20.0, 20.0));
             (axis, sharpness)
         };
         let shapes_at = |x: &[f64]| -> Vec<Shape> {
@@ -480,7 +481,7 @@ mod tests {
             let change = |axis: DVec3, log_sharpness: f64| {
                 let mut changed = shapes;
                 changed[index].axis = (changed[index].axis + axis).normalize();
-                changed[index].sharpness *= log_sharpness.exp();
+                changed[index].sharpness *= math::exp(log_sharpness);
                 value(&changed).value
             };
             let (s, t) = shapes[index].axis.any_orthonormal_pair();

@@ -6,6 +6,7 @@
 //! shadows. A region with a margin gives what it has above its surroundings, so that what is left of
 //! the image is level there; then the next one is looked for.
 
+use relight_format::math;
 use std::collections::{BTreeSet, HashMap};
 use std::f64::consts::{PI, TAU};
 
@@ -143,10 +144,10 @@ impl<'a> Grid<'a> {
         if mean <= 0.0 {
             return None;
         }
-        let octaves = f64::from(brightest / mean).log2() * THRESHOLDS_PER_OCTAVE;
+        let octaves = math::log2(f64::from(brightest / mean)) * THRESHOLDS_PER_OCTAVE;
         let count = octaves.clamp(0.0, MAX_THRESHOLDS) as i32;
         let threshold =
-            |level: i32| brightest * (-f64::from(level) / THRESHOLDS_PER_OCTAVE).exp2() as f32;
+            |level: i32| brightest * math::exp2(-f64::from(level) / THRESHOLDS_PER_OCTAVE) as f32;
         // Pixels above the lowest threshold by the first threshold that they exceed.
         let mut levels: Vec<Vec<usize>> = vec![Vec::new(); count as usize];
         for (pixel, &value) in self.luminance.iter().enumerate() {
@@ -225,7 +226,7 @@ impl<'a> Grid<'a> {
         let beyond = (end - height as f64).max(0.0).ceil() as usize;
         rows.first = rows.first.saturating_sub(beyond);
         rows.centre = rows.first as f64 / height as f64 + 0.5 * rows.step;
-        let columns_per_side = side * width as f64 / (TAU * middle.sin());
+        let columns_per_side = side * width as f64 / (TAU * math::sin(middle));
         let columns = Axis::new(first_column, columns, width, columns_per_side);
         let mut light = vec![[0f64; 3]; rows.texels * columns.texels];
         for &pixel in pixels {
@@ -245,7 +246,7 @@ impl<'a> Grid<'a> {
         let phi = (columns.centre * TAU + PI).rem_euclid(TAU) - PI;
         let texels = light.iter().enumerate().map(|(index, light)| {
             let theta = theta + (index / columns.texels) as f64 * row_step;
-            let solid_angle = column_step * 2.0 * theta.sin() * (0.5 * row_step).sin();
+            let solid_angle = column_step * 2.0 * math::sin(theta) * math::sin(0.5 * row_step);
             light.map(|light| (light / solid_angle) as f32)
         });
         let source = Source {
@@ -440,8 +441,8 @@ mod tests {
                 let theta = f64::from(source.theta) + f64::from(row) * f64::from(source.row_step);
                 let solid_angle = f64::from(source.column_step)
                     * 2.0
-                    * theta.sin()
-                    * (0.5 * f64::from(source.row_step)).sin();
+                    * math::sin(theta)
+                    * math::sin(0.5 * f64::from(source.row_step));
                 for _ in 0..source.columns {
                     for (sum, channel) in sum.iter_mut().zip(texels.next().unwrap()) {
                         *sum += solid_angle * f64::from(*channel);

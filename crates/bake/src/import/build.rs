@@ -1,5 +1,6 @@
 //! What all importers share: parts of a mesh are cleaned, completed and appended.
 
+use relight_format::math;
 use std::collections::HashSet;
 use std::path::Path;
 
@@ -335,7 +336,7 @@ pub(super) fn angle_weighted_normals(corners: [DVec3; 3]) -> [DVec3; 3] {
             (left - apex).normalize_or_zero(),
             (right - apex).normalize_or_zero(),
         );
-        normal * left.dot(right).clamp(-1.0, 1.0).acos()
+        normal * math::acos(left.dot(right).clamp(-1.0, 1.0))
     })
 }
 

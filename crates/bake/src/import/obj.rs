@@ -2,6 +2,7 @@
 //!
 //! Our own parser; ARCHITECTURE.md says why it is not `tobj`.
 
+use relight_format::math;
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
@@ -404,7 +405,7 @@ fn corner_normals(obj: &Obj, triangles: &[Triangle]) -> Vec<[Option<Vec3>; 3]> {
             around.entry(*side).or_default().push(of_face);
         }
     }
-    let crease = CREASE_DEGREES.to_radians().cos();
+    let crease = math::cos(CREASE_DEGREES.to_radians());
     let smooth = |t: &Triangle, positions: [u32; 3], side: u32| {
         let (own_group, own) = (group(t), normal(positions));
         let others = around.get(&side)?.iter();

@@ -17,6 +17,7 @@
 use glam::{Vec2, Vec3};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
+use relight_format::math;
 use relight_format::{FittedLobe, MAX_FITTED_LOBES, Specular, Surface, Texture, TextureSlot};
 use relight_shading::accuracy::local_point;
 use relight_shading::brdf::specular_lobes;
@@ -128,7 +129,7 @@ impl<'a> Measure<'a> {
                 let others = view.iter().zip(first..).filter_map(|(other, index)| {
                     let aside = 0.5 * (pair.light - other.light).length_squared();
                     let exponent = LIGHT_SHARPNESS * aside;
-                    let part = other.solid_angle as f32 * (-exponent).exp();
+                    let part = other.solid_angle as f32 * math::exp(-exponent);
                     (exponent < NEGLIGIBLE).then_some((index, part))
                 });
                 // Where directions are sparse a light sees that about which it is.
@@ -358,7 +359,7 @@ fn fit_pairs(pairs: &[Pair], stop: Stop) -> Fit {
     let base = Column::new(measure, |_| std::f32::consts::FRAC_1_PI);
     let targets = [0, 1, 2].map(|channel| Column::new(measure, |pair| pair.value[channel]));
     let brightest = brightest_base(pairs);
-    let ratio = MIN_ALPHA.recip().powf(1.0 / (CHOICES - 1) as f32);
+    let ratio = math::powf(MIN_ALPHA.recip(), 1.0 / (CHOICES - 1) as f32);
     let choices: Vec<(f32, [Column; 2])> = (0..CHOICES)
         .map(|i| {
             let roughness = (MIN_ALPHA * ratio.powi(i as i32)).min(1.0);
@@ -397,7 +398,7 @@ fn fit_pairs(pairs: &[Pair], stop: Stop) -> Fit {
         candidate.push(choice.clone());
         let mut refined = with(&candidate);
         for sweep in 0..SWEEPS {
-            let step = ratio.powf(0.5f32.powi(sweep as i32 + 1));
+            let step = math::powf(ratio, 0.5f32.powi(sweep as i32 + 1));
             for index in 0..candidate.len() {
                 for factor in [step, step.recip()] {
                     let old = candidate[index].clone();
@@ -557,7 +558,7 @@ mod tests {
         // The search ends within an eighth of its steps, which are factors of 1.16.
         for (found, expected) in two.lobes.iter().zip(lobes) {
             assert!(
-                (found.roughness / expected.roughness).ln().abs() < 0.1,
+                math::ln(found.roughness / expected.roughness).abs() < 0.1,
                 "{found:?}"
             );
         }

@@ -5,6 +5,7 @@
 //! difference angles of Rusinkiewicz 1998: θ of the half vector, its square root in equal
 //! steps, θ of the difference vector and φ of the difference vector, a half turn.
 
+use relight_format::math;
 use std::f32::consts::{FRAC_PI_2, PI};
 
 use glam::{Vec2, Vec3};
@@ -90,7 +91,7 @@ impl Merl {
         let x = Vec3::new(along.x * half.z, along.y * half.z, -horizontal);
         let y = Vec3::new(-along.y, along.x, 0.0);
         let difference = Vec3::new(light.dot(x), light.dot(y), light.dot(half));
-        let azimuth = difference.y.atan2(difference.x);
+        let azimuth = math::atan2(difference.y, difference.x);
         // Light and eye may be exchanged: a half turn tells all.
         let azimuth = if azimuth < 0.0 { azimuth + PI } else { azimuth };
         let step = |t: f32, count: usize| ((t * count as f32) as usize).min(count - 1);
@@ -106,7 +107,7 @@ impl Merl {
 
 /// Angle from +z, accurate near the pole.
 fn angle(direction: Vec3) -> f32 {
-    2.0 * (0.5 * direction.distance(Vec3::Z)).min(1.0).asin()
+    2.0 * math::asin((0.5 * direction.distance(Vec3::Z)).min(1.0))
 }
 
 /// What directions are drawn from: a Lambertian base and highlights of every width, as the
@@ -146,8 +147,8 @@ mod tests {
     }
 
     fn direction(elevation: f32, azimuth: f32) -> Vec3 {
-        let (sin, cos) = elevation.sin_cos();
-        Vec3::new(sin * azimuth.cos(), sin * azimuth.sin(), cos)
+        let (sin, cos) = math::sin_cos(elevation);
+        Vec3::new(sin * math::cos(azimuth), sin * math::sin(azimuth), cos)
     }
 
     #[test]

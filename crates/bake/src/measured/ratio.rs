@@ -6,6 +6,7 @@
 
 use glam::Vec3;
 use rayon::prelude::*;
+use relight_format::math;
 use relight_format::{RATIO_NODES, RATIO_SIZE, Texture, TextureEncoding};
 use relight_shading::reference;
 use relight_shading::surface::{Appearance, decode_rgbe};
@@ -128,7 +129,7 @@ fn encode_rgbe(color: Vec3) -> [u8; 4] {
         return [0; 4];
     }
     // The least exponent with which all bytes fit.
-    let mut exponent = (largest / 255.5).log2().floor() as i32 + 136;
+    let mut exponent = math::log2(largest / 255.5).floor() as i32 + 136;
     let bytes = |exponent: i32| {
         let scale = decode_rgbe([1, 1, 1, exponent as u8]).x;
         (color / scale).round()

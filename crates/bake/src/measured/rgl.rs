@@ -8,6 +8,7 @@
 //! surface, z its normal. As in the authors' renderer the direction that parametrises the
 //! table is the one towards the eye.
 
+use relight_format::math;
 use std::collections::BTreeMap;
 use std::f32::consts::{FRAC_PI_2, PI, TAU};
 
@@ -170,9 +171,9 @@ impl Rgl {
         let elevation = square.x * square.x * FRAC_PI_2;
         let azimuth = (2.0 * square.y - 1.0) * PI + azimuth(view);
         let half_vector = Vec3::new(
-            azimuth.cos() * elevation.sin(),
-            azimuth.sin() * elevation.sin(),
-            elevation.cos(),
+            math::cos(azimuth) * math::sin(elevation),
+            math::sin(azimuth) * math::sin(elevation),
+            math::cos(elevation),
         );
         let light = half_vector * (2.0 * half_vector.dot(view)) - view;
         (light.z > 0.0).then_some(light)
@@ -253,11 +254,11 @@ impl Rgl {
 
 /// Angle from +z, accurate near the pole.
 fn elevation(direction: Vec3) -> f32 {
-    2.0 * (0.5 * direction.distance(Vec3::Z)).min(1.0).asin()
+    2.0 * math::asin((0.5 * direction.distance(Vec3::Z)).min(1.0))
 }
 
 fn azimuth(direction: Vec3) -> f32 {
-    direction.y.atan2(direction.x)
+    math::atan2(direction.y, direction.x)
 }
 
 /// Linear interpolation between two slices.
@@ -630,8 +631,8 @@ mod tests {
     }
 
     fn direction(elevation: f32, azimuth: f32) -> Vec3 {
-        let (sin, cos) = elevation.sin_cos();
-        Vec3::new(sin * azimuth.cos(), sin * azimuth.sin(), cos)
+        let (sin, cos) = math::sin_cos(elevation);
+        Vec3::new(sin * math::cos(azimuth), sin * math::sin(azimuth), cos)
     }
 
     #[test]

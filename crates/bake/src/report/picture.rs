@@ -1,5 +1,7 @@
 //! Radiance as a picture to look at.
 
+use relight_format::math;
+
 /// An 8-bit sRGB PNG of exposed radiance, rows from the top, highlights compressed
 /// (Reinhard et al. 2002, on each channel).
 pub(crate) fn png(
@@ -17,7 +19,7 @@ pub(crate) fn png(
             let encoded = if linear <= 0.003_130_8 {
                 12.92 * linear
             } else {
-                1.055 * linear.powf(1.0 / 2.4) - 0.055
+                1.055 * math::powf(linear, 1.0 / 2.4) - 0.055
             };
             (encoded * 255.0).round() as u8
         })

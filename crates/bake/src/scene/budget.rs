@@ -3,6 +3,7 @@
 
 use nalgebra::DMatrix;
 use rayon::prelude::*;
+use relight_format::math;
 use relight_format::{self as format, VisibilityErrors};
 
 use super::assemble::{Cluster, assemble};
@@ -92,10 +93,10 @@ pub(super) fn choose_aim(prepared: &Prepared, head: &format::Scene) -> Result<Ch
         .transpose()?;
     let expected = size.map_or(ERROR_EXPONENT, |_| SIZE_EXPONENT);
     // Logarithms of aims and of how far what they gave is from the target.
-    let mut aim = error.clamp(LEAST_AIM, LARGEST_AIM).ln();
+    let mut aim = math::ln(error.clamp(LEAST_AIM, LARGEST_AIM));
     let mut found: Vec<[f32; 2]> = Vec::new();
     for _ in 0..TRIALS {
-        let compressed = try_aim(prepared, &trials, aim.exp())?;
+        let compressed = try_aim(prepared, &trials, math::exp(aim))?;
         let reached = if let Some(sizes) = &sizes {
             let bytes: Result<Vec<f32>, Error> = compressed
                 .iter()
@@ -115,28 +116,28 @@ pub(super) fn choose_aim(prepared: &Prepared, head: &format::Scene) -> Result<Ch
             }
             errors.surface
         };
-        let miss = (reached / target).ln();
+        let miss = math::ln(reached / target);
         if !miss.is_finite() {
             break;
         }
         found.push([aim, miss]);
-        if miss.abs() < CLOSE.ln() {
+        if miss.abs() < math::ln(CLOSE) {
             break;
         }
-        let next = next_aim(&found, expected).clamp(LEAST_AIM.ln(), LARGEST_AIM.ln());
+        let next = next_aim(&found, expected).clamp(math::ln(LEAST_AIM), math::ln(LARGEST_AIM));
         if next == aim {
             break;
         }
         aim = next;
     }
     // The one that comes closest from below, else the one that misses least.
-    let within = |miss: f32| miss < CLOSE.ln();
+    let within = |miss: f32| miss < math::ln(CLOSE);
     found.sort_unstable_by(|[_, a], [_, b]| {
         (within(*b).cmp(&within(*a))).then(a.abs().total_cmp(&b.abs()))
     });
     let aim = found
         .first()
-        .map_or(prepared.options.aim, |[aim, _]| aim.exp());
+        .map_or(prepared.options.aim, |&[aim, _]| math::exp(aim));
     Ok(Chosen { aim, warning })
 }
 

@@ -1,5 +1,6 @@
 //! A scene file, or a bare mesh, to everything that baking and rendering need.
 
+use relight_format::math;
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
 use std::path::{Path, PathBuf};
@@ -177,7 +178,8 @@ fn emit(path: &Path, file: &SceneFile, mesh: &mut Mesh) -> Result<(), Error> {
 
 fn place(mesh: &mut Mesh, transform: &description::Transform) {
     let axis = Vec3::from(transform.rotation_axis).normalize();
-    let rotation = Quat::from_axis_angle(axis, transform.rotation_degrees.to_radians());
+    let (sin, cos) = math::sin_cos(0.5 * transform.rotation_degrees.to_radians());
+    let rotation = Quat::from_vec4((sin * axis).extend(cos));
     for vertex in &mut mesh.vertices {
         let position = rotation * (vertex.position * transform.scale);
         vertex.position = position + Vec3::from(transform.translation);

@@ -18,6 +18,7 @@
 
 use glam::{Mat4, Vec2, Vec2Swizzles as _, Vec3, Vec4};
 use pulp::{Simd, WithSimd};
+use relight_format::math;
 use relight_shading::octahedral::{self, Footprint};
 
 use crate::simd;
@@ -576,12 +577,12 @@ fn bounds(directions: impl Iterator<Item = Vec3> + Clone) -> (Vec3, f32) {
 }
 
 fn squared_chord(angle: f32) -> f32 {
-    (2.0 * (0.5 * angle).sin()).powi(2)
+    (2.0 * math::sin(0.5 * angle)).powi(2)
 }
 
 fn angle_of_squared_chord(squared: f32) -> f32 {
     if squared > SMALL_SQUARED_CHORD {
-        return 2.0 * (0.5 * squared.sqrt()).min(1.0).asin();
+        return 2.0 * math::asin((0.5 * squared.sqrt()).min(1.0));
     }
     small_angle(squared)
 }
@@ -625,7 +626,7 @@ mod tests {
         let distance = |direction: Vec3| {
             midpoints
                 .iter()
-                .map(|&midpoint| 2.0 * (0.5 * direction.distance(midpoint)).min(1.0).asin())
+                .map(|&midpoint| 2.0 * math::asin((0.5 * direction.distance(midpoint)).min(1.0)))
                 .fold(limit, f32::min)
         };
         (0..(resolution * resolution) as i32)
@@ -711,7 +712,7 @@ mod tests {
         let directions = Directions::new(128);
         let transform = Transform::new(&directions, resolution);
         let (axis, radius) = (Vec3::new(0.3, 0.8, -0.5).normalize(), 0.6f32);
-        let angle = |direction: Vec3| axis.dot(direction).clamp(-1.0, 1.0).acos();
+        let angle = |direction: Vec3| math::acos(axis.dot(direction).clamp(-1.0, 1.0));
         let texels = directions.as_slice();
         let bitmap = Bitmap::from_fn(texels.len(), |i| angle(texels[i]) > radius);
         let distances = transform.at_centres(&bitmap, &Crossings::default(), std::f32::consts::PI);

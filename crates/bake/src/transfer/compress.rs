@@ -185,6 +185,7 @@ fn squares(values: &DMatrix<f32>) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use relight_format::math;
 
     #[test]
     fn a_few_smooth_functions_come_back() {
@@ -195,9 +196,9 @@ mod tests {
                 .map(|k| {
                     let k = k as f32;
                     let noise = (hash(i as u32, k as u32) >> 8) as f32 / 16_777_216.0 - 0.5;
-                    1.0 + (0.1 * k).sin() * t
-                        + (0.3 * k).cos() * (3.0 * t).sin()
-                        + 0.2 * (0.7 * k).sin() * (5.0 * t).cos()
+                    1.0 + math::sin(0.1 * k) * t
+                        + math::cos(0.3 * k) * math::sin(3.0 * t)
+                        + 0.2 * math::sin(0.7 * k) * math::cos(5.0 * t)
                         + 0.002 * noise
                 })
                 .collect()

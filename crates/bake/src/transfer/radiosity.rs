@@ -1,5 +1,6 @@
 //! Bounces between points: irradiance of every point as a linear function of distant light.
 
+use relight_format::math;
 use std::f32::consts::PI;
 use std::time::{Duration, Instant};
 
@@ -258,7 +259,7 @@ impl Radiosity {
         let (u, v) = (unit(hash(number, 1)), unit(hash(number, 2)));
         let radius = BLUR * self.points.spacing() * u.sqrt();
         let (x, y) = met.normal.any_orthonormal_pair();
-        let (sine, cosine) = (2.0 * PI * v).sin_cos();
+        let (sine, cosine) = math::sin_cos(2.0 * PI * v);
         let place = met.position + radius * (cosine * x + sine * y);
         let point = self.points.nearest(place, met.normal);
         Sender {
@@ -344,7 +345,7 @@ pub(super) fn hemisphere(
     (0..count).map(move |i| {
         let cosine = (i as f32 + shift) / count as f32;
         let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
-        let (s, c) = (turn + GOLDEN * i as f32).sin_cos();
+        let (s, c) = math::sin_cos(turn + GOLDEN * i as f32);
         HemisphereRay {
             direction: (normal * cosine + sine * (c * x + s * y)).normalize(),
             cosine,

@@ -10,6 +10,7 @@
 //! Such a corner is sampled where the part of the triangle ends that people see: a ray from its
 //! centre towards the corner tells where.
 
+use relight_format::math;
 use std::collections::HashMap;
 
 use glam::{DVec3, Vec3};
@@ -291,7 +292,7 @@ fn connect(sides: &[Side], positions: &[Vec3], triangles: &[[u32; 3]], groups: &
     let mut around: Vec<(f64, &Side)> = (sides.iter())
         .filter_map(|side| {
             let way = across(side);
-            let angle = way.dot(third).atan2(way.dot(first));
+            let angle = math::atan2(way.dot(third), way.dot(first));
             (way != DVec3::ZERO).then_some((angle, side))
         })
         .collect();

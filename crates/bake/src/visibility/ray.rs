@@ -194,11 +194,12 @@ fn precise_volumes(triangle: &[Vec3A; 3], ray: &Ray) -> Vec3 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use relight_format::math;
 
     fn quad_grid(n: u32) -> Vec<[Vec3; 3]> {
         let at = |x: u32, z: u32| {
             let (x, z) = (x as f32 / n as f32 - 0.5, z as f32 / n as f32 - 0.5);
-            Vec3::new(x, 0.1 * (7.0 * x).sin() * (5.0 * z).cos(), z)
+            Vec3::new(x, 0.1 * math::sin(7.0 * x) * math::cos(5.0 * z), z)
         };
         (0..n * n)
             .flat_map(|i| {

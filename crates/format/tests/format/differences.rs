@@ -161,7 +161,7 @@ fn compare(scene: &Scene) {
             let bits = value as u32;
             f32::from_bits(if value < 0 { bits ^ 0x7fff_ffff } else { bits })
         } else {
-            (value as f64 * f64::from(exponent).exp2()) as f32
+            (value as f64 * relight_format::math::exp2(f64::from(exponent))) as f32
         }
     };
     let all = |v: usize| {
@@ -203,7 +203,9 @@ fn compare(scene: &Scene) {
                     let bits = (x as f32).to_bits() as i32;
                     i64::from(if bits < 0 { bits ^ 0x7fff_ffff } else { bits })
                 }
-                Some(x) => (x / f64::from(exponent).exp2()).round_ties_even() as i64,
+                Some(x) => {
+                    (x / relight_format::math::exp2(f64::from(exponent))).round_ties_even() as i64
+                }
             };
             // Modulo 2³².
             values[i] = i64::from((expected + signed(differences[i])) as i32);

@@ -1,5 +1,6 @@
 //! Materials and their textures.
 
+use relight_format::math;
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
@@ -79,7 +80,7 @@ impl TextureTransform {
     /// image whose v points down, then translation.
     fn rows(&self) -> [[f32; 3]; 2] {
         let ([su, sv], [ou, ov]) = (self.scale, self.offset);
-        let (sin, cos) = self.rotation.sin_cos();
+        let (sin, cos) = math::sin_cos(self.rotation);
         [[cos * su, sin * sv, ou], [-sin * su, cos * sv, ov]]
     }
 }

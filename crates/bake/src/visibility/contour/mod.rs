@@ -145,6 +145,7 @@ impl ContourMesh {
 
 #[cfg(test)]
 mod tests {
+    use relight_format::math;
     use relight_shading::octahedral::{self, Footprint};
 
     use super::*;
@@ -187,8 +188,14 @@ mod tests {
             let theta = std::f32::consts::PI * j as f32 / n as f32;
             let phi = std::f32::consts::TAU * (i % (2 * n)) as f32 / (2 * n) as f32;
             let pole = j == 0 || j == n;
-            let ring = if pole { 0.0 } else { theta.sin() };
-            centre + radius * Vec3::new(ring * phi.cos(), theta.cos(), ring * phi.sin())
+            let ring = if pole { 0.0 } else { math::sin(theta) };
+            centre
+                + radius
+                    * Vec3::new(
+                        ring * math::cos(phi),
+                        math::cos(theta),
+                        ring * math::sin(phi),
+                    )
         };
         (0..n)
             .flat_map(|j| (0..2 * n).map(move |i| (i, j)))
@@ -325,7 +332,7 @@ mod tests {
         let mut scratch = mesh.scratch(directions);
         let (bitmap, _) = mesh.sample(Vec3::ZERO, directions, &mut scratch);
         mesh.crossings(&bitmap, &mut scratch);
-        let radius = (1.0 / centre.length()).asin();
+        let radius = math::asin(1.0 / centre.length());
         (centre, radius, bitmap, scratch.crossings)
     }
 
@@ -366,8 +373,8 @@ mod tests {
         let sum: f32 = (0..points)
             .map(|i| {
                 let angle = std::f32::consts::TAU * i as f32 / points as f32;
-                let side = angle.cos() * tangent + angle.sin() * bitangent;
-                let direction = radius.cos() * axis + radius.sin() * side;
+                let side = math::cos(angle) * tangent + math::sin(angle) * bitangent;
+                let direction = math::cos(radius) * axis + math::sin(radius) * side;
                 let texel = octahedral::encode(direction) * resolution as f32 - 0.5;
                 Footprint::new(texel, resolution).read(distances).abs()
             })

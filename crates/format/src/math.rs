@@ -1,0 +1,204 @@
+//! Elementary functions that give the same bits on every processor.
+//!
+//! Those of the standard library are the C library's, which differ in the last bit with the
+//! processor's instructions. A fit that takes thousands of steps makes another file of that.
+//! These are compiled from one source (the crate `libm`), and Clippy refuses the others in
+//! the crates whose results reach a file (their `clippy.toml`).
+
+mod sealed {
+    /// One method by function of the parent module.
+    pub trait Real: Copy {
+        fn sin(self) -> Self;
+        fn cos(self) -> Self;
+        fn tan(self) -> Self;
+        fn asin(self) -> Self;
+        fn acos(self) -> Self;
+        fn atan(self) -> Self;
+        fn atan2(self, x: Self) -> Self;
+        fn tanh(self) -> Self;
+        fn exp(self) -> Self;
+        fn exp2(self) -> Self;
+        fn exp_m1(self) -> Self;
+        fn ln(self) -> Self;
+        fn ln_1p(self) -> Self;
+        fn log2(self) -> Self;
+        fn log10(self) -> Self;
+        fn powf(self, exponent: Self) -> Self;
+        fn hypot(self, other: Self) -> Self;
+        fn sin_cos(self) -> (Self, Self);
+    }
+}
+
+/// `f32` or `f64`.
+pub trait Real: sealed::Real {}
+impl<T: sealed::Real> Real for T {}
+
+macro_rules! real {
+    ($type:ty: $($name:ident = $function:ident,)*; $($name2:ident = $function2:ident,)*; $sincos:ident) => {
+        impl sealed::Real for $type {
+            $(fn $name(self) -> Self {
+                libm::$function(self)
+            })*
+            $(fn $name2(self, other: Self) -> Self {
+                libm::$function2(self, other)
+            })*
+            fn sin_cos(self) -> (Self, Self) {
+                libm::$sincos(self)
+            }
+        }
+    };
+}
+
+real!(f32: sin = sinf, cos = cosf, tan = tanf, asin = asinf, acos = acosf, atan = atanf, tanh = tanhf, exp = expf,
+    exp2 = exp2f, exp_m1 = expm1f, ln = logf, ln_1p = log1pf, log2 = log2f, log10 = log10f,;
+    atan2 = atan2f, powf = powf, hypot = hypotf,; sincosf);
+real!(f64: sin = sin, cos = cos, tan = tan, asin = asin, acos = acos, atan = atan, tanh = tanh, exp = exp,
+    exp2 = exp2, exp_m1 = expm1, ln = log, ln_1p = log1p, log2 = log2, log10 = log10,;
+    atan2 = atan2, powf = pow, hypot = hypot,; sincos);
+
+macro_rules! functions {
+    ($($(#[$doc:meta])* $name:ident($first:ident $(, $second:ident)?);)*) => {
+        $($(#[$doc])*
+        #[inline]
+        pub fn $name<T: Real>($first: T $(, $second: T)?) -> T {
+            $first.$name($($second)?)
+        })*
+    };
+}
+
+functions! {
+    /// Sine of an angle in radians.
+    sin(angle);
+    /// Cosine of an angle in radians.
+    cos(angle);
+    /// Tangent of an angle in radians.
+    tan(angle);
+    /// Arc sine in [-π/2, π/2]; not a number outside [-1, 1].
+    asin(sine);
+    /// Arc cosine in [0, π]; not a number outside [-1, 1].
+    acos(cosine);
+    /// Arc tangent in [-π/2, π/2].
+    atan(tangent);
+    /// Angle of the point (x, y) in [-π, π].
+    atan2(y, x);
+    /// Hyperbolic tangent.
+    tanh(x);
+    /// e to the power of `x`.
+    exp(x);
+    /// 2 to the power of `x`.
+    exp2(x);
+    /// `exp(x) - 1`, exact near zero too.
+    exp_m1(x);
+    /// Natural logarithm.
+    ln(x);
+    /// `ln(1 + x)`, exact near zero too.
+    ln_1p(x);
+    /// Logarithm to base 2.
+    log2(x);
+    /// Logarithm to base 10.
+    log10(x);
+    /// `base` to the power of `exponent`.
+    powf(base, exponent);
+    /// Length of the vector (x, y).
+    hypot(x, y);
+}
+
+/// Sine and cosine of an angle in radians.
+#[inline]
+pub fn sin_cos<T: Real>(angle: T) -> (T, T) {
+    angle.sin_cos()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bits_are_those_of_every_processor() {
+        // A checksum over arguments of all sizes, taken with QEMU's Nehalem, Haswell and `max`.
+        let mut sum = 0u64;
+        let mut add =
+            |bits: u64| sum = sum.rotate_left(5).wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ bits;
+        for index in 1..2000 {
+            let x = 1e-6 * 1.011f64.powi(index);
+            let unit = f64::from(index) / 2000.0;
+            for value in [
+                sin(x),
+                cos(x),
+                tan(x),
+                asin(unit),
+                acos(unit),
+                atan(x),
+                atan2(unit, x),
+                exp(-x.min(700.0)),
+                exp2(unit),
+                exp_m1(-x),
+                ln(x),
+                ln_1p(x),
+                log2(x),
+                log10(x),
+                powf(unit, x.min(50.0)),
+                hypot(x, unit),
+                sin_cos(x).0,
+                sin_cos(x).1,
+            ] {
+                add(value.to_bits());
+            }
+            let (x, unit) = (x as f32, unit as f32);
+            for value in [
+                sin(x),
+                cos(x),
+                tan(x),
+                asin(unit),
+                acos(unit),
+                atan(x),
+                atan2(unit, x),
+                exp(-x.min(80.0)),
+                exp2(unit),
+                exp_m1(-x),
+                ln(x),
+                ln_1p(x),
+                log2(x),
+                log10(x),
+                powf(unit, x.min(50.0)),
+                hypot(x, unit),
+                sin_cos(x).0,
+                sin_cos(x).1,
+            ] {
+                add(u64::from(value.to_bits()));
+            }
+        }
+        assert_eq!(sum, 0x8da9_47e6_b78b_e09f, "{sum:#x}");
+    }
+
+    #[test]
+    #[allow(clippy::disallowed_methods)]
+    fn values_are_those_of_the_standard_library() {
+        for index in 1..2000 {
+            let x = 1e-6 * 1.011f64.powi(index);
+            let unit = f64::from(index) / 2000.0;
+            for (ours, theirs) in [
+                (sin(x), x.sin()),
+                (cos(x), x.cos()),
+                (asin(unit), unit.asin()),
+                (acos(unit), unit.acos()),
+                (atan(x), x.atan()),
+                (atan2(unit, x), unit.atan2(x)),
+                (exp(-x), (-x).exp()),
+                (exp2(unit), unit.exp2()),
+                (exp_m1(-x), (-x).exp_m1()),
+                (ln(x), x.ln()),
+                (ln_1p(x), x.ln_1p()),
+                (log2(x), x.log2()),
+                (log10(x), x.log10()),
+                (powf(unit, x), unit.powf(x)),
+                (hypot(x, unit), x.hypot(unit)),
+            ] {
+                assert!(
+                    (ours - theirs).abs() <= 4.0 * f64::EPSILON * theirs.abs(),
+                    "{ours} {theirs}"
+                );
+            }
+        }
+    }
+}

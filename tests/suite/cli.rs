@@ -8,7 +8,7 @@ use libtest_mimic::{Failed, Trial};
 use serde_json::Value;
 
 pub use crate::command::{
-    BAD_INPUT, INPUT_OUTPUT, USAGE, error_line, expect, expect_refusal, expect_success,
+    BAD_INPUT, INPUT_OUTPUT, USAGE, describe, error_line, expect, expect_refusal, expect_success,
 };
 use crate::command::{INTERRUPTED, OK};
 use crate::meshes::sphere_over_ground;

@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use libtest_mimic::Trial;
+use libtest_mimic::{Completion, Failed, Trial};
 
-use crate::cli::{BAD_INPUT, INPUT_OUTPUT, USAGE, error_line, expect, expect_success};
+use crate::cli::{BAD_INPUT, INPUT_OUTPUT, USAGE, describe, error_line, expect, expect_success};
 use crate::meshes::sphere_over_ground;
 use crate::support::{Outcome, binary, with_data};
 
@@ -30,6 +30,8 @@ pub fn trials() -> Vec<Trial> {
         Trial::test("farm::full_disk", full_disk),
         Trial::test("farm::memory", memory),
         Trial::test("farm::low_priority", low_priority),
+        Trial::ignorable_test("farm::slurm", slurm),
+        Trial::ignorable_test("farm::kubernetes", kubernetes),
     ];
     trials.extend(verified);
     trials
@@ -117,7 +119,7 @@ fn parts_of(asset: &Path) -> PathBuf {
 
 fn killed_at_random_points() -> Outcome {
     /// Kills; each is of a process that has lived up to an undisturbed bake's time.
-    const KILLS: u32 = 6;
+    const KILLS: u32 = 20;
     let fixture = Fixture::new(STEPS)?;
     let asset = fixture.path("killed.relight");
     std::fs::write(&asset, "what was there before")?;
@@ -414,4 +416,63 @@ fn verify_visibility(mesh: &Path) -> Outcome {
     assert!(sampled > 0 && probes > 0, "{summary}");
     assert_eq!(verified, sampled + probes);
     Ok(())
+}
+
+/// The recipe of FARM.md on a Slurm of its own, a node of which dies.
+fn slurm() -> Result<Completion, Failed> {
+    /// What the script exits with where there is no Slurm.
+    const SKIPPED: i32 = 77;
+    let folder = tempfile::tempdir()?;
+    let mesh = folder.path().join("sphere.obj");
+    std::fs::write(&mesh, sphere_over_ground(STEPS))?;
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tools/farm/slurm");
+    let mut farm = Command::new(script);
+    farm.arg(binary("bake").get_program()).arg(&mesh);
+    farm.args(["--sample-resolution", "32", "--basis-resolution", "16"]);
+    let output = farm
+        .args(["--max-error", "0.2"])
+        .stdin(Stdio::null())
+        .output()?;
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    let last = text.lines().last().unwrap_or_default();
+    match output.status.code() {
+        Some(0) => Ok(Completion::Completed),
+        Some(SKIPPED) => Ok(Completion::ignored_with(last)),
+        _ => Err(describe(&output).into()),
+    }
+}
+
+/// The manifest of FARM.md against the schemas of Kubernetes, which refuse it when it is wrong.
+fn kubernetes() -> Result<Completion, Failed> {
+    let checks = |file: &Path| {
+        Command::new("kubernetes-validate")
+            .arg("--strict")
+            .arg(file)
+            .stdin(Stdio::null())
+            .output()
+    };
+    let guide = Path::new(env!("CARGO_MANIFEST_DIR")).join("../crates/bake/FARM.md");
+    let guide = std::fs::read_to_string(guide)?;
+    let manifest = guide
+        .split_once("```yaml\n")
+        .and_then(|(_, rest)| rest.split_once("```"))
+        .map(|(manifest, _)| manifest)
+        .ok_or("FARM.md has no manifest")?;
+    let folder = tempfile::tempdir()?;
+    let file = folder.path().join("job.yaml");
+    std::fs::write(&file, manifest)?;
+    let Ok(output) = checks(&file) else {
+        let why = "no kubernetes-validate (pip install kubernetes-validate)";
+        return Ok(Completion::ignored_with(why));
+    };
+    assert!(output.status.success(), "{}", describe(&output));
+    std::fs::write(
+        &file,
+        manifest.replace("completionMode: Indexed", "completionMode: 3"),
+    )?;
+    assert!(
+        !checks(&file)?.status.success(),
+        "a mode that is a number passes"
+    );
+    Ok(Completion::Completed)
 }

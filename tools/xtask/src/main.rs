@@ -11,7 +11,7 @@ use std::time::Instant;
 const USAGE: &str = "usage: cargo xtask test | results | web [--serve] | gpu-cost [KERNEL...]
 
 test: installs what the tests need (apt, only what is missing), then checks formatting and lints,
-runs every test, and checks dependencies if cargo-deny is there.
+runs every test, and checks dependencies by cargo-deny, which it installs into target/tools.
 
 results: runs every experiment on the CPU into out/results, which takes an hour or more and
 needs the test data, and replaces the tables of RESULTS.md.
@@ -386,14 +386,36 @@ fn run_tests(command: &mut Command, counts: &mut Counts) -> Outcome {
     }
 }
 
-/// `cargo deny`, without the advisories where their database cannot be had.
+/// `cargo deny`, without the advisories where their database cannot be had. It is built if it is
+/// missing, without optimisation: it runs for seconds.
 fn dependencies(root: &Path) -> Outcome {
-    if !succeeds(&mut cargo(root, "deny --version")) {
-        return Outcome::Skipped("no cargo-deny (cargo install cargo-deny --locked)".to_owned());
+    let tools = root.join("target/tools");
+    let own = tools.join("bin/cargo-deny");
+    let deny = |arguments: &str| {
+        let mut command = if own.exists() {
+            let mut command = Command::new(&own);
+            command.current_dir(root).stdin(Stdio::null());
+            command
+        } else {
+            cargo(root, "deny")
+        };
+        command.args(arguments.split(' '));
+        command
+    };
+    if !succeeds(&mut deny("--version")) {
+        println!("xtask: installing cargo-deny");
+        let mut install = cargo(root, "install --quiet --locked --debug cargo-deny --root");
+        let install = install.arg(&tools).env("CARGO_PROFILE_DEV_DEBUG", "0");
+        if !succeeds(install.env("CARGO_TARGET_DIR", tools.join("target"))) {
+            let why = "no cargo-deny, and cargo cannot install it";
+            return Outcome::Skipped(why.to_owned());
+        }
+        // Half a gigabyte that nobody needs again.
+        let _ = std::fs::remove_dir_all(tools.join("target"));
     }
-    match Outcome::of(&mut cargo(root, "deny check bans licenses sources")) {
-        Outcome::Passed if succeeds(&mut cargo(root, "deny fetch db")) => {
-            Outcome::of(&mut cargo(root, "deny check advisories"))
+    match Outcome::of(&mut deny("check bans licenses sources")) {
+        Outcome::Passed if succeeds(&mut deny("fetch db")) => {
+            Outcome::of(&mut deny("check advisories"))
         }
         Outcome::Passed => {
             Outcome::Skipped("advisories, for want of their database; the rest passed".to_owned())

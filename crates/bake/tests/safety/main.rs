@@ -5,6 +5,7 @@
 #[path = "../../../../tests/suite/command.rs"]
 #[expect(dead_code, reason = "the workspace's suite uses the rest")]
 mod command;
+mod faults;
 mod json;
 #[path = "../../../../tests/suite/meshes.rs"]
 mod meshes;
@@ -64,6 +65,7 @@ fn trials() -> Vec<Trial> {
         Trial::test("safety::resume_says_what_differs", resume_says_what_differs),
         Trial::test("safety::other_files_are_no_parts", other_files_are_no_parts),
     ];
+    trials.extend(faults::trials());
     trials.extend(json::trials());
     trials.extend(processors::trials());
     trials.extend(python::trials());

@@ -167,13 +167,13 @@ pub fn read_environment(bytes: &[u8], limits: &Limits) -> Result<Environment, Er
         sources,
         source_texels,
     };
-    validate(&environment)?;
+    environment.validate()?;
     Ok(environment)
 }
 
 /// Encodes an environment; the same value gives the same bytes.
 pub fn write_environment(environment: &Environment) -> Result<Vec<u8>, Error> {
-    validate(environment)?;
+    environment.validate()?;
     let mut writer = Writer::new(Kind::Environment);
     writer.metadata(&environment.report)?;
     writer.section(SectionKind::Lobes, &environment.lobes)?;
@@ -183,48 +183,51 @@ pub fn write_environment(environment: &Environment) -> Result<Vec<u8>, Error> {
     Ok(writer.finish())
 }
 
-fn validate(environment: &Environment) -> Result<(), Error> {
-    let Environment {
-        report,
-        lobes,
-        prefiltered,
-        sources,
-        source_texels,
-    } = environment;
-    if prefiltered.levels().is_none() {
-        return Err(Error::section(
-            Issue::BadLength,
-            SectionKind::Prefiltered,
-            format_args!("4 + 16 + ... texels of at most {MAX_PREFILTERED_LEVELS} levels"),
-            format_args!("{} texels", prefiltered.texels.len()),
-        ));
-    }
-    let fit = report.energy_error.iter().chain([&report.relative_l2]);
-    if !fit.into_iter().all(|value| value.is_finite()) {
-        return Err(Error::section(
-            Issue::ValueOutOfRange,
-            SectionKind::Metadata,
-            "finite fit errors",
-            format_args!("{report:?}"),
-        ));
-    }
-    for (index, lobe) in lobes.iter().enumerate() {
-        let length = lobe.axis.iter().map(|x| x * x).sum::<f32>();
-        let valid = (length - 1.0).abs() < AXIS_TOLERANCE
-            && lobe.sharpness > 0.0
-            && lobe.sharpness.is_finite()
-            && lobe.amplitude.iter().all(|a| a.is_finite() && *a >= 0.0)
-            && lobe.reserved.to_bits() == 0;
-        if !valid {
+impl Environment {
+    /// Checks that every number, length and index is in its range, as it is where an asset is read.
+    pub fn validate(&self) -> Result<(), Error> {
+        let Environment {
+            report,
+            lobes,
+            prefiltered,
+            sources,
+            source_texels,
+        } = self;
+        if prefiltered.levels().is_none() {
             return Err(Error::section(
-                Issue::ValueOutOfRange,
-                SectionKind::Lobes,
-                "unit axis, finite sharpness > 0, finite amplitude >= 0, reserved 0",
-                format_args!("lobe {index}: {lobe:?}"),
+                Issue::BadLength,
+                SectionKind::Prefiltered,
+                format_args!("4 + 16 + ... texels of at most {MAX_PREFILTERED_LEVELS} levels"),
+                format_args!("{} texels", prefiltered.texels.len()),
             ));
         }
+        let fit = report.energy_error.iter().chain([&report.relative_l2]);
+        if !fit.into_iter().all(|value| value.is_finite()) {
+            return Err(Error::section(
+                Issue::ValueOutOfRange,
+                SectionKind::Metadata,
+                "finite fit errors",
+                format_args!("{report:?}"),
+            ));
+        }
+        for (index, lobe) in lobes.iter().enumerate() {
+            let length = lobe.axis.iter().map(|x| x * x).sum::<f32>();
+            let valid = (length - 1.0).abs() < AXIS_TOLERANCE
+                && lobe.sharpness > 0.0
+                && lobe.sharpness.is_finite()
+                && lobe.amplitude.iter().all(|a| a.is_finite() && *a >= 0.0)
+                && lobe.reserved.to_bits() == 0;
+            if !valid {
+                return Err(Error::section(
+                    Issue::ValueOutOfRange,
+                    SectionKind::Lobes,
+                    "unit axis, finite sharpness > 0, finite amplitude >= 0, reserved 0",
+                    format_args!("lobe {index}: {lobe:?}"),
+                ));
+            }
+        }
+        validate_sources(sources, source_texels)
     }
-    validate_sources(sources, source_texels)
 }
 
 fn validate_sources(sources: &[Source], texels: &[[f32; 3]]) -> Result<(), Error> {

@@ -385,8 +385,8 @@ impl Material {
         slots
     }
 
-    /// Checks every number, and every slot against the textures.
-    pub(crate) fn validate(&self, textures: &[TextureShape]) -> Result<(), Error> {
+    /// Checks every number, and every slot against the textures of the asset.
+    pub fn validate(&self, textures: &[TextureShape]) -> Result<(), Error> {
         let metadata = |issue, expected: &str, found: std::fmt::Arguments| {
             Err(Error::section(
                 issue,

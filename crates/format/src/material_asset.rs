@@ -51,13 +51,13 @@ pub fn read_material(bytes: &[u8], limits: &Limits) -> Result<MaterialAsset, Err
         material: metadata.material,
         textures: split_texels(&metadata.textures, &texels)?,
     };
-    validate(&asset)?;
+    asset.validate()?;
     Ok(asset)
 }
 
 /// Encodes a material; the same value gives the same bytes.
 pub fn write_material(asset: &MaterialAsset) -> Result<Vec<u8>, Error> {
-    validate(asset)?;
+    asset.validate()?;
     let mut writer = Writer::new(Kind::Material);
     writer.metadata(&Metadata {
         report: asset.report.clone(),
@@ -68,28 +68,31 @@ pub fn write_material(asset: &MaterialAsset) -> Result<Vec<u8>, Error> {
     Ok(writer.finish())
 }
 
-fn validate(asset: &MaterialAsset) -> Result<(), Error> {
-    let shapes: Vec<_> = asset.textures.iter().map(Texture::shape).collect();
-    asset.material.validate(&shapes)?;
-    validate_textures(&asset.textures)?;
-    let report = &asset.report;
-    let errors = [
-        report.relative_l2,
-        report.corrected_relative_l2,
-        report.shaded_relative_l2,
-        report.albedo_error,
-    ];
-    if errors
-        .iter()
-        .all(|error| error.is_finite() && *error >= 0.0)
-    {
-        Ok(())
-    } else {
-        Err(Error::section(
-            Issue::ValueOutOfRange,
-            SectionKind::Metadata,
-            "finite errors >= 0",
-            format_args!("{report:?}"),
-        ))
+impl MaterialAsset {
+    /// Checks that every number, length and index is in its range, as it is where an asset is read.
+    pub fn validate(&self) -> Result<(), Error> {
+        let shapes: Vec<_> = self.textures.iter().map(Texture::shape).collect();
+        self.material.validate(&shapes)?;
+        validate_textures(&self.textures)?;
+        let report = &self.report;
+        let errors = [
+            report.relative_l2,
+            report.corrected_relative_l2,
+            report.shaded_relative_l2,
+            report.albedo_error,
+        ];
+        if errors
+            .iter()
+            .all(|error| error.is_finite() && *error >= 0.0)
+        {
+            Ok(())
+        } else {
+            Err(Error::section(
+                Issue::ValueOutOfRange,
+                SectionKind::Metadata,
+                "finite errors >= 0",
+                format_args!("{report:?}"),
+            ))
+        }
     }
 }

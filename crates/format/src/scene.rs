@@ -216,13 +216,13 @@ pub fn read_scene(bytes: &[u8], limits: &Limits) -> Result<Scene, Error> {
         basis,
         transfer,
     };
-    validate(&scene)?;
+    scene.validate()?;
     Ok(scene)
 }
 
 /// Encodes a scene; the same value gives the same bytes.
 pub fn write_scene(scene: &Scene) -> Result<Vec<u8>, Error> {
-    validate(scene)?;
+    scene.validate()?;
     let mut writer = Writer::new(Kind::Scene);
     writer.metadata(&Metadata {
         name: scene.name.clone(),
@@ -310,43 +310,46 @@ fn texel_bytes(width: u32, height: u32) -> Option<usize> {
     usize::try_from(bytes).ok().filter(|bytes| *bytes > 0)
 }
 
-fn validate(scene: &Scene) -> Result<(), Error> {
-    validate_metadata(scene)?;
-    for (index, vertex) in scene.vertices.iter().enumerate() {
-        let values: &[f32] = bytemuck::cast_slice(std::slice::from_ref(vertex));
-        if !values.iter().all(|value| value.is_finite()) {
-            return Err(Error::section(
-                Issue::ValueOutOfRange,
-                SectionKind::Vertices,
-                "finite numbers",
-                format_args!("vertex {index}: {vertex:?}"),
-            ));
+impl Scene {
+    /// Checks that every number, length and index is in its range, as it is where an asset is read.
+    pub fn validate(&self) -> Result<(), Error> {
+        validate_metadata(self)?;
+        for (index, vertex) in self.vertices.iter().enumerate() {
+            let values: &[f32] = bytemuck::cast_slice(std::slice::from_ref(vertex));
+            if !values.iter().all(|value| value.is_finite()) {
+                return Err(Error::section(
+                    Issue::ValueOutOfRange,
+                    SectionKind::Vertices,
+                    "finite numbers",
+                    format_args!("vertex {index}: {vertex:?}"),
+                ));
+            }
         }
-    }
-    validate_clusters(scene)?;
-    if let Some(transfer) = &scene.transfer {
-        transfer.validate(&scene.clusters)?;
-    }
-    for (index, triangle) in scene.triangles.iter().enumerate() {
-        let cluster = scene.clusters.get(triangle.cluster as usize);
-        let inside = cluster.is_some_and(|cluster| {
-            let within = |vertex: &u32| {
-                vertex
-                    .checked_sub(cluster.first_vertex)
-                    .is_some_and(|v| v < cluster.vertex_count)
-            };
-            triangle.vertices.iter().all(within)
-        });
-        if !inside || triangle.material as usize >= scene.materials.len() {
-            return Err(Error::section(
-                Issue::IndexOutOfRange,
-                SectionKind::Triangles,
-                "vertices of its own cluster and an existing material",
-                format_args!("triangle {index}: {triangle:?}"),
-            ));
+        validate_clusters(self)?;
+        if let Some(transfer) = &self.transfer {
+            transfer.validate(&self.clusters)?;
         }
+        for (index, triangle) in self.triangles.iter().enumerate() {
+            let cluster = self.clusters.get(triangle.cluster as usize);
+            let inside = cluster.is_some_and(|cluster| {
+                let within = |vertex: &u32| {
+                    vertex
+                        .checked_sub(cluster.first_vertex)
+                        .is_some_and(|v| v < cluster.vertex_count)
+                };
+                triangle.vertices.iter().all(within)
+            });
+            if !inside || triangle.material as usize >= self.materials.len() {
+                return Err(Error::section(
+                    Issue::IndexOutOfRange,
+                    SectionKind::Triangles,
+                    "vertices of its own cluster and an existing material",
+                    format_args!("triangle {index}: {triangle:?}"),
+                ));
+            }
+        }
+        Ok(())
     }
-    Ok(())
 }
 
 fn validate_metadata(scene: &Scene) -> Result<(), Error> {

@@ -81,16 +81,9 @@ pub enum Error {
         /// Materials of the scene.
         count: usize,
     },
-    /// A material that refers to a texture beyond the scene's textures.
-    #[error("material {name:?}: expected a texture index below {count}, found {index}")]
-    NoSuchTexture {
-        /// Name of the material.
-        name: String,
-        /// The index asked for.
-        index: u32,
-        /// Textures of the scene.
-        count: usize,
-    },
+    /// A scene or material that no asset could hold: a number or an index out of its range.
+    #[error("asset: {0}")]
+    Asset(#[from] relight_format::Error),
     /// No adapter offers the limits asked for.
     #[error("no graphics adapter with the limits asked for among {found:?}")]
     NoAdapter {

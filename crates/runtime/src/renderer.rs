@@ -176,9 +176,8 @@ impl Renderer {
         })
     }
 
-    /// Copies a scene to the GPU, on any thread; the error names the limit that it exceeds. The
-    /// scene is one that [`relight_format::read_scene`] returned or
-    /// [`relight_format::write_scene`] accepts.
+    /// Copies a scene to the GPU, on any thread. The error names the limit that it exceeds, or what
+    /// is out of its range in a scene that was not read from an asset.
     pub fn upload(&self, scene: &Scene) -> Result<GpuScene, Error> {
         let layouts = [
             &self.scene_layout,

@@ -2,7 +2,7 @@
 
 use bytemuck::Pod;
 use glam::Vec3;
-use relight_format::{Material, Scene};
+use relight_format::{Material, Scene, Texture, TextureShape};
 use relight_shading::gpu::{self, AtlasLayout, LimitError, PackedTexture, pack_scene};
 use relight_shading::spherical_gaussian::SphericalGaussian;
 use relight_shading::transfer::{self, DistantLight, PackedTransfer};
@@ -38,6 +38,7 @@ pub struct GpuScene {
     materials: wgpu::Buffer,
     material_count: usize,
     textures: Vec<PackedTexture>,
+    shapes: Vec<TextureShape>,
     bounced: Option<PackedTransfer>,
     /// Where light does not bounce.
     no_products: wgpu::TextureView,
@@ -52,8 +53,7 @@ pub(crate) struct ProductsOfLight {
 }
 
 impl GpuScene {
-    /// Uploads a valid scene: one that [`relight_format::read_scene`] returned or
-    /// [`relight_format::write_scene`] accepts.
+    /// Uploads a scene; one that no asset could hold is refused.
     #[allow(
         clippy::too_many_lines,
         reason = "one buffer or texture after the other, in the order of the bindings"
@@ -65,9 +65,8 @@ impl GpuScene {
         owner: &Owner,
         scene: &Scene,
     ) -> Result<Self, Error> {
-        for material in &scene.materials {
-            check_textures(material, scene.textures.len())?;
-        }
+        // Kernels index with what it holds; whoever made it need not have read it.
+        scene.validate()?;
         let packed = pack_scene(scene).map_err(Error::Scene)?;
         let atlas = packed.atlas;
         let limits = device.limits();
@@ -188,6 +187,7 @@ impl GpuScene {
             materials,
             material_count: packed.materials.len(),
             textures: packed.textures,
+            shapes: scene.textures.iter().map(Texture::shape).collect(),
             bounced: packed.transfer,
             no_products,
         })
@@ -238,7 +238,7 @@ impl GpuScene {
                 count: self.material_count,
             });
         }
-        check_textures(material, self.textures.len())?;
+        material.validate(&self.shapes)?;
         let packed = gpu::pack_material(material, &self.textures);
         let offset = (index * size_of::<gpu::Material>()) as u64;
         self.queue
@@ -309,17 +309,6 @@ fn bounced_texture<T: Pod>(
         bytemuck::cast_slice(&padded),
     );
     Ok(texture.create_view(&wgpu::TextureViewDescriptor::default()))
-}
-
-fn check_textures(material: &Material, count: usize) -> Result<(), Error> {
-    match material.slots().find(|slot| slot.texture as usize >= count) {
-        None => Ok(()),
-        Some(slot) => Err(Error::NoSuchTexture {
-            name: material.name.clone(),
-            index: slot.texture,
-            count,
-        }),
-    }
 }
 
 /// A read-only storage buffer of at least one element: a binding must not be empty.

@@ -136,7 +136,9 @@ fn import_mesh(name: &str, others: &[(&str, &[u8])]) {
         .collect();
     let files = Files::in_memory(files, &access());
     let path = Path::new(name);
-    if let Ok(mesh) = import::mesh_of(&files, path, || files.read(path)) {
+    if let Ok(mesh) = import::mesh_of(&files, path, &import::Options::default(), || {
+        files.read(path)
+    }) {
         assert!(mesh.vertices.len() <= access().max_vertices);
         let vertices = mesh.vertices.len() as u32;
         for triangle in &mesh.triangles {

@@ -168,6 +168,11 @@ pub struct SceneArguments {
     /// Bake the I-th of N parts, I from 1; `bake merge` joins them.
     #[arg(long, value_name = "I/N", value_parser = shard)]
     pub shard: Option<Shard>,
+    /// OBJ files without normals and smoothing groups: faces that bend by more than this meet at a
+    /// hard edge, from 0 (all flat) to 180 (all smooth); a scene file's own angle wins
+    /// [default: 80].
+    #[arg(long, value_name = "DEGREES", value_parser = crease)]
+    pub crease: Option<f32>,
     /// Also cast one ray per texel at every vertex; any difference is an error.
     #[arg(long)]
     pub verify_visibility: bool,
@@ -295,6 +300,13 @@ fn positive(text: &str) -> Result<f32, String> {
         .ok()
         .filter(|value: &f32| *value > 0.0 && value.is_finite())
         .ok_or_else(|| "expected a number above 0".to_owned())
+}
+
+fn crease(text: &str) -> Result<f32, String> {
+    text.parse()
+        .ok()
+        .filter(|degrees| (0.0..=180.0).contains(degrees))
+        .ok_or_else(|| "expected a number from 0 to 180".to_owned())
 }
 
 fn at_least_one(text: &str) -> Result<usize, String> {

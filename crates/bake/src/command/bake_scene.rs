@@ -10,6 +10,7 @@ use std::time::Instant;
 
 use anyhow::{Context as _, bail};
 use relight_bake::files::{self, Files};
+use relight_bake::import;
 use relight_bake::monitor::Monitor;
 use relight_bake::scene::description::Refinement;
 use relight_bake::scene::fingerprint::Fingerprint;
@@ -37,7 +38,11 @@ pub fn bake(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Summ
     let start = Instant::now();
     monitor.step("read", 0.0)?;
     let files = Files::new(&arguments.input, &arguments.access())?;
-    let input = load::load_from(&files, &arguments.input)?;
+    let asked = import::Options {
+        crease_degrees: arguments.crease,
+        ..import::Options::default()
+    };
+    let input = load::load_with(&files, &arguments.input, &asked)?;
     files::check_output_beside(&arguments.output, &files)?;
     files::check_output_beside(&path, &files)?;
     warn_of_overruled(arguments, input.refinement.as_ref());

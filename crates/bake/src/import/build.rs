@@ -1,14 +1,14 @@
 //! What all importers share: parts of a mesh are cleaned, completed and appended.
 
-use relight_format::math;
-use std::collections::HashSet;
+use std::collections::{BTreeMap, HashSet};
 use std::path::Path;
 
 use glam::{DVec3, Vec2, Vec3};
-use relight_format::{Material, Texture};
+use relight_format::{Material, Texture, math};
 
-use super::Error;
-use crate::mesh::{self, MAX_COORDINATE, Mesh, Triangle, Vertex, tangent};
+use super::cutout::{self, Cutout, TooMuch};
+use super::{Error, Options};
+use crate::mesh::{self, MAX_COORDINATE, Mesh, Triangle, Vertex, orient, tangent};
 use crate::visibility::places::{self, Divided};
 
 /// Triangles of one material, in world space.
@@ -19,6 +19,17 @@ pub(super) struct Part {
     pub material: usize,
     pub tangents: Tangents,
     pub double_sided: bool,
+    /// What the material's alpha cuts away.
+    pub cutout: Option<Cutout>,
+}
+
+/// A part that waits for the size of the mesh and for its textures.
+struct Uncut {
+    vertices: Vec<Vertex>,
+    triangles: Vec<[u32; 3]>,
+    material: usize,
+    double_sided: bool,
+    cutout: Cutout,
 }
 
 /// A vertex as far as a file describes it.
@@ -48,7 +59,9 @@ pub(super) enum Tangents {
 /// Collects parts. The counters become warnings.
 pub(super) struct Builder<'a> {
     file: &'a Path,
+    pub options: &'a Options,
     max_vertices: usize,
+    uncut: Vec<Uncut>,
     vertices: Vec<Vertex>,
     triangles: Vec<([u32; 3], usize)>,
     warnings: Vec<String>,
@@ -61,10 +74,12 @@ pub(super) struct Builder<'a> {
 }
 
 impl<'a> Builder<'a> {
-    pub fn new(file: &'a Path, max_vertices: usize) -> Self {
+    pub fn new(file: &'a Path, options: &'a Options, max_vertices: usize) -> Self {
         Self {
             file,
+            options,
             max_vertices,
+            uncut: Vec::new(),
             vertices: Vec::new(),
             triangles: Vec::new(),
             warnings: Vec::new(),
@@ -128,11 +143,104 @@ impl<'a> Builder<'a> {
             Tangents::MikkTSpace => tangent::set_mikktspace(&mut vertices, &mut triangles),
             Tangents::FromUv => tangent::set_from_uv(&mut vertices, &triangles),
         }
-        self.append(&vertices, &triangles, part.material)?;
-        if part.double_sided {
+        if let Some(cutout) = part.cutout {
+            self.uncut.push(Uncut {
+                vertices,
+                triangles,
+                material: part.material,
+                double_sided: part.double_sided,
+                cutout,
+            });
+            return Ok(());
+        }
+        self.append_sides(vertices, triangles, part.material, part.double_sided)
+    }
+
+    /// Appends the front, and the back of what has two sides.
+    fn append_sides(
+        &mut self,
+        mut vertices: Vec<Vertex>,
+        mut triangles: Vec<[u32; 3]>,
+        material: usize,
+        double_sided: bool,
+    ) -> Result<(), Error> {
+        self.append(&vertices, &triangles, material)?;
+        if double_sided {
             self.second_sheets += triangles.len();
             reverse(&mut vertices, &mut triangles);
-            self.append(&vertices, &triangles, part.material)?;
+            self.append(&vertices, &triangles, material)?;
+        }
+        Ok(())
+    }
+
+    /// Cuts away what materials mask, and appends what is left.
+    fn cut(&mut self, materials: &[Material], textures: &[Texture]) -> Result<(), Error> {
+        let uncut = std::mem::take(&mut self.uncut);
+        if uncut.is_empty() {
+            return Ok(());
+        }
+        let masked = uncut.iter().flat_map(|part| &part.vertices);
+        let whole = Mesh {
+            vertices: masked.chain(&self.vertices).copied().collect(),
+            ..Mesh::default()
+        };
+        let diagonal = whole.diagonal();
+        // By material: triangles before and after, divided and without area in the texture, and
+        // the largest tolerance, texels.
+        let mut counted: BTreeMap<usize, ([usize; 4], f64)> = BTreeMap::new();
+        for mut part in uncut {
+            let name = &materials[part.material].name;
+            let texture = &textures[part.cutout.slot.texture as usize];
+            let left = (self.max_vertices).saturating_sub(self.triangles.len());
+            let most = if part.double_sided { left / 2 } else { left };
+            let (vertices, before) = (&mut part.vertices, &part.triangles);
+            let cut = cutout::cut(vertices, before, &part.cutout, texture, diagonal, most);
+            let cut = cut.map_err(|error| {
+                let (expected, found) = match error {
+                    TooMuch::Coordinates => (
+                        "finite texture coordinates".to_owned(),
+                        "larger ones".to_owned(),
+                    ),
+                    TooMuch::Contours => (
+                        "an outline that can be cut".into(),
+                        "one that is too long, or that repeats too often".into(),
+                    ),
+                    TooMuch::Triangles(most) => (
+                        format!("at most {most} triangles more (--limit-vertices)"),
+                        "more where its alpha cuts them".into(),
+                    ),
+                };
+                let place = format!(
+                    "material {name:?}, which a scene file's [cutout] makes opaque: {name:?} = 0"
+                );
+                Error::invalid(self.file, place, expected, found)
+            })?;
+            let ([before, after, divided, flat], tolerance) =
+                counted.entry(part.material).or_default();
+            *before += part.triangles.len();
+            *after += cut.triangles.len();
+            *divided += cut.divided;
+            *flat += cut.flat;
+            *tolerance = tolerance.max(cut.tolerance);
+            part.triangles = cut.triangles;
+            drop_unused(&mut part.vertices, &mut part.triangles);
+            self.append_sides(
+                part.vertices,
+                part.triangles,
+                part.material,
+                part.double_sided,
+            )?;
+        }
+        for (material, ([before, after, divided, flat], tolerance)) in counted {
+            let name = &materials[material].name;
+            self.warn(format!(
+                "material {name:?}: its alpha cuts {divided} of {before} triangles, which leaves                  {after}; outlines are off by up to {tolerance:.2} texels"
+            ));
+            if flat > 0 {
+                self.warn(format!(
+                    "material {name:?}: {flat} triangles have no area in the texture and are kept                      or cut away as a whole"
+                ));
+            }
         }
         Ok(())
     }
@@ -241,8 +349,22 @@ impl<'a> Builder<'a> {
 
     /// The mesh, with the materials and textures that it uses.
     pub fn finish(mut self, materials: &[Material], textures: &[Texture]) -> Result<Mesh, Error> {
+        for name in self.options.cutoffs.keys() {
+            if materials.iter().all(|material| material.name != *name) {
+                let names: Vec<_> = materials.iter().map(|m| format!("{:?}", m.name)).collect();
+                return Err(Error::invalid(
+                    self.file,
+                    format_args!("cutout.{name} of the scene file"),
+                    format_args!("a material of the mesh: {}", names.join(", ")),
+                    format_args!("{name:?}"),
+                ));
+            }
+        }
+        let masked = !self.uncut.is_empty();
+        self.cut(materials, textures)?;
         if self.triangles.is_empty() {
             let found = match self.degenerate {
+                _ if masked => "all cut away by the alpha of their materials".to_owned(),
                 0 => "no triangle".to_owned(),
                 count => format!("{count} of zero area"),
             };
@@ -275,6 +397,7 @@ impl<'a> Builder<'a> {
         }
         mesh.textures = textures.to_vec();
         mesh.drop_unused_textures();
+        self.warnings.extend(orient::mend(&mut mesh));
         let counted = [
             (self.degenerate, "triangles of zero area are dropped"),
             (self.repeated, "triangles repeat another and are dropped"),
@@ -353,7 +476,7 @@ fn reverse(vertices: &mut [Vertex], triangles: &mut [[u32; 3]]) {
     }
 }
 
-fn drop_unused(vertices: &mut Vec<GivenVertex>, triangles: &mut [[u32; 3]]) {
+fn drop_unused<T>(vertices: &mut Vec<T>, triangles: &mut [[u32; 3]]) {
     let mut moved: Vec<Option<u32>> = vec![None; vertices.len()];
     for index in triangles.iter().flatten() {
         moved[*index as usize] = Some(0);

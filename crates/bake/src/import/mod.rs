@@ -6,6 +6,7 @@
 //! read but not represented is imported without it and listed in [`Mesh::warnings`].
 
 mod build;
+mod cutout;
 mod gltf;
 mod image;
 mod mtl;
@@ -13,12 +14,27 @@ mod obj;
 #[cfg(test)]
 mod tests;
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use relight_format as format;
 
 use crate::files::{Access, Files};
 use crate::mesh::Mesh;
+
+/// What a mesh does not say itself.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Options {
+    /// Alpha, by the name of a material, below which it is cut away, in place of what the file
+    /// says; 0 keeps all of it.
+    pub cutoffs: BTreeMap<String, f32>,
+    /// Degrees; where an OBJ file has neither normals nor smoothing groups, faces that bend by
+    /// more meet at a hard edge. [`DEFAULT_CREASE_DEGREES`] where there is none.
+    pub crease_degrees: Option<f32>,
+}
+
+/// Boxes are flat and scans smooth.
+pub const DEFAULT_CREASE_DEGREES: f32 = 80.0;
 
 /// Most vertices, and most triangles, that an imported mesh may have; [`Access::max_vertices`]
 /// is less unless it is raised.
@@ -125,19 +141,20 @@ impl Error {
 /// in its own folder.
 pub fn mesh(path: &Path) -> Result<Mesh, Error> {
     let files = Files::new(path, &Access::default())?;
-    mesh_of(&files, path, || files.read_named(path))
+    mesh_of(&files, path, &Options::default(), || files.read_named(path))
 }
 
 /// Imports the file at `path`, whose bytes `read` gives, and what it refers to, from `files`.
 pub fn mesh_of(
     files: &Files,
     path: &Path,
+    options: &Options,
     read: impl FnOnce() -> Result<Vec<u8>, Error>,
 ) -> Result<Mesh, Error> {
     let extension = path.extension().and_then(|extension| extension.to_str());
     match extension.map(str::to_ascii_lowercase).as_deref() {
-        Some("gltf" | "glb") => gltf::import(files, path, &read()?),
-        Some("obj") => obj::import(files, path, &read()?),
+        Some("gltf" | "glb") => gltf::import(files, path, options, &read()?),
+        Some("obj") => obj::import(files, path, options, &read()?),
         other => Err(Error::invalid(
             path,
             "file name",

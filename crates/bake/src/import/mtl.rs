@@ -28,6 +28,10 @@ pub(super) struct MtlMaterial {
     pub normal_map: Option<Map>,
     /// `map_bump` or `bump`: a height map, or often a normal map.
     pub bump_map: Option<Map>,
+    /// `d`, or 1 less `Tr`.
+    pub opacity: Option<f32>,
+    /// `map_d`: opacity.
+    pub opacity_map: Option<Map>,
     /// Keys of maps that are left out.
     pub ignored_maps: Vec<String>,
 }
@@ -41,6 +45,8 @@ pub(super) struct Map {
     pub offset: [f32; 2],
     /// `-s`: scale of (u, v).
     pub scale: [f32; 2],
+    /// `-clamp on`.
+    pub clamp: bool,
 }
 
 /// Parses a material library.
@@ -94,13 +100,21 @@ pub(super) fn parse(file: &Path, text: &str) -> Result<BTreeMap<String, MtlMater
             "Pr" => material.roughness = Some(number()?),
             "Pm" => material.metallic = Some(number()?),
             "illum" => material.illumination = Some(number()? as u32),
+            // A halo factor may stand between the key and the number.
+            "d" => {
+                let text = rest.strip_prefix("-halo").unwrap_or(rest).trim();
+                let value = text.parse().ok().filter(|value: &f32| value.is_finite());
+                material.opacity = Some(value.ok_or_else(|| wrong("a finite number"))?);
+            }
+            "Tr" => material.opacity = Some(1.0 - number()?),
+            "map_d" => material.opacity_map = map(rest),
             "map_Kd" => material.diffuse_map = map(rest),
             "norm" => material.normal_map = map(rest),
             "map_bump" | "map_Bump" | "bump" => material.bump_map = map(rest),
             _ if key.starts_with("map_") || key == "disp" || key == "decal" || key == "refl" => {
                 material.ignored_maps.push(key.to_owned());
             }
-            // Colours of emission, transmission and sheen, dissolve, index of refraction.
+            // Colours of emission, transmission and sheen, index of refraction.
             _ => {}
         }
     }
@@ -113,6 +127,7 @@ fn map(text: &str) -> Option<Map> {
         file: String::new(),
         offset: [0.0; 2],
         scale: [1.0; 2],
+        clamp: false,
     };
     let mut rest = text.trim();
     while rest.starts_with('-') {
@@ -127,6 +142,7 @@ fn map(text: &str) -> Option<Map> {
         for index in 0..arity {
             let (word, after) = rest.split_once(char::is_whitespace)?;
             let value = word.parse::<f32>();
+            map.clamp |= option == "-clamp" && word == "on";
             if index > 0 && value.is_err() {
                 break;
             }

@@ -14,8 +14,9 @@ use crate::visibility::places;
 use super::build::{Builder, GivenVertex, Part, Tangents, angle_weighted_normals};
 use crate::files::Files;
 
+use super::cutout::{Channel, Cutout, Wrap};
 use super::mtl::{self, Map, MtlMaterial};
-use super::{Error, image, plain_material};
+use super::{DEFAULT_CREASE_DEGREES, Error, Options, image, plain_material};
 use crate::mesh::Mesh;
 
 /// Most corners of a face that is not convex, which bounds the time to triangulate it.
@@ -25,9 +26,14 @@ const MAX_CONCAVE_CORNERS: usize = 1024;
 const DEFAULT_MATERIAL: &str = "default";
 
 /// Imports the bytes of an OBJ file and what it refers to.
-pub(super) fn import(files: &Files, file: &Path, bytes: &[u8]) -> Result<Mesh, Error> {
+pub(super) fn import(
+    files: &Files,
+    file: &Path,
+    options: &Options,
+    bytes: &[u8],
+) -> Result<Mesh, Error> {
     let text = String::from_utf8_lossy(bytes);
-    let mut builder = Builder::new(file, files.max_vertices());
+    let mut builder = Builder::new(file, options, files.max_vertices());
     let obj = parse(file, &text)?;
     let (triangles, skipped) = obj.triangulate(file, &mut builder)?;
     let counted = [
@@ -40,10 +46,15 @@ pub(super) fn import(files: &Files, file: &Path, bytes: &[u8]) -> Result<Mesh, E
         }
     }
     let (materials, textures) = load_materials(files, file, &obj, &mut builder)?;
-    let normals = corner_normals(&obj, &triangles);
+    let crease = options.crease_degrees.unwrap_or(DEFAULT_CREASE_DEGREES);
+    let normals = corner_normals(&obj, &triangles, crease);
     for (index, material) in materials.iter().enumerate() {
         push_part(&mut builder, &obj, &triangles, &normals, index, material)?;
     }
+    let materials: Vec<_> = materials
+        .into_iter()
+        .map(|(material, _)| material)
+        .collect();
     builder.finish(&materials, &textures)
 }
 
@@ -54,10 +65,6 @@ struct Corner {
     uv: Option<u32>,
     normal: Option<u32>,
 }
-
-/// Where a file has neither normals nor smoothing groups, faces that bend by more than this
-/// meet at a hard edge: boxes are flat, scans smooth.
-const CREASE_DEGREES: f64 = 80.0;
 
 #[derive(Debug)]
 struct Face {
@@ -371,7 +378,11 @@ fn triangulate(points: &[DVec3]) -> Option<Vec<[usize; 3]>> {
 /// the triangles around the position on its side of the surface, those of its smoothing group
 /// or, where the file has no groups, those that bend by less than the crease angle; none where
 /// faces cancel.
-fn corner_normals(obj: &Obj, triangles: &[Triangle]) -> Vec<[Option<Vec3>; 3]> {
+fn corner_normals(
+    obj: &Obj,
+    triangles: &[Triangle],
+    crease_degrees: f32,
+) -> Vec<[Option<Vec3>; 3]> {
     let given = |corner: u32| {
         let index = obj.corners[corner as usize].normal?;
         obj.normals.get(index as usize)?.try_normalize()
@@ -405,7 +416,7 @@ fn corner_normals(obj: &Obj, triangles: &[Triangle]) -> Vec<[Option<Vec3>; 3]> {
             around.entry(*side).or_default().push(of_face);
         }
     }
-    let crease = math::cos(CREASE_DEGREES.to_radians());
+    let crease = math::cos(f64::from(crease_degrees).to_radians());
     let smooth = |t: &Triangle, positions: [u32; 3], side: u32| {
         let (own_group, own) = (group(t), normal(positions));
         let others = around.get(&side)?.iter();
@@ -434,7 +445,7 @@ fn push_part(
     triangles: &[Triangle],
     normals: &[[Option<Vec3>; 3]],
     material: usize,
-    description: &Material,
+    (description, cutout): &(Material, Option<Cutout>),
 ) -> Result<(), Error> {
     let mut vertices = Vec::new();
     let mut indices = HashMap::new();
@@ -477,6 +488,7 @@ fn push_part(
         material,
         tangents,
         double_sided: false,
+        cutout: cutout.clone(),
     };
     builder.push(part)
 }
@@ -487,7 +499,7 @@ fn load_materials(
     file: &Path,
     obj: &Obj,
     builder: &mut Builder,
-) -> Result<(Vec<Material>, Vec<Texture>), Error> {
+) -> Result<(Vec<(Material, Option<Cutout>)>, Vec<Texture>), Error> {
     let folder = file.parent().unwrap_or(Path::new(""));
     let mut library = BTreeMap::new();
     for names in &obj.libraries {
@@ -535,7 +547,9 @@ fn load_materials(
     let mut materials = Vec::new();
     for name in &obj.materials {
         let described = library.get(name).cloned().unwrap_or_default();
-        materials.push(convert(name, &described, &mut textures, builder)?);
+        let material = convert(name, &described, &mut textures, builder)?;
+        let cutout = cutout(name, &described, &mut textures, builder)?;
+        materials.push((material, cutout));
     }
     Ok((materials, textures.list))
 }
@@ -602,6 +616,53 @@ fn convert(
         material.normal_texture = slot.filter(is_normal_map);
     }
     Ok(material)
+}
+
+/// What a material's opacity cuts away.
+fn cutout(
+    name: &str,
+    mtl: &MtlMaterial,
+    textures: &mut Textures,
+    builder: &mut Builder,
+) -> Result<Option<Cutout>, Error> {
+    /// Opacity below which nothing is left, where the scene file has no other.
+    const CUTOFF: f32 = 0.5;
+    let factor = mtl.opacity.unwrap_or(1.0);
+    let cutoff = builder.options.cutoffs.get(name).copied();
+    if cutoff == Some(0.0) {
+        return Ok(None);
+    }
+    // A scene file may ask for the alpha of the colours, which OBJ files do not use.
+    let colors = mtl.diffuse_map.as_ref().filter(|_| cutoff.is_some());
+    let Some(map) = mtl.opacity_map.as_ref().or(colors) else {
+        if factor < 1.0 {
+            builder.warn(format!(
+                "material {name:?} is transparent (d {factor}) and is baked as opaque"
+            ));
+        }
+        return Ok(None);
+    };
+    let Some(slot) = textures.slot(map, TextureEncoding::Linear, builder)? else {
+        return Ok(None);
+    };
+    // Programs write the picture whose alpha is meant as often as one of greys.
+    let texels = textures.list[slot.texture as usize]
+        .texels
+        .as_chunks::<4>()
+        .0;
+    let has_alpha = texels.iter().any(|texel| texel[3] < u8::MAX);
+    let wrap = if map.clamp { Wrap::Clamp } else { Wrap::Repeat };
+    Ok(Some(Cutout {
+        slot,
+        channel: if has_alpha || mtl.opacity_map.is_none() {
+            Channel::Alpha
+        } else {
+            Channel::Red
+        },
+        wrap: [wrap; 2],
+        factor: factor.clamp(0.0, 1.0),
+        cutoff: cutoff.unwrap_or(CUTOFF),
+    }))
 }
 
 /// Whether an image is mostly the blue of normals that point up, where a height map is grey.

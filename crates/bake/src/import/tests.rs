@@ -9,7 +9,7 @@ use relight_format::{Specular, Surface};
 use serde_json::{Value, json};
 
 use super::build::face_normal;
-use super::{Error, gltf, obj};
+use super::{Error, Options, gltf, obj};
 use crate::files::{Access, Files};
 use crate::mesh::{Mesh, Vertex};
 
@@ -82,7 +82,12 @@ fn no_files() -> Files {
 }
 
 fn import(json: &Value, blob: &[u8]) -> Result<Mesh, Error> {
-    gltf::import(&no_files(), Path::new("test.glb"), &glb(json, blob))
+    gltf::import(
+        &no_files(),
+        Path::new("test.glb"),
+        &Options::default(),
+        &glb(json, blob),
+    )
 }
 
 fn import_good(json: &Value, blob: &[u8]) -> Mesh {
@@ -90,7 +95,12 @@ fn import_good(json: &Value, blob: &[u8]) -> Mesh {
 }
 
 fn import_obj(text: &str) -> Result<Mesh, Error> {
-    obj::import(&no_files(), Path::new("test.obj"), text.as_bytes())
+    obj::import(
+        &no_files(),
+        Path::new("test.obj"),
+        &Options::default(),
+        text.as_bytes(),
+    )
 }
 
 fn area_normals(mesh: &Mesh) -> Vec<Vec3> {
@@ -515,7 +525,12 @@ fn no_mutation_of_a_glb_panics() {
     json["materials"][0]["doubleSided"] = json!(true);
     json["nodes"][0]["rotation"] = json!([0, 0.6, 0, 0.8]);
     fuzz(&glb(&json, &blob), 5000, |bytes| {
-        gltf::import(&no_files(), Path::new("test.glb"), bytes)
+        gltf::import(
+            &no_files(),
+            Path::new("test.glb"),
+            &Options::default(),
+            bytes,
+        )
     });
 }
 
@@ -542,7 +557,12 @@ fn no_mutation_of_a_textured_glb_panics() {
         .remove("TANGENT");
     let bytes = glb(&json, &blob);
     fuzz(&bytes, 5000, |bytes| {
-        gltf::import(&no_files(), Path::new("test.glb"), bytes)
+        gltf::import(
+            &no_files(),
+            Path::new("test.glb"),
+            &Options::default(),
+            bytes,
+        )
     });
     // Extremes of everything that MikkTSpace reads.
     let extremes = [
@@ -581,7 +601,12 @@ fn no_mutation_of_an_obj_panics() {
     let text = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0.2 0.1 0\nv 0 1 0\nvt 0 0\nvt 1 1\nvn 0 0 1\n\
                 s 1\nf 1/1/1 2/2/1 3/1/1 4/2/1 5/1/1\ns off\nf -1 -2 -3\ns 2\nf 1/1 2/2 \\\n3/1\n";
     fuzz(text.as_bytes(), 20_000, |bytes| {
-        obj::import(&no_files(), Path::new("test.obj"), bytes)
+        obj::import(
+            &no_files(),
+            Path::new("test.obj"),
+            &Options::default(),
+            bytes,
+        )
     });
 }
 

@@ -3,6 +3,7 @@
 
 pub mod cluster;
 pub mod ground;
+pub mod orient;
 pub mod refine;
 pub mod tangent;
 

@@ -28,6 +28,10 @@ pub struct SceneFile {
     /// scene's default light.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub environment: Option<PathBuf>,
+    /// OBJ files without normals and smoothing groups: faces that bend by more, degrees from 0 to
+    /// 180, meet at a hard edge. Default: [`crate::import::DEFAULT_CREASE_DEGREES`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub crease_degrees: Option<f32>,
     /// Where the mesh is placed in the world.
     #[serde(default)]
     pub transform: Transform,
@@ -39,6 +43,10 @@ pub struct SceneFile {
     /// directions, in place of what the mesh says.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub emission: BTreeMap<String, Color>,
+    /// Alpha, from 0 to 1, below which materials of the mesh are cut away, by their name in the
+    /// mesh, in place of what the mesh says; 0 keeps all of them.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub cutout: BTreeMap<String, f32>,
     /// A horizontal plane under the mesh that receives its shadow.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ground: Option<Ground>,
@@ -390,6 +398,22 @@ pub fn parse(path: &Path, bytes: &[u8]) -> Result<SceneFile, Error> {
     checked.transform(&scene.transform)?;
     for (name, material) in &scene.materials {
         checked.material(&format!("materials.{name}"), material)?;
+    }
+    for (name, cutoff) in &scene.cutout {
+        checked.require(
+            (0.0..=1.0).contains(cutoff),
+            &format!("cutout.{name}"),
+            "a number in [0, 1]",
+            cutoff,
+        )?;
+    }
+    if let Some(crease) = scene.crease_degrees {
+        checked.require(
+            (0.0..=180.0).contains(&crease),
+            "crease_degrees",
+            "an angle in [0, 180]",
+            crease,
+        )?;
     }
     if let Some(ground) = &scene.ground {
         checked.ground(ground)?;
@@ -829,6 +853,9 @@ mod tests {
             ("mesh = 'a'\nmehs = 'b'", "mehs"),
             ("mesh = 'a'\n[transform]\nsize = 1", "size"),
             ("mesh = 'a'\n[transform]\nscale = 0", "transform.scale"),
+            ("mesh = 'a'\n[cutout]\nleaf = 1.5", "cutout.leaf"),
+            ("mesh = 'a'\n[cutout]\nleaf = nan", "cutout.leaf"),
+            ("mesh = 'a'\ncrease_degrees = -1", "crease_degrees"),
             (
                 "mesh = 'a'\n[transform]\nrotation_axis = [0, 0, 0]",
                 "rotation_axis",

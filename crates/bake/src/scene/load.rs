@@ -49,6 +49,15 @@ pub fn load(path: &Path) -> Result<SceneInput, Error> {
 
 /// Loads as [`load`] does, from `files`, which must be of the same path.
 pub fn load_from(files: &Files, path: &Path) -> Result<SceneInput, Error> {
+    load_with(files, path, &import::Options::default())
+}
+
+/// Loads as [`load_from`] does; what a scene file says wins over the options.
+pub fn load_with(
+    files: &Files,
+    path: &Path,
+    options: &import::Options,
+) -> Result<SceneInput, Error> {
     let is_scene = path
         .extension()
         .is_some_and(|e| e.eq_ignore_ascii_case("toml"));
@@ -58,7 +67,7 @@ pub fn load_from(files: &Files, path: &Path) -> Result<SceneInput, Error> {
         .to_string_lossy()
         .into_owned();
     if !is_scene {
-        let mesh = import::mesh_of(files, path, || files.read_named(path))?;
+        let mesh = import::mesh_of(files, path, options, || files.read_named(path))?;
         return Ok(SceneInput {
             name,
             warnings: mesh.warnings.clone(),
@@ -74,7 +83,11 @@ pub fn load_from(files: &Files, path: &Path) -> Result<SceneInput, Error> {
     let file = description::parse(path, &files.read_named(path)?)?;
     let folder = path.parent().unwrap_or(Path::new(""));
     let mesh_path = folder.join(&file.mesh);
-    let mut mesh = import::mesh_of(files, &mesh_path, || files.read(&mesh_path))?;
+    let options = import::Options {
+        cutoffs: file.cutout.clone(),
+        crease_degrees: file.crease_degrees.or(options.crease_degrees),
+    };
+    let mut mesh = import::mesh_of(files, &mesh_path, &options, || files.read(&mesh_path))?;
     place(&mut mesh, &file.transform);
     let mut positions = mesh.vertices.iter().map(|vertex| vertex.position);
     if let Some(position) = mesh::distant_position(&mut positions) {

@@ -11,6 +11,7 @@ use relight_format::{Material, Surface, Texture, TextureEncoding, TextureSlot};
 use serde::Deserialize;
 
 use super::super::build::Builder;
+use super::super::cutout::{Channel, Cutout, Wrap};
 use super::super::{Error, image, plain_material};
 use super::{Document, resolve};
 
@@ -21,6 +22,7 @@ pub(super) struct Converted {
     pub(super) uv_set: u32,
     pub(super) double_sided: bool,
     pub(super) needs_tangents: bool,
+    pub(super) cutout: Option<Cutout>,
 }
 
 impl Converted {
@@ -154,11 +156,6 @@ impl<'a> Materials<'a> {
             Some(value) => self.parse::<Anisotropy>(value, &format!("{place}.{ANISOTROPY}"))?,
             None => Anisotropy::default(),
         };
-        if source.alpha_mode != Checked::Valid(material::AlphaMode::Opaque) {
-            builder.warn(format!(
-                "material {name:?} is transparent; it is baked as opaque"
-            ));
-        }
         let others = source.extensions.as_ref().map(|e| &e.others);
         let strength = match extension(others, EMISSIVE_STRENGTH) {
             Some(value) => {
@@ -194,7 +191,10 @@ impl<'a> Materials<'a> {
             }
             value.clamp(0.0, 1.0)
         };
-        let [red, green, blue, _] = metallic_roughness.base_color_factor.0;
+        let [red, green, blue, alpha] = metallic_roughness.base_color_factor.0;
+        if !alpha.is_finite() {
+            return Err(self.document.invalid(place, "a finite alpha", alpha));
+        }
         let surface = Surface::MetallicRoughness {
             base_color: [red, green, blue].map(&mut unit),
             metallic: unit(metallic_roughness.metallic_factor.0),
@@ -225,6 +225,7 @@ impl<'a> Materials<'a> {
             })
         };
         let base_color = &metallic_roughness.base_color_texture;
+        let colored = base_color.as_ref().map(|info| info.index);
         let packed = &metallic_roughness.metallic_roughness_texture;
         let normal = match &source.normal_texture {
             Some(normal) => {
@@ -294,7 +295,15 @@ impl<'a> Materials<'a> {
             normal_scale: numbers[0],
             ..plain_material(&name, surface)
         };
+        let cutout = self.cutout(
+            source,
+            alpha,
+            colored.zip(base_color_texture),
+            &name,
+            builder,
+        )?;
         self.list.push(Converted {
+            cutout,
             needs_tangents: normal_texture.is_some() || anisotropy.strength > 0.0,
             material,
             uv_set,
@@ -302,6 +311,82 @@ impl<'a> Materials<'a> {
         });
         self.converted.insert(key, self.list.len() - 1);
         Ok(self.list.len() - 1)
+    }
+
+    /// What a material's alpha cuts away: its texture in the slot given with it, times `factor`.
+    fn cutout(
+        &self,
+        source: &material::Material,
+        factor: f32,
+        colored: Option<(Index<texture::Texture>, TextureSlot)>,
+        name: &str,
+        builder: &mut Builder,
+    ) -> Result<Option<Cutout>, Error> {
+        use material::AlphaMode;
+        let mode = match source.alpha_mode {
+            Checked::Valid(mode) => mode,
+            Checked::Invalid => AlphaMode::Opaque,
+        };
+        let own = source
+            .alpha_cutoff
+            .map_or(DEFAULT_CUTOFF, |cutoff| cutoff.0);
+        let override_cutoff = builder.options.cutoffs.get(name).copied();
+        let cutoff = match (override_cutoff, mode) {
+            (Some(cutoff), _) => cutoff,
+            (None, AlphaMode::Opaque) => return Ok(None),
+            (None, AlphaMode::Mask) => own,
+            (None, AlphaMode::Blend) => {
+                let texels = colored.map(|(_, slot)| &self.textures[slot.texture as usize]);
+                if texels.is_some_and(is_outline) {
+                    builder.warn(format!(
+                        "material {name:?} is transparent (alphaMode BLEND); its alpha is nearly \
+                         0 or 1 everywhere, so it is cut away below {DEFAULT_CUTOFF}"
+                    ));
+                    DEFAULT_CUTOFF
+                } else {
+                    builder.warn(format!(
+                        "material {name:?} is transparent (alphaMode BLEND) and is baked as \
+                         opaque; [cutout] in a scene file cuts it where its alpha is low"
+                    ));
+                    return Ok(None);
+                }
+            }
+        };
+        if !cutoff.is_finite() {
+            let found = cutoff.to_string();
+            return Err(self.document.invalid(name, "a finite alphaCutoff", found));
+        }
+        if cutoff <= 0.0 {
+            return Ok(None);
+        }
+        let Some((texture, slot)) = colored else {
+            if factor < cutoff {
+                builder.warn(format!(
+                    "material {name:?} is wholly transparent: its alpha, {factor}, is below \
+                     {cutoff}, but it has no texture to cut by; it is baked as opaque"
+                ));
+            }
+            return Ok(None);
+        };
+        let texture = self.document.get(texture, name)?;
+        let wrap = match texture.sampler {
+            None => [Wrap::Repeat; 2],
+            Some(index) => {
+                let Sampler { wrap_s, wrap_t, .. } = self.document.get(index, name)?;
+                [wrap_s, wrap_t].map(|mode| match mode {
+                    Checked::Valid(WrappingMode::ClampToEdge) => Wrap::Clamp,
+                    Checked::Valid(WrappingMode::MirroredRepeat) => Wrap::Mirror,
+                    _ => Wrap::Repeat,
+                })
+            }
+        };
+        Ok(Some(Cutout {
+            slot,
+            channel: Channel::Alpha,
+            wrap,
+            factor: factor.max(0.0),
+            cutoff,
+        }))
     }
 
     fn parse<T: serde::de::DeserializeOwned>(
@@ -362,6 +447,27 @@ impl<'a> Materials<'a> {
         self.images.insert(key, texture);
         Ok(TextureSlot { texture, transform })
     }
+}
+
+/// glTF's alphaCutoff where a material has none.
+const DEFAULT_CUTOFF: f32 = 0.5;
+
+/// Whether a texture's alpha draws an outline: nearly all of it is clear or opaque, and there is
+/// some of both.
+fn is_outline(texture: &Texture) -> bool {
+    let alphas = texture
+        .texels
+        .as_chunks::<4>()
+        .0
+        .iter()
+        .map(|texel| texel[3]);
+    let (mut clear, mut opaque, mut all) = (0usize, 0usize, 0usize);
+    for alpha in alphas {
+        clear += usize::from(alpha < 26);
+        opaque += usize::from(alpha > 229);
+        all += 1;
+    }
+    10 * (clear + opaque) >= 9 * all && clear.min(opaque) * 100 >= all
 }
 
 const ANISOTROPY: &str = "KHR_materials_anisotropy";

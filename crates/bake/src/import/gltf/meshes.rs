@@ -233,6 +233,7 @@ impl Document<'_> {
             material,
             tangents,
             double_sided,
+            cutout: materials.list[material].cutout.clone(),
         }))
     }
 }

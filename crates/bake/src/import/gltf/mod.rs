@@ -17,8 +17,8 @@ use gltf::json::{Index, Root, root::Get};
 use serde::Deserialize;
 
 use self::materials::Materials;
-use super::Error;
 use super::build::Builder;
+use super::{Error, Options};
 use crate::files::Files;
 use crate::mesh::Mesh;
 
@@ -40,7 +40,12 @@ const READ: [&str; 4] = [
 ];
 
 /// Imports the bytes of a glTF file and what it refers to.
-pub(super) fn import(files: &Files, file: &Path, bytes: &[u8]) -> Result<Mesh, Error> {
+pub(super) fn import(
+    files: &Files,
+    file: &Path,
+    options: &Options,
+    bytes: &[u8],
+) -> Result<Mesh, Error> {
     let (json, blob) = split_glb(file, bytes)?;
     let syntax = |error: serde_json::Error| Error::Syntax {
         file: file.into(),
@@ -86,7 +91,7 @@ pub(super) fn import(files: &Files, file: &Path, bytes: &[u8]) -> Result<Mesh, E
         root: &root,
         buffers,
     };
-    let mut builder = Builder::new(file, files.max_vertices());
+    let mut builder = Builder::new(file, options, files.max_vertices());
     for extension in root.extensions_used.iter().filter(|name| !known(name)) {
         builder.warn(format!(
             "the glTF extension {extension} is not supported and left out"

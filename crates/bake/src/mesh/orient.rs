@@ -1,0 +1,263 @@
+//! Closed pieces of a mesh that are inside out.
+//!
+//! The front of a triangle is the side from which its corners run counter-clockwise; its back is
+//! never lit. A closed piece whose fronts all look inwards is a room, or was exported inside out.
+
+use std::collections::HashMap;
+
+use glam::{DVec3, Vec3};
+
+use super::Mesh;
+
+/// Volume of an inside-out piece, in cubes of its diagonal, below which its sign may be rounding.
+const LEAST_VOLUME: f64 = 1e-9;
+/// Most pieces times vertices that are looked through for what lies in a piece.
+const MAX_WORK: usize = 1 << 30;
+
+/// A set of triangles that share edges.
+#[derive(Clone, Copy)]
+struct Piece {
+    low: Vec3,
+    high: Vec3,
+    /// Six times what it encloses, m³.
+    volume: f64,
+    /// Whether every edge joins two triangles that wind alike.
+    closed: bool,
+}
+
+impl Piece {
+    fn is_inside_out(&self) -> bool {
+        let diagonal = f64::from(self.low.distance(self.high));
+        self.closed && self.volume < -LEAST_VOLUME * diagonal.powi(3)
+    }
+
+    /// Whether a point lies within its box, and not on it.
+    fn surrounds(&self, point: Vec3) -> bool {
+        point.cmpgt(self.low).all() && point.cmplt(self.high).all()
+    }
+}
+
+/// Turns closed pieces inside out whose fronts look inwards, if nothing lies in them that could be
+/// seen there: they would be black. Returns warnings.
+pub fn mend(mesh: &mut Mesh) -> Vec<String> {
+    let (of, pieces) = pieces(mesh);
+    let inside_out: Vec<usize> = (0..pieces.len()).filter(|&i| pieces[i].is_inside_out()).collect();
+    if inside_out.is_empty() || inside_out.len().saturating_mul(mesh.vertices.len()) > MAX_WORK {
+        return Vec::new();
+    }
+    // Vertices belong to one piece, and all are used.
+    let mut owner = vec![0; mesh.vertices.len()];
+    for (triangle, piece) in mesh.triangles.iter().zip(&of) {
+        for vertex in triangle.vertices {
+            owner[vertex as usize] = *piece;
+        }
+    }
+    let hollow = |piece: &usize| {
+        let outer = &pieces[*piece];
+        let mut others = mesh.vertices.iter().zip(&owner);
+        // What lies in another closed piece may be its inner side.
+        let held = |other: &Piece| {
+            other.closed
+                && other.volume > 0.0
+                && other.surrounds(outer.low)
+                && other.surrounds(outer.high)
+        };
+        !others.any(|(vertex, of)| of != piece && outer.surrounds(vertex.position))
+            && !pieces.iter().any(held)
+    };
+    let (turned, left): (Vec<usize>, Vec<usize>) = inside_out.into_iter().partition(hollow);
+    let mut turn = vec![false; pieces.len()];
+    for piece in &turned {
+        turn[*piece] = true;
+    }
+    // Normals that disagree with their triangles are right already.
+    let mut votes = vec![0i32; mesh.vertices.len()];
+    for (triangle, piece) in mesh.triangles.iter().zip(&of) {
+        if turn[*piece] {
+            let [a, b, c] = mesh.corners(triangle).map(Vec3::as_dvec3);
+            let face = (b - a).cross(c - a);
+            for vertex in triangle.vertices {
+                let normal = mesh.vertices[vertex as usize].normal.as_dvec3();
+                votes[vertex as usize] += if face.dot(normal) > 0.0 { 1 } else { -1 };
+            }
+        }
+    }
+    for (triangle, piece) in mesh.triangles.iter_mut().zip(&of) {
+        if turn[*piece] {
+            triangle.vertices.swap(1, 2);
+        }
+    }
+    for (vertex, votes) in mesh.vertices.iter_mut().zip(votes) {
+        if votes > 0 {
+            vertex.normal = -vertex.normal;
+            vertex.bitangent_sign = -vertex.bitangent_sign;
+        }
+    }
+    let mut warnings = Vec::new();
+    if !turned.is_empty() {
+        warnings.push(format!(
+            "{} closed pieces were inside out, with nothing in them, and are turned about",
+            turned.len()
+        ));
+    }
+    if !left.is_empty() {
+        warnings.push(format!(
+            "{} closed pieces face inwards, and something lies in or around them: rooms, or pieces \
+             that are inside out and will look black from outside",
+            left.len()
+        ));
+    }
+    warnings
+}
+
+/// The piece of every triangle, and the pieces.
+fn pieces(mesh: &Mesh) -> (Vec<usize>, Vec<Piece>) {
+    let mut numbers = HashMap::with_capacity(mesh.vertices.len());
+    let welded: Vec<u32> = (mesh.vertices.iter())
+        .map(|vertex| {
+            // Adding zero turns −0 into +0.
+            let key = (vertex.position + Vec3::ZERO).to_array().map(f32::to_bits);
+            let next = numbers.len() as u32;
+            *numbers.entry(key).or_insert(next)
+        })
+        .collect();
+    let mut parents: Vec<u32> = (0..numbers.len() as u32).collect();
+    let mut find = |mut at: u32, parents: &mut Vec<u32>| {
+        while parents[at as usize] != at {
+            parents[at as usize] = parents[parents[at as usize] as usize];
+            at = parents[at as usize];
+        }
+        at
+    };
+    // How many triangles run along an edge, and how many more one way than the other.
+    let mut edges: HashMap<[u32; 2], [i32; 2]> = HashMap::with_capacity(mesh.triangles.len() * 2);
+    for triangle in &mesh.triangles {
+        let corners = triangle.vertices.map(|vertex| welded[vertex as usize]);
+        for k in 0..3 {
+            let [a, b] = [corners[k], corners[(k + 1) % 3]];
+            let entry = edges.entry([a.min(b), a.max(b)]).or_default();
+            entry[0] += 1;
+            entry[1] += if a < b { 1 } else { -1 };
+            let [a, b] = [a, b].map(|end| find(end, &mut parents));
+            parents[a.max(b) as usize] = a.min(b);
+        }
+    }
+    let mut names = HashMap::new();
+    let mut pieces: Vec<Piece> = Vec::new();
+    let mut of = Vec::with_capacity(mesh.triangles.len());
+    for triangle in &mesh.triangles {
+        let corners = mesh.corners(triangle);
+        let root = find(welded[triangle.vertices[0] as usize], &mut parents);
+        let piece = *names.entry(root).or_insert_with(|| {
+            pieces.push(Piece {
+                low: corners[0],
+                high: corners[0],
+                volume: 0.0,
+                closed: true,
+            });
+            pieces.len() - 1
+        });
+        of.push(piece);
+        let piece = &mut pieces[piece];
+        // From a corner of its own, so that far-off pieces keep their digits.
+        let [a, b, c]: [DVec3; 3] = corners.map(|corner| (corner - piece.low).as_dvec3());
+        for corner in corners {
+            piece.low = piece.low.min(corner);
+            piece.high = piece.high.max(corner);
+        }
+        piece.volume += a.dot(b.cross(c));
+    }
+    for ([a, _], counts) in &edges {
+        if *counts != [2, 0] {
+            let piece = names[&find(*a, &mut parents)];
+            pieces[piece].closed = false;
+        }
+    }
+    (of, pieces)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::{Triangle, Vertex, tangent};
+
+    /// A box, its normals outwards or not, its triangles as its normals or not.
+    fn add_box(mesh: &mut Mesh, low: f32, high: f32, [normals, winding]: [bool; 2]) {
+        let corner = |bits: usize| {
+            let at = [0, 1, 2].map(|axis| if bits >> axis & 1 == 0 { low } else { high });
+            Vec3::from(at)
+        };
+        let middle = Vec3::splat((low + high) * 0.5);
+        let base = mesh.vertices.len() as u32;
+        for bits in 0..8 {
+            let out = (corner(bits) - middle).normalize();
+            let normal = if normals { out } else { -out };
+            mesh.vertices.push(Vertex {
+                position: corner(bits),
+                normal,
+                tangent: tangent::around_axis(normal),
+                bitangent_sign: 1.0,
+                uv: glam::Vec2::ZERO,
+            });
+        }
+        let faces = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+        for [a, b, c, d] in faces {
+            for mut vertices in [[a, b, c], [a, c, d]] {
+                if !winding {
+                    vertices.swap(1, 2);
+                }
+                let vertices = vertices.map(|vertex| base + vertex);
+                mesh.triangles.push(Triangle { vertices, material: 0 });
+            }
+        }
+    }
+
+    fn faces_outwards(mesh: &Mesh, triangles: std::ops::Range<usize>, middle: Vec3) -> [bool; 2] {
+        let all = mesh.triangles[triangles].iter();
+        let winds = all.clone().all(|triangle| {
+            let [a, b, c] = mesh.corners(triangle);
+            (b - a).cross(c - a).dot(a - middle) > 0.0
+        });
+        let points = all.flat_map(|triangle| triangle.vertices).all(|vertex| {
+            let vertex = mesh.vertices[vertex as usize];
+            vertex.normal.dot(vertex.position - middle) > 0.0
+        });
+        [winds, points]
+    }
+
+    #[test]
+    fn an_inside_out_box_is_turned_whatever_its_normals() {
+        for (normals, winding, warns) in [
+            (true, true, 0),
+            (false, false, 1),
+            (true, false, 1),
+        ] {
+            let mut mesh = Mesh::default();
+            add_box(&mut mesh, 1.0, 2.0, [normals, winding]);
+            add_box(&mut mesh, 4.0, 5.0, [true, true]);
+            assert_eq!(mend(&mut mesh).len(), warns, "{normals} {winding}");
+            for (range, middle) in [(0..12, 1.5), (12..24, 4.5)] {
+                let found = faces_outwards(&mesh, range, Vec3::splat(middle));
+                assert_eq!(found, [true; 2], "{normals} {winding}");
+            }
+        }
+    }
+
+    #[test]
+    fn rooms_hollows_and_open_pieces_are_left() {
+        // A room with something in it, and a hollow in something solid.
+        for outer in [[false, false], [true, true]] {
+            let mut mesh = Mesh::default();
+            add_box(&mut mesh, 0.0, 10.0, outer);
+            add_box(&mut mesh, 4.0, 5.0, [outer[0]; 2]);
+            let before = mesh.triangles.clone();
+            let warnings = mend(&mut mesh);
+            assert_eq!(mesh.triangles, before);
+            assert_eq!(warnings.len(), usize::from(!outer[0]));
+        }
+        let mut mesh = Mesh::default();
+        add_box(&mut mesh, 0.0, 10.0, [false, false]);
+        mesh.triangles.pop();
+        assert!(mend(&mut mesh).is_empty());
+    }
+}

@@ -234,11 +234,13 @@ impl<'a> Builder<'a> {
         for (material, ([before, after, divided, flat], tolerance)) in counted {
             let name = &materials[material].name;
             self.warn(format!(
-                "material {name:?}: its alpha cuts {divided} of {before} triangles, which leaves                  {after}; outlines are off by up to {tolerance:.2} texels"
+                "material {name:?}: its alpha cuts {divided} of {before} triangles, which leaves \
+                 {after}; outlines are off by up to {tolerance:.2} texels"
             ));
             if flat > 0 {
                 self.warn(format!(
-                    "material {name:?}: {flat} triangles have no area in the texture and are kept                      or cut away as a whole"
+                    "material {name:?}: {flat} triangles have no area in the texture and are kept \
+                     or cut away as a whole"
                 ));
             }
         }

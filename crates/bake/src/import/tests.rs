@@ -880,3 +880,216 @@ fn material_libraries_are_read() {
         .to_string();
     assert!(message.contains("bad.mtl: line 2"), "{message}");
 }
+
+/// A PNG of 8 by 8 texels, clear left of the middle.
+fn half_clear() -> Vec<u8> {
+    let mut png = std::io::Cursor::new(Vec::new());
+    image::RgbaImage::from_fn(8, 8, |x, _| {
+        image::Rgba([9, 99, 9, if x < 4 { 0 } else { 255 }])
+    })
+    .write_to(&mut png, image::ImageFormat::Png)
+    .expect("PNG encodes");
+    png.into_inner()
+}
+
+/// The square with a texture of colours, given as bytes.
+fn textured_square(image: &[u8]) -> (Value, Vec<u8>) {
+    let (mut json, mut blob) = square();
+    let view = json!({"buffer": 0, "byteOffset": blob.len(), "byteLength": image.len()});
+    blob.extend(image);
+    json["buffers"][0]["byteLength"] = json!(blob.len());
+    let views = json["bufferViews"].as_array_mut().expect("an array");
+    views.push(view);
+    json["images"] = json!([{"bufferView": 5}]);
+    json["samplers"] = json!([{"wrapS": 33071, "wrapT": 33071}]);
+    json["textures"] = json!([{"source": 0, "sampler": 0}]);
+    json["materials"][0]["pbrMetallicRoughness"] = json!({"baseColorTexture": {"index": 0}});
+    (json, blob)
+}
+
+fn area(mesh: &Mesh) -> f32 {
+    let areas = mesh
+        .soup()
+        .into_iter()
+        .map(|[a, b, c]| (b - a).cross(c - a).length() * 0.5);
+    areas.sum()
+}
+
+fn with_cutoff(json: &Value, blob: &[u8], name: &str, cutoff: f32) -> Result<Mesh, Error> {
+    let options = Options {
+        cutoffs: BTreeMap::from([(name.to_owned(), cutoff)]),
+        ..Options::default()
+    };
+    gltf::import(
+        &no_files(),
+        Path::new("test.glb"),
+        &options,
+        &glb(json, blob),
+    )
+}
+
+#[test]
+fn alpha_cuts_as_the_material_says() {
+    let (mut json, blob) = textured_square(&half_clear());
+    for (mode, expected, warning) in [
+        (json!(null), 1.0, ""),
+        (json!("OPAQUE"), 1.0, ""),
+        (json!("MASK"), 0.5, "\"paint\": its alpha cuts 2 of 2"),
+        // Nearly all of it is clear or opaque.
+        (json!("BLEND"), 0.5, "BLEND"),
+    ] {
+        json["materials"][0]["alphaMode"] = mode.clone();
+        if mode.is_null() {
+            json["materials"][0]
+                .as_object_mut()
+                .expect("an object")
+                .remove("alphaMode");
+        }
+        let mesh = import_good(&json, &blob);
+        assert!(
+            (area(&mesh) - expected).abs() < 1e-4,
+            "{mode}: {}",
+            area(&mesh)
+        );
+        let left = if expected < 1.0 { 0.5 } else { 0.0 };
+        for vertex in &mesh.vertices {
+            assert!(vertex.position.x >= left - 1e-4, "{mode}: {vertex:?}");
+            assert!((vertex.uv.x - vertex.position.x).abs() < 1e-5);
+        }
+        let warned = mesh.warnings.iter().any(|text| text.contains(warning));
+        assert!(warned || warning.is_empty(), "{mode}: {:?}", mesh.warnings);
+    }
+    json["materials"][0]["alphaMode"] = json!("MASK");
+    // A cutoff of a quarter lies nearer to the clear texels: 1/8 of the way between two middles
+    // of texels from there.
+    json["materials"][0]["alphaCutoff"] = json!(0.25);
+    assert!((area(&import_good(&json, &blob)) - 0.53125).abs() < 1e-3);
+    // The factor multiplies the texture.
+    json["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] = json!([1, 1, 1, 0.5]);
+    assert!((area(&import_good(&json, &blob)) - 0.5).abs() < 1e-4);
+    json["materials"][0]["alphaCutoff"] = json!(0.6);
+    let message = import(&json, &blob)
+        .expect_err("nothing is left")
+        .to_string();
+    assert!(message.contains("alpha"), "{message}");
+    // A scene file's cutoff comes first.
+    let area_with = |cutoff| area(&with_cutoff(&json, &blob, "paint", cutoff).expect("a square"));
+    assert!((area_with(0.0) - 1.0).abs() < 1e-6);
+    assert!((area_with(0.25) - 0.5).abs() < 1e-4);
+    let message = with_cutoff(&json, &blob, "pain", 0.5)
+        .expect_err("no such name")
+        .to_string();
+    assert!(
+        message.contains("\"paint\"") && message.contains("cutout.pain"),
+        "{message}"
+    );
+    json["materials"][0]["alphaCutoff"] = json!(0.5);
+    json["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] = json!([1, 1, 1, 1e39]);
+    assert!(import(&json, &blob).is_err());
+}
+
+#[test]
+fn a_mask_on_a_double_sided_material_cuts_both_sides() {
+    let (mut json, blob) = textured_square(&half_clear());
+    json["materials"][0]["alphaMode"] = json!("MASK");
+    json["materials"][0]["doubleSided"] = json!(true);
+    let mesh = import_good(&json, &blob);
+    assert!((area(&mesh) - 1.0).abs() < 1e-4);
+    let front = area_normals(&mesh)
+        .iter()
+        .filter(|normal| normal.z > 0.0)
+        .count();
+    assert_eq!(2 * front, mesh.triangles.len());
+}
+
+#[test]
+fn no_mutation_of_a_masked_glb_panics() {
+    let (mut json, blob) = textured_square(&half_clear());
+    json["materials"][0]["alphaMode"] = json!("MASK");
+    json["materials"][0]["normalTexture"] = json!({"index": 0});
+    fuzz(&glb(&json, &blob), 3000, |bytes| {
+        let options = Options::default();
+        gltf::import(&no_files(), Path::new("test.glb"), &options, bytes)
+    });
+    let extremes = [f32::MAX, -1e30, 1e12, 1e6, 1e-40, 0.0, 0.5, 1.0];
+    let mut random = Random(5);
+    let vertices = 12..blob.len() - half_clear().len();
+    for _ in 0..2000 {
+        let mut blob = blob.clone();
+        for _ in 0..=random.below(4) {
+            let at = vertices.start + 4 * random.below(vertices.len() / 4);
+            blob[at..at + 4].copy_from_slice(&extremes[random.below(8)].to_le_bytes());
+        }
+        if let Ok(mesh) = import(&json, &blob) {
+            for vertex in &mesh.vertices {
+                assert!(vertex.normal.is_normalized() && vertex.tangent.is_normalized());
+                assert!(vertex.position.is_finite() && vertex.uv.is_finite());
+            }
+        }
+    }
+}
+
+#[test]
+fn opacity_maps_of_libraries_cut() {
+    let mut grey = std::io::Cursor::new(Vec::new());
+    image::GrayImage::from_fn(8, 8, |_, y| image::Luma([if y < 2 { 255 } else { 0 }]))
+        .write_to(&mut grey, image::ImageFormat::Png)
+        .expect("PNG encodes");
+    let text = "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n\
+                usemtl leaf\nf 1/1 2/2 3/3 4/4\n";
+    let run = |library: &str| {
+        let files = [
+            ("a.mtl", library.as_bytes().to_vec()),
+            ("alpha.png", half_clear()),
+            ("grey.png", grey.get_ref().clone()),
+        ];
+        let files = files.map(|(name, bytes)| (name.into(), bytes));
+        let files = Files::in_memory(files.into(), &Access::default());
+        obj::import(
+            &files,
+            Path::new("a.obj"),
+            &Options::default(),
+            text.as_bytes(),
+        )
+    };
+    for (library, expected, warning) in [
+        ("newmtl leaf\nmap_d -clamp on alpha.png\n", 0.5, "cuts"),
+        ("newmtl leaf\nmap_d -clamp on grey.png\n", 0.25, "cuts"),
+        ("newmtl leaf\nd 1\nmap_Kd alpha.png\n", 1.0, ""),
+        ("newmtl leaf\nd -halo 0.2\n", 1.0, "transparent"),
+        ("newmtl leaf\nTr 0.4\n", 1.0, "transparent"),
+        ("newmtl leaf\nmap_d none.png\n", 1.0, "none.png"),
+    ] {
+        let mesh = run(library).expect(library);
+        assert!(
+            (area(&mesh) - expected).abs() < 1e-3,
+            "{library}: {}",
+            area(&mesh)
+        );
+        let warned = mesh.warnings.iter().any(|text| text.contains(warning));
+        assert!(
+            warned || warning.is_empty(),
+            "{library}: {:?}",
+            mesh.warnings
+        );
+    }
+    assert!(run("newmtl leaf\nd nan\n").is_err());
+}
+
+#[test]
+fn the_crease_angle_can_be_chosen() {
+    // Two squares that meet at a right angle.
+    let text = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 0 0 1\nv 0 1 1\nf 1 2 3 4\nf 1 4 6 5\n";
+    for (crease, vertices) in [(None, 8), (Some(45.0), 8), (Some(100.0), 6), (Some(0.0), 8)] {
+        let options = Options {
+            crease_degrees: crease,
+            ..Options::default()
+        };
+        let mesh = obj::import(&no_files(), Path::new("a.obj"), &options, text.as_bytes());
+        assert_eq!(
+            mesh.expect("two squares").vertices.len(),
+            vertices,
+            "{crease:?}"
+        );
+    }
+}

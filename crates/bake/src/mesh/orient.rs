@@ -17,6 +17,7 @@ const MAX_WORK: usize = 1 << 30;
 /// A set of triangles that share edges.
 #[derive(Clone, Copy)]
 struct Piece {
+    origin: Vec3,
     low: Vec3,
     high: Vec3,
     /// Six times what it encloses, m³.
@@ -41,7 +42,9 @@ impl Piece {
 /// seen there: they would be black. Returns warnings.
 pub fn mend(mesh: &mut Mesh) -> Vec<String> {
     let (of, pieces) = pieces(mesh);
-    let inside_out: Vec<usize> = (0..pieces.len()).filter(|&i| pieces[i].is_inside_out()).collect();
+    let inside_out: Vec<usize> = (0..pieces.len())
+        .filter(|&i| pieces[i].is_inside_out())
+        .collect();
     if inside_out.is_empty() || inside_out.len().saturating_mul(mesh.vertices.len()) > MAX_WORK {
         return Vec::new();
     }
@@ -122,7 +125,7 @@ fn pieces(mesh: &Mesh) -> (Vec<usize>, Vec<Piece>) {
         })
         .collect();
     let mut parents: Vec<u32> = (0..numbers.len() as u32).collect();
-    let mut find = |mut at: u32, parents: &mut Vec<u32>| {
+    let find = |mut at: u32, parents: &mut Vec<u32>| {
         while parents[at as usize] != at {
             parents[at as usize] = parents[parents[at as usize] as usize];
             at = parents[at as usize];
@@ -150,6 +153,7 @@ fn pieces(mesh: &Mesh) -> (Vec<usize>, Vec<Piece>) {
         let root = find(welded[triangle.vertices[0] as usize], &mut parents);
         let piece = *names.entry(root).or_insert_with(|| {
             pieces.push(Piece {
+                origin: corners[0],
                 low: corners[0],
                 high: corners[0],
                 volume: 0.0,
@@ -160,7 +164,7 @@ fn pieces(mesh: &Mesh) -> (Vec<usize>, Vec<Piece>) {
         of.push(piece);
         let piece = &mut pieces[piece];
         // From a corner of its own, so that far-off pieces keep their digits.
-        let [a, b, c]: [DVec3; 3] = corners.map(|corner| (corner - piece.low).as_dvec3());
+        let [a, b, c]: [DVec3; 3] = corners.map(|corner| (corner - piece.origin).as_dvec3());
         for corner in corners {
             piece.low = piece.low.min(corner);
             piece.high = piece.high.max(corner);
@@ -200,14 +204,24 @@ mod tests {
                 uv: glam::Vec2::ZERO,
             });
         }
-        let faces = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+        let faces = [
+            [0, 2, 3, 1],
+            [4, 5, 7, 6],
+            [0, 1, 5, 4],
+            [2, 6, 7, 3],
+            [0, 4, 6, 2],
+            [1, 3, 7, 5],
+        ];
         for [a, b, c, d] in faces {
             for mut vertices in [[a, b, c], [a, c, d]] {
                 if !winding {
                     vertices.swap(1, 2);
                 }
                 let vertices = vertices.map(|vertex| base + vertex);
-                mesh.triangles.push(Triangle { vertices, material: 0 });
+                mesh.triangles.push(Triangle {
+                    vertices,
+                    material: 0,
+                });
             }
         }
     }
@@ -227,11 +241,7 @@ mod tests {
 
     #[test]
     fn an_inside_out_box_is_turned_whatever_its_normals() {
-        for (normals, winding, warns) in [
-            (true, true, 0),
-            (false, false, 1),
-            (true, false, 1),
-        ] {
+        for (normals, winding, warns) in [(true, true, 0), (false, false, 1), (true, false, 1)] {
             let mut mesh = Mesh::default();
             add_box(&mut mesh, 1.0, 2.0, [normals, winding]);
             add_box(&mut mesh, 4.0, 5.0, [true, true]);

@@ -140,7 +140,9 @@ impl<'a> Bake<'a> {
             transfer: (radiosity.as_ref()).map(|all| all.head(options.transfer.order)),
         };
         let placed = Placed::new(&mut mesh, &contours, ray_offset);
-        head.report.warnings.extend(darkness(&placed, &mesh, &contours));
+        head.report
+            .warnings
+            .extend(darkness(&placed, &mesh, &contours));
         let chunks = match options.representation {
             Representation::ClusteredPca => {
                 cluster::partition(&placed.origins, &placed.triangles, CHUNK_VERTICES)
@@ -306,7 +308,10 @@ fn darkness(placed: &Placed, mesh: &Mesh, contours: &ContourMesh) -> Option<Stri
             !caster.any_hit(origin, direction)
         })
     };
-    let lit = looked_at.par_iter().filter(|triangle| sees(triangle)).count();
+    let lit = looked_at
+        .par_iter()
+        .filter(|triangle| sees(triangle))
+        .count();
     (lit * 50 < looked_at.len()).then(|| {
         format!(
             "the distance is seen from {lit} of {} points on fronts of triangles: an environment \

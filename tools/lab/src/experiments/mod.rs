@@ -10,6 +10,7 @@ mod contours;
 mod edits;
 mod end_to_end;
 mod interpolation;
+mod meshes;
 mod occluders;
 mod penumbra;
 pub mod report;
@@ -51,7 +52,7 @@ pub struct Experiment {
 }
 
 /// All of them but `compression`, in the order of the report.
-pub const ALL: [Experiment; 12] = [
+pub const ALL: [Experiment; 13] = [
     Experiment {
         name: "boundary",
         title: "Errors of boundaries and of lobes (Fig. 6)",
@@ -111,6 +112,11 @@ pub const ALL: [Experiment; 12] = [
         name: "bounce",
         title: "Light that bounces, and follows the light",
         run: bounce::run,
+    },
+    Experiment {
+        name: "meshes",
+        title: "Meshes as people bring them",
+        run: meshes::run,
     },
 ];
 

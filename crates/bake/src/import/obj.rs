@@ -91,6 +91,9 @@ struct Obj {
     curves: usize,
 }
 
+/// A material, and what its opacity cuts away.
+type Described = (Material, Option<Cutout>);
+
 /// A triangle of corners, with the face it came from.
 struct Triangle {
     corners: [u32; 3],
@@ -445,7 +448,7 @@ fn push_part(
     triangles: &[Triangle],
     normals: &[[Option<Vec3>; 3]],
     material: usize,
-    (description, cutout): &(Material, Option<Cutout>),
+    (description, cutout): &Described,
 ) -> Result<(), Error> {
     let mut vertices = Vec::new();
     let mut indices = HashMap::new();
@@ -499,7 +502,7 @@ fn load_materials(
     file: &Path,
     obj: &Obj,
     builder: &mut Builder,
-) -> Result<(Vec<(Material, Option<Cutout>)>, Vec<Texture>), Error> {
+) -> Result<(Vec<Described>, Vec<Texture>), Error> {
     let folder = file.parent().unwrap_or(Path::new(""));
     let mut library = BTreeMap::new();
     for names in &obj.libraries {

@@ -41,6 +41,9 @@ const BUCKET: f64 = 16.0;
 /// Most such squares per axis.
 const MAX_BUCKETS: usize = 512;
 
+/// Number of a line between neighbouring texels that a contour crosses, and its period.
+type Crossing = (usize, [i32; 2]);
+
 /// Where a texture is kept (at least 0) and where it is cut away, bilinear between texels.
 pub(in crate::import) struct Mask {
     axes: [Axis; 2],
@@ -138,7 +141,7 @@ impl Mask {
     /// Directed pairs of crossings, what is kept on the left where y points up. A crossing lies on
     /// the edge from a node to the next one along x (even numbers) or y (odd ones), and in one of
     /// the periods. `None` if there are too many.
-    fn crossings(&self) -> Option<Vec<[(usize, [i32; 2]); 2]>> {
+    fn crossings(&self) -> Option<Vec<[Crossing; 2]>> {
         let [columns, rows] = [0, 1].map(|axis| self.nodes(axis));
         let cells = |axis: usize, nodes: usize| {
             if self.axes[axis].period.is_some() {
@@ -415,7 +418,7 @@ impl<'a> Contours<'a> {
             ];
             let mut squares = Vec::new();
             self.squares(a.min(b), a.max(b), |square, tile| {
-                squares.push((square, tile))
+                squares.push((square, tile));
             });
             for (square, [x, y]) in squares {
                 self.buckets[square].push((index, [-x, -y]));

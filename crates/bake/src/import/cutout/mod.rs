@@ -10,7 +10,7 @@ mod contour;
 use std::cmp::Ordering;
 use std::collections::HashMap;
 
-use glam::{DVec2, Vec3};
+use glam::{DVec2, DVec3, Vec3};
 use relight_format::{Texture, TextureSlot, math};
 use spade::{ConstrainedDelaunayTriangulation, HasPosition, Point2, Triangulation as _};
 
@@ -364,7 +364,7 @@ impl Knife<'_> {
         let position = |k: usize| self.vertices[triangle[k % 3] as usize].position.as_dvec3();
         let sides = |k: usize| [position(k + 1) - position(k), position(k + 2) - position(k)];
         let slant = |k: usize| {
-            let [a, b] = sides(k).map(|side| side.normalize_or_zero());
+            let [a, b] = sides(k).map(DVec3::normalize_or_zero);
             a.dot(b).abs()
         };
         let first = (0..3)

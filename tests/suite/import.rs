@@ -98,7 +98,13 @@ const GOOD: [Good; 27] = [
     (
         "thin/carbon60.glb",
         [157_480, 211_118, 1, 0],
-        &["4461 triangles of zero", "back to back", "wind against"],
+        &[
+            "own normals",
+            "inside out",
+            "4461 triangles of zero",
+            "back to back",
+            "wind against",
+        ],
     ),
     (
         "thin/low-poly-tree.glb",

@@ -67,7 +67,6 @@ pub(super) struct Builder<'a> {
     warnings: Vec<String>,
     degenerate: usize,
     invented_normals: usize,
-    turned_away: usize,
     second_sheets: usize,
     repeated: usize,
     back_to_back: usize,
@@ -85,7 +84,6 @@ impl<'a> Builder<'a> {
             warnings: Vec::new(),
             degenerate: 0,
             invented_normals: 0,
-            turned_away: 0,
             second_sheets: 0,
             repeated: 0,
             back_to_back: 0,
@@ -302,7 +300,6 @@ impl<'a> Builder<'a> {
 
     /// Unit normals: the part's own, else those of faces.
     fn normals(&mut self, part: &Part) -> Vec<Vec3> {
-        let position = |index: u32| part.vertices[index as usize].position;
         let mut sums: Option<Vec<DVec3>> = None;
         let mut normals = Vec::with_capacity(part.vertices.len());
         for (index, given) in part.vertices.iter().enumerate() {
@@ -313,11 +310,6 @@ impl<'a> Builder<'a> {
                 // Faces that cancel leave any direction as good as another.
                 sums[index].as_vec3().try_normalize().unwrap_or(Vec3::Y)
             }));
-        }
-        for triangle in &part.triangles {
-            let face = face_normal(triangle.map(position)).unwrap_or_default();
-            let away = |index: &u32| face.dot(normals[*index as usize].as_dvec3()) < 0.0;
-            self.turned_away += usize::from(triangle.iter().all(away));
         }
         normals
     }
@@ -400,6 +392,9 @@ impl<'a> Builder<'a> {
         mesh.textures = textures.to_vec();
         mesh.drop_unused_textures();
         self.warnings.extend(orient::mend(&mut mesh));
+        let turned_away = (mesh.triangles.iter())
+            .filter(|triangle| orient::winds_against_normals(&mesh, triangle))
+            .count();
         let counted = [
             (self.degenerate, "triangles of zero area are dropped"),
             (self.repeated, "triangles repeat another and are dropped"),
@@ -412,7 +407,7 @@ impl<'a> Builder<'a> {
                 "vertices have a zero normal, which their faces replace",
             ),
             (
-                self.turned_away,
+                turned_away,
                 "triangles wind against their own vertex normals and will look dark",
             ),
             (

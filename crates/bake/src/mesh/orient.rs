@@ -7,11 +7,16 @@ use std::collections::HashMap;
 
 use glam::{DVec3, Vec3};
 
-use super::Mesh;
+use super::{Mesh, Triangle};
 
 /// Volume of an inside-out piece, in cubes of its diagonal, below which its sign may be rounding.
 const LEAST_VOLUME: f64 = 1e-9;
-/// Most pieces times vertices that are looked through for what lies in a piece.
+/// The part of a piece's triangles that must wind against their own normals for the winding to be
+/// what is wrong.
+const SURELY: f64 = 0.9;
+/// The same of pieces with gaps, whose volume is a guess: a part of a ball's.
+const OPEN_VOLUME: f64 = 0.02;
+/// Most pairs of pieces that are looked at, one of which may lie in the other.
 const MAX_WORK: usize = 1 << 30;
 
 /// A set of triangles that share edges.
@@ -24,12 +29,25 @@ struct Piece {
     volume: f64,
     /// Whether every edge joins two triangles that wind alike.
     closed: bool,
+    triangles: usize,
+    /// Those that wind against the normals of all their vertices.
+    against: usize,
 }
 
 impl Piece {
     fn is_inside_out(&self) -> bool {
-        let diagonal = f64::from(self.low.distance(self.high));
-        self.closed && self.volume < -LEAST_VOLUME * diagonal.powi(3)
+        self.closed && self.volume < -LEAST_VOLUME * self.cube()
+    }
+
+    /// Of its diagonal, m³.
+    fn cube(&self) -> f64 {
+        f64::from(self.low.distance(self.high)).powi(3)
+    }
+
+    /// Whether its normals show that its triangles wind the wrong way.
+    fn winds_against_normals(&self) -> bool {
+        self.against as f64 >= SURELY * self.triangles as f64
+            && (self.is_inside_out() || !self.closed)
     }
 
     /// Whether a point lies within its box, and not on it.
@@ -38,40 +56,45 @@ impl Piece {
     }
 }
 
-/// Turns closed pieces inside out whose fronts look inwards, if nothing lies in them that could be
-/// seen there: they would be black. Returns warnings.
+/// Turns pieces about that would be black: closed ones whose fronts look inwards, if nothing lies in
+/// them that could be seen there, and those that wind against their own normals. Returns warnings.
 pub fn mend(mesh: &mut Mesh) -> Vec<String> {
     let (of, pieces) = pieces(mesh);
-    let inside_out: Vec<usize> = (0..pieces.len())
-        .filter(|&i| pieces[i].is_inside_out())
+    let mut turn: Vec<bool> = pieces.iter().map(Piece::winds_against_normals).collect();
+    let against = turn.iter().filter(|turn| **turn).count();
+    let mut inside_out: Vec<usize> = (0..pieces.len())
+        .filter(|&piece| pieces[piece].is_inside_out() && !turn[piece])
         .collect();
-    if inside_out.is_empty() || inside_out.len().saturating_mul(mesh.vertices.len()) > MAX_WORK {
-        return Vec::new();
+    if inside_out.len().saturating_mul(pieces.len()) > MAX_WORK {
+        inside_out.clear();
     }
-    // Vertices belong to one piece, and all are used.
-    let mut owner = vec![0; mesh.vertices.len()];
-    for (triangle, piece) in mesh.triangles.iter().zip(&of) {
-        for vertex in triangle.vertices {
-            owner[vertex as usize] = *piece;
-        }
+    if against == 0 && inside_out.is_empty() {
+        return Vec::new();
     }
     let hollow = |piece: &usize| {
         let outer = &pieces[*piece];
-        let mut others = mesh.vertices.iter().zip(&owner);
-        // What lies in another closed piece may be its inner side.
-        let held = |other: &Piece| {
-            other.closed
-                && other.volume > 0.0
-                && other.surrounds(outer.low)
-                && other.surrounds(outer.high)
+        let holds = |outer: &Piece, inner: &Piece| {
+            outer.surrounds(inner.low) && outer.surrounds(inner.high)
         };
-        !others.any(|(vertex, of)| of != piece && outer.surrounds(vertex.position))
-            && !pieces.iter().any(held)
+        // What lies in another closed piece may be its inner side.
+        let rules_out = |other: &Piece| {
+            holds(outer, other) || other.closed && other.volume > 0.0 && holds(other, outer)
+        };
+        !pieces.iter().any(rules_out)
     };
     let (turned, left): (Vec<usize>, Vec<usize>) = inside_out.into_iter().partition(hollow);
-    let mut turn = vec![false; pieces.len()];
     for piece in &turned {
         turn[*piece] = true;
+    }
+    // Where every closed piece was inside out, so are those with a gap or an edge too many.
+    let outwards = |piece: &Piece| piece.closed && !piece.is_inside_out();
+    let all = turned.len() >= 2 && left.is_empty() && !pieces.iter().any(outwards);
+    let mut open = 0;
+    for (turn, piece) in turn.iter_mut().zip(&pieces) {
+        if all && !*turn && piece.volume < -OPEN_VOLUME * piece.cube() {
+            *turn = true;
+            open += 1;
+        }
     }
     // Normals that disagree with their triangles are right already.
     let mut votes = vec![0i32; mesh.vertices.len()];
@@ -97,10 +120,15 @@ pub fn mend(mesh: &mut Mesh) -> Vec<String> {
         }
     }
     let mut warnings = Vec::new();
+    if against > 0 {
+        warnings.push(format!(
+            "{against} pieces wind against their own normals, and are turned about"
+        ));
+    }
     if !turned.is_empty() {
         warnings.push(format!(
-            "{} closed pieces were inside out, with nothing in them, and are turned about",
-            turned.len()
+            "{} pieces were inside out, with nothing in them, and are turned about",
+            turned.len() + open
         ));
     }
     if !left.is_empty() {
@@ -111,6 +139,14 @@ pub fn mend(mesh: &mut Mesh) -> Vec<String> {
         ));
     }
     warnings
+}
+
+/// Whether a triangle's corners run clockwise as all of its normals see them.
+pub fn winds_against_normals(mesh: &Mesh, triangle: &Triangle) -> bool {
+    let [a, b, c] = mesh.corners(triangle).map(Vec3::as_dvec3);
+    let face = (b - a).cross(c - a);
+    let away = |vertex: u32| face.dot(mesh.vertices[vertex as usize].normal.as_dvec3()) < 0.0;
+    triangle.vertices.into_iter().all(away)
 }
 
 /// The piece of every triangle, and the pieces.
@@ -158,6 +194,8 @@ fn pieces(mesh: &Mesh) -> (Vec<usize>, Vec<Piece>) {
                 high: corners[0],
                 volume: 0.0,
                 closed: true,
+                triangles: 0,
+                against: 0,
             });
             pieces.len() - 1
         });
@@ -170,6 +208,8 @@ fn pieces(mesh: &Mesh) -> (Vec<usize>, Vec<Piece>) {
             piece.high = piece.high.max(corner);
         }
         piece.volume += a.dot(b.cross(c));
+        piece.triangles += 1;
+        piece.against += usize::from(winds_against_normals(mesh, triangle));
     }
     for ([a, _], counts) in &edges {
         if *counts != [2, 0] {
@@ -183,7 +223,7 @@ fn pieces(mesh: &Mesh) -> (Vec<usize>, Vec<Piece>) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mesh::{Triangle, Vertex, tangent};
+    use crate::mesh::{Vertex, tangent};
 
     /// A box, its normals outwards or not, its triangles as its normals or not.
     fn add_box(mesh: &mut Mesh, low: f32, high: f32, [normals, winding]: [bool; 2]) {
@@ -259,11 +299,11 @@ mod tests {
         for outer in [[false, false], [true, true]] {
             let mut mesh = Mesh::default();
             add_box(&mut mesh, 0.0, 10.0, outer);
-            add_box(&mut mesh, 4.0, 5.0, [outer[0]; 2]);
+            add_box(&mut mesh, 4.0, 5.0, [!outer[0]; 2]);
             let before = mesh.triangles.clone();
             let warnings = mend(&mut mesh);
             assert_eq!(mesh.triangles, before);
-            assert_eq!(warnings.len(), usize::from(!outer[0]));
+            assert_eq!(warnings.len(), 1);
         }
         let mut mesh = Mesh::default();
         add_box(&mut mesh, 0.0, 10.0, [false, false]);

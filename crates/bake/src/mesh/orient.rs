@@ -122,19 +122,19 @@ pub fn mend(mesh: &mut Mesh) -> Vec<String> {
     let mut warnings = Vec::new();
     if against > 0 {
         warnings.push(format!(
-            "{against} pieces wind against their own normals, and are turned about"
+            "pieces that wind against their own normals are turned about: {against}"
         ));
     }
     if !turned.is_empty() {
         warnings.push(format!(
-            "{} pieces were inside out, with nothing in them, and are turned about",
+            "pieces that are inside out, with nothing in them, are turned about: {}",
             turned.len() + open
         ));
     }
     if !left.is_empty() {
         warnings.push(format!(
-            "{} closed pieces face inwards, and something lies in or around them: rooms, or pieces \
-             that are inside out and will look black from outside",
+            "closed pieces that face inwards, and that hold something or lie in something: {}; rooms, or \
+             inside out, and black from outside",
             left.len()
         ));
     }

@@ -47,7 +47,7 @@ impl Radiosity {
             let Some(met) = self.meet(caster, receiver.origin, ray.direction) else {
                 continue;
             };
-            let sender = self.sender(&met, 1.0, ray.number);
+            let sender = self.sender(caster, &met, 1.0, ray.number);
             self.radiance(&sender, &mut values);
             let row = ray.direction.extend(1.0);
             let weight = ray.cosine * area;

@@ -29,12 +29,25 @@ const NEAREST_EMITTER: f32 = 0.05;
 /// Radius of the disc, in spacings of points, from which the point that stands for a place is
 /// drawn: neighbours share what lies between them.
 const BLUR: f32 = 0.6;
+/// How far a point may be from what it stands for, in spacings, and what the cosine between their
+/// normals must exceed.
+const REACH: f32 = 2.0;
+const ALIKE: f32 = 0.7;
+/// Surfaces that no point stands for, one after the other, before the nearest point has to.
+const MOST_STEPS: u32 = 4;
+/// Radians by which the sky is blurred that such surfaces see, by one ray.
+const SKY_BLUR: f32 = 0.35;
+/// How far above the surface what stands between neighbours is looked for, as a part of their
+/// distance.
+const ABOVE: f32 = 0.1;
 
 /// Light of the scene after all bounces.
 pub struct Radiosity {
     surfaces: Surfaces,
     points: Points,
     harmonics: Harmonics,
+    /// What [`SKY_BLUR`] leaves of each harmonic.
+    blurs: Vec<f32>,
     columns: usize,
     ray_offset: f32,
     /// Irradiance of every point: per channel `columns` numbers.
@@ -48,18 +61,30 @@ pub struct Radiosity {
     time: Duration,
 }
 
-/// A surface that a ray meets: the point that stands for it, and what it sends on.
-#[derive(Clone, Copy)]
+/// What a ray meets, and what it sends on.
 pub struct Sender {
-    point: u32,
-    /// Albedo, times what its light counts here.
+    end: End,
+    /// Albedos up to there, times what its light counts here.
     weight: Vec3,
     /// Radiance of its own, times what its light counts here.
     pub(super) emission: Vec3,
+    /// Radiance of surfaces that are seen by way of those that no point stands for, likewise.
+    beyond: Vec3,
 }
 
+/// Where the light that something sends on is known.
+enum End {
+    /// At the point that stands for it.
+    Point(u32),
+    /// In a direction in which nothing is met.
+    Sky(Vec3),
+}
+
+/// A point that another sees, and its albedo times what its light counts there.
+type Link = (u32, Vec3);
+
 /// What reaches the points at once, whom each sees, and how many rays met backs.
-type First = (Vec<f32>, Vec<Vec<Sender>>, u64);
+type First = (Vec<f32>, Vec<Vec<Link>>, u64);
 
 impl Radiosity {
     /// Follows bounces until they end. Nothing where options ask for none or the scene has no
@@ -84,6 +109,12 @@ impl Radiosity {
             surfaces,
             points,
             harmonics,
+            blurs: (0..=options.order)
+                .flat_map(|degree| {
+                    let exponent = (degree * (degree + 1)) as f32 * SKY_BLUR * SKY_BLUR;
+                    std::iter::repeat_n(math::exp(-0.5 * exponent), 2 * degree as usize + 1)
+                })
+                .collect(),
             columns,
             ray_offset,
             irradiance: Vec::new(),
@@ -121,6 +152,7 @@ impl Radiosity {
                 let origin = point.position + this.ray_offset * point.geometric_normal;
                 let count = options.point_rays;
                 let mut values = vec![0.0; this.harmonics.count()];
+                let mut radiance = vec![0.0; length];
                 let (mut senders, mut backs) = (Vec::new(), 0u64);
                 for ray in hemisphere(point.normal, count, index as u32) {
                     let weight = ray.cosine * (2.0 * PI / count as f32);
@@ -134,8 +166,16 @@ impl Radiosity {
                         continue;
                     };
                     backs += u64::from(met.behind);
-                    let sender = this.sender(&met, weight, ray.number);
-                    senders.push(sender);
+                    let sender = this.sender(caster, &met, weight, ray.number);
+                    if let End::Point(point) = sender.end {
+                        senders.push((point, sender.weight));
+                        this.add_emitted(direct, sender.beyond);
+                    } else {
+                        this.radiance(&sender, &mut radiance);
+                        for (sum, value) in direct.iter_mut().zip(&radiance) {
+                            *sum += value;
+                        }
+                    }
                 }
                 let emitted = this.emitted(caster, origin, point.normal, index as u32);
                 this.add_emitted(direct, emitted.dot_normal(point.normal));
@@ -154,7 +194,7 @@ impl Radiosity {
     fn bounce(
         &mut self,
         direct: Vec<f32>,
-        senders: &[Vec<Sender>],
+        senders: &[Vec<Link>],
         most: Option<u32>,
         monitor: Monitor,
     ) -> Result<(), Interrupted> {
@@ -165,11 +205,11 @@ impl Radiosity {
             monitor.step("bounces", 0.0)?;
             let mut next = vec![0.0; last.len()];
             (next.par_chunks_exact_mut(length).zip(senders)).for_each(|(sums, senders)| {
-                for sender in senders {
-                    let from = &last[sender.point as usize * length..][..length];
+                for (point, weight) in senders {
+                    let from = &last[*point as usize * length..][..length];
                     for ((sums, from), weight) in (sums.chunks_exact_mut(self.columns))
                         .zip(from.chunks_exact(self.columns))
-                        .zip((sender.weight / PI).to_array())
+                        .zip((weight / PI).to_array())
                     {
                         for (sum, value) in sums.iter_mut().zip(from) {
                             *sum += weight * value;
@@ -254,35 +294,99 @@ impl Radiosity {
         Some(self.surfaces.meet(hit.triangle, hit.barycentrics, origin))
     }
 
-    /// The point that stands for what a ray met: one of those about it, by chance.
-    pub(super) fn sender(&self, met: &Met, weight: f32, number: u32) -> Sender {
+    /// Where the light is known that something a ray met sends on. No point may stand for it: for
+    /// what lies in a slit, or is small. Then it is what a ray at random meets from there.
+    pub(super) fn sender(&self, caster: &RayCaster, met: &Met, weight: f32, number: u32) -> Sender {
+        let mut met = *met;
+        let mut sender = Sender {
+            end: End::Point(0),
+            weight: met.albedo * weight,
+            emission: met.emission * weight,
+            beyond: Vec3::ZERO,
+        };
+        for step in 0..MOST_STEPS {
+            let number = hash(number, 11 * step);
+            if let Some(point) = self.standing_for(caster, &met, number) {
+                sender.end = End::Point(point as u32);
+                return sender;
+            }
+            let origin = met.position + self.ray_offset * met.normal;
+            let (height, turn) = (unit(hash(number, 6)), 2.0 * PI * unit(hash(number, 7)));
+            let (x, y) = met.normal.any_orthonormal_pair();
+            let (sine, cosine) = math::sin_cos(turn);
+            let aside = height.sqrt() * (cosine * x + sine * y);
+            let direction = (aside + (1.0 - height).sqrt() * met.normal).normalize();
+            let Some(next) = self.meet(caster, origin, direction) else {
+                sender.end = End::Sky(direction);
+                return sender;
+            };
+            sender.beyond += sender.weight * next.emission;
+            sender.weight *= next.albedo;
+            met = next;
+        }
+        let nearest = self.points.nearest(met.position, met.normal);
+        sender.end = End::Point(nearest.expect("there are points") as u32);
+        sender
+    }
+
+    /// The point that stands for what a ray met: one of those about it, by chance, that has the
+    /// same side and from which nothing parts it.
+    fn standing_for(&self, caster: &RayCaster, met: &Met, number: u32) -> Option<usize> {
         let (u, v) = (unit(hash(number, 1)), unit(hash(number, 2)));
         let radius = BLUR * self.points.spacing() * u.sqrt();
         let (x, y) = met.normal.any_orthonormal_pair();
         let (sine, cosine) = math::sin_cos(2.0 * PI * v);
-        let place = met.position + radius * (cosine * x + sine * y);
-        let point = self.points.nearest(place, met.normal);
-        Sender {
-            point: point.expect("there are points") as u32,
-            weight: met.albedo * weight,
-            emission: met.emission * weight,
-        }
+        let aside = radius * (cosine * x + sine * y);
+        [1.0, -0.5, 0.0].into_iter().find_map(|part| {
+            let index = (self.points).nearest(met.position + part * aside, met.normal)?;
+            let point = &self.points.as_slice()[index];
+            let near = point.position.distance(met.position) < REACH * self.points.spacing()
+                && point.geometric_normal.dot(met.normal) > ALIKE;
+            (near && !self.parted(caster, met, index)).then_some(index)
+        })
+    }
+
+    /// Whether something stands between what a ray met and a point: the other side of a wall or of
+    /// a board on it has other light.
+    fn parted(&self, caster: &RayCaster, met: &Met, point: usize) -> bool {
+        let point = &self.points.as_slice()[point];
+        // Above the surface, which may be round.
+        let above = self.ray_offset + ABOVE * met.position.distance(point.position);
+        caster.blocked(
+            met.position + above * met.normal,
+            point.position + above * point.geometric_normal,
+        )
     }
 
     /// What a sender sends, per channel `columns` numbers: its radiance, times its weight,
     /// without what it emits itself.
     pub(super) fn radiance(&self, sender: &Sender, values: &mut [f32]) {
-        let length = 3 * self.columns;
-        let from = &self.irradiance[sender.point as usize * length..][..length];
-        for ((sums, from), channel) in (values.chunks_exact_mut(self.columns))
-            .zip(from.chunks_exact(self.columns))
-            .zip(0..3)
-        {
-            let weight = sender.weight[channel] / PI;
-            for (sum, value) in sums.iter_mut().zip(from) {
-                *sum = weight * value;
+        match sender.end {
+            End::Point(point) => {
+                let length = 3 * self.columns;
+                let from = &self.irradiance[point as usize * length..][..length];
+                for (value, from) in values.iter_mut().zip(from) {
+                    *value = from / PI;
+                }
+            }
+            End::Sky(direction) => {
+                for channel in values.chunks_exact_mut(self.columns) {
+                    channel.fill(0.0);
+                    self.harmonics.evaluate(direction, channel);
+                    for (value, blur) in channel.iter_mut().zip(&self.blurs) {
+                        *value *= blur;
+                    }
+                }
             }
         }
+        for (values, weight) in
+            (values.chunks_exact_mut(self.columns)).zip(sender.weight.to_array())
+        {
+            for value in values {
+                *value *= weight;
+            }
+        }
+        self.add_emitted(values, sender.beyond);
     }
 
     /// Numbers per channel.
@@ -467,6 +571,37 @@ mod tests {
         }
         // A few per cent of what 32 rays to emitters miss, over 40 places.
         assert!((mean / (2.0 * PI) - 1.0).abs() < 0.03, "{mean}");
+    }
+
+    #[test]
+    fn light_does_not_leak_into_slits() {
+        // A white floor of 4 m under the sky, and on it a low box that is open at one end only: what
+        // lies inside gets next to nothing, though points of the bright floor are near.
+        let (o, x, y, z) = (Vec3::new(1.5, 0.0, 1.5), Vec3::X, Vec3::Y, Vec3::Z);
+        let high = 0.05 * y;
+        let mesh = squares(
+            &[
+                [Vec3::ZERO, 4.0 * z, 4.0 * x],
+                // Top from below and above, three sides.
+                [o + high, x, z],
+                [o + 1.2 * high, z, x],
+                [o, z, high],
+                [o, high, x],
+                [o + x, high, z],
+            ],
+            0.9,
+            0.0,
+        );
+        let (solved, caster) = solve(&mesh, None);
+        let receiver = Receiver {
+            origin: Vec3::new(2.0, 1e-4, 1.55),
+            normal: Vec3::Y,
+        };
+        let block = 3 * solved.columns;
+        let inside = solved.gather(&caster, &receiver, 128, true)[block];
+        // What the open floor gets of the sky in the first harmonic, which is constant.
+        let outside = PI * (0.25 / PI).sqrt();
+        assert!(inside < 0.1 * outside, "{inside} of {outside}");
     }
 
     #[test]

@@ -30,7 +30,6 @@ fn polar_integrate(sharpness: f32, axis: vec3<f32>, normal: vec3<f32>, spokes: u
     let bitangent = cross(axis, tangent);
     let shortest = min(POLAR_SHORTEST_STEP * radius, POLAR_SHORTEST_STEP_LIMIT);
     let count = f32(spokes);
-    let wedge = POLAR_WEDGE * PI / count;
     let at_radius = polar_moments(sharpness, radius);
     // Spokes turn by one angle.
     let turn = vec2(cos(2.0 * PI / count), sin(2.0 * PI / count));
@@ -59,66 +58,31 @@ fn polar_integrate(sharpness: f32, axis: vec3<f32>, normal: vec3<f32>, spokes: u
             continue;
         }
         var theta = start;
-        var sine_here = 0.0;
         var here = distance;
         var first = 0.0;
         if start > 0.0 {
-            sine_here = sin(start);
-            here = ssdf_distance(axis * cos(start) + outward * sine_here);
+            here = ssdf_distance(axis * cos(start) + outward * sin(start));
             first = dot(weights, polar_moments(sharpness, start));
         }
-        // ∫ c dM over the spoke, c the covered fraction of the wedge and M the moment, is by
-        // parts the last c M less ∫ M dc, and c seldom changes.
-        var covered = select(0.0, 1.0, here > 0.0);
-        var sum = -covered * first;
+        var sum = select(0.0, -first, here > 0.0);
         while theta + POLAR_RELAXATION * abs(here) < end {
             let next = min(theta + max(POLAR_RELAXATION * abs(here), shortest), end);
-            let sine_there = sin(next);
-            let there = ssdf_distance(axis * cos(next) + outward * sine_there);
-            let rise = (there - here) / (next - theta);
-            let aside = sqrt(max(1.0 - rise * rise, 0.0));
-            let width_here = aside * min(wedge * sine_here, POLAR_WEDGE_LIMIT);
-            let width_there = aside * min(wedge * sine_there, POLAR_WEDGE_LIMIT);
-            let covered_here = polar_coverage(here, width_here);
-            let covered_there = polar_coverage(there, width_there);
-            if covered_here != covered {
-                let at_here = dot(weights, polar_moments(sharpness, theta));
-                sum -= (covered_here - covered) * at_here;
+            let there = ssdf_distance(axis * cos(next) + outward * sin(next));
+            if (here > 0.0) != (there > 0.0) {
+                let boundary = theta + here / (here - there) * (next - theta);
+                let at_boundary = dot(weights, polar_moments(sharpness, boundary));
+                sum += select(-at_boundary, at_boundary, here > 0.0);
             }
-            if covered_there != covered_here {
-                let falls = covered_there < covered_here;
-                let full = polar_root(here - width_here, there - width_there, !falls);
-                let empty = polar_root(here + width_here, there + width_there, falls);
-                let middle = theta + 0.5 * (full + empty) * (next - theta);
-                let at_middle = dot(weights, polar_moments(sharpness, middle));
-                sum -= (covered_there - covered_here) * at_middle;
-            }
-            covered = covered_there;
             theta = next;
-            sine_here = sine_there;
             here = there;
         }
-        visible += sum + covered * last;
+        visible += select(sum, sum + last, here > 0.0);
         whole += last - first;
     }
     if whole > 0.0 {
         return unoccluded * clamp(visible / whole, 0.0, 1.0);
     }
     return 0.0;
-}
-
-// Visible fraction of an arc of half-width `width` whose middle is at the signed distance
-// `distance` from a straight boundary.
-fn polar_coverage(distance: f32, width: f32) -> f32 {
-    return clamp(0.5 + 0.5 * distance / max(width, 1e-9), 0.0, 1.0);
-}
-
-// Where the line from `a` at 0 to `b` at 1 is zero; the 0 or 1 of `otherwise` if nowhere.
-fn polar_root(a: f32, b: f32, otherwise: bool) -> f32 {
-    if (a > 0.0) != (b > 0.0) {
-        return a / (a - b);
-    }
-    return select(0.0, 1.0, otherwise);
 }
 
 fn polar_support_radius(sharpness: f32) -> f32 {

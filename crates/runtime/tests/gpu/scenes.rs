@@ -124,7 +124,7 @@ pub fn noise(seed: u64) -> Scene {
         let count = cluster.vertex_count * cluster.tiles * 4;
         scene
             .coefficients
-            .extend((0..count).map(|_| random.next() as i16));
+            .extend((0..count).map(|_| (random.next() as i16).max(-i16::MAX)));
     }
     let bytes = first_tile * 12 * 12 * 4;
     scene

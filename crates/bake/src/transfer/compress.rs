@@ -10,13 +10,15 @@ use super::radiosity::hash;
 use crate::simd::product;
 
 /// A component is stored where it carries at least this part of the bounced light, and of what
-/// an open sky gives; both root mean squares over vertices. What is left is little, and noise.
+/// an open sky gives; both root mean squares over vertices. What is left is little, and noise. The
+/// first is larger where radiance is stored too, which has more of both.
 const RELATIVE_GAIN: f64 = 0.03;
+const RELATIVE_GAIN_OF_RADIANCE: f64 = 0.05;
 const SKY_GAIN: f64 = 0.002;
 /// Steps of weights are not finer than this part of what an open sky gives, and of the basis
 /// than that.
-const WEIGHT_STEP: f32 = 0.003;
-const BASIS_STEP: f32 = 0.0002;
+const WEIGHT_STEP: f32 = 0.005;
+const BASIS_STEP: f32 = 0.0012;
 /// Sum over channels of the squared norm of an open sky's irradiance over π: ∫ cos² over a
 /// hemisphere, over π².
 const SKY_SQUARED: f64 = 3.0 * 2.0 / (3.0 * std::f64::consts::PI);
@@ -90,8 +92,13 @@ pub fn compress(vertices: &[Vec<f32>], outputs: usize) -> Compressed {
     }
     let (components, coefficients) = principal(&samples);
     let sky = SKY_SQUARED.sqrt() as f32;
-    let least = (RELATIVE_GAIN.powi(2) * squared)
-        .max(SKY_GAIN.powi(2) * SKY_SQUARED * vertices.len() as f64);
+    let gain = if outputs > IRRADIANCE_OUTPUTS {
+        RELATIVE_GAIN_OF_RADIANCE
+    } else {
+        RELATIVE_GAIN
+    };
+    let least =
+        (gain.powi(2) * squared).max(SKY_GAIN.powi(2) * SKY_SQUARED * vertices.len() as f64);
     let mut rows = vec![mean.as_slice().to_vec()];
     let mut weights: Vec<Vec<i8>> = Vec::new();
     for (index, coefficients) in coefficients.row_iter().enumerate() {

@@ -14,8 +14,8 @@ const LEAST_VOLUME: f64 = 1e-9;
 /// The part of a piece's triangles that must wind against their own normals for the winding to be
 /// what is wrong.
 const SURELY: f64 = 0.9;
-/// The same of pieces with gaps, whose volume is a guess: a part of a ball's.
-const OPEN_VOLUME: f64 = 0.02;
+/// Fewest closed pieces inside out that tell that all of a file is.
+const LEAST_PIECES: usize = 4;
 /// Most pairs of pieces that are looked at, one of which may lie in the other.
 const MAX_WORK: usize = 1 << 30;
 
@@ -86,15 +86,15 @@ pub fn mend(mesh: &mut Mesh) -> Vec<String> {
     for piece in &turned {
         turn[*piece] = true;
     }
-    // Where every closed piece was inside out, so are those with a gap or an edge too many.
+    // Where all closed pieces are inside out, and most pieces are closed, the file is: those with a
+    // gap or an edge too many are as well.
     let outwards = |piece: &Piece| piece.closed && !piece.is_inside_out();
-    let all = turned.len() >= 2 && left.is_empty() && !pieces.iter().any(outwards);
-    let mut open = 0;
-    for (turn, piece) in turn.iter_mut().zip(&pieces) {
-        if all && !*turn && piece.volume < -OPEN_VOLUME * piece.cube() {
-            *turn = true;
-            open += 1;
-        }
+    let all = turned.len() >= LEAST_PIECES
+        && 4 * turned.len() >= 3 * pieces.len()
+        && left.is_empty()
+        && !pieces.iter().any(outwards);
+    if all {
+        turn.fill(true);
     }
     // Normals that disagree with their triangles are right already.
     let mut votes = vec![0i32; mesh.vertices.len()];
@@ -128,7 +128,7 @@ pub fn mend(mesh: &mut Mesh) -> Vec<String> {
     if !turned.is_empty() {
         warnings.push(format!(
             "pieces that are inside out, with nothing in them, are turned about: {}",
-            turned.len() + open
+            if all { pieces.len() } else { turned.len() }
         ));
     }
     if !left.is_empty() {
@@ -290,6 +290,22 @@ mod tests {
                 let found = faces_outwards(&mesh, range, Vec3::splat(middle));
                 assert_eq!(found, [true; 2], "{normals} {winding}");
             }
+        }
+    }
+
+    #[test]
+    fn a_file_of_pieces_inside_out_is_turned_with_its_open_ones() {
+        let mut mesh = Mesh::default();
+        for at in 0..5 {
+            let low = 2.0 * at as f32;
+            add_box(&mut mesh, low, low + 1.0, [false, false]);
+        }
+        mesh.triangles.pop();
+        assert_eq!(mend(&mut mesh).len(), 1);
+        for at in 0..5 {
+            let range = 12 * at..(12 * at + 12).min(59);
+            let middle = Vec3::splat(2.0 * at as f32 + 0.5);
+            assert_eq!(faces_outwards(&mesh, range, middle), [true; 2], "{at}");
         }
     }
 

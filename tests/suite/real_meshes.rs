@@ -67,7 +67,7 @@ const GOOD: [(&str, u64); 73] = [
     ),
     ("awkward/gltf/sphere/sphere.gltf", 224),
     ("awkward/nested.glb", 72),
-    ("awkward/simple-instancing.glb", 12),
+    ("awkward/simple-instancing.glb", 1500),
     ("awkward/tinyobj/catmark_torus_creases0.obj", 64),
     ("awkward/tinyobj/colorspace-issue-184.obj", 1),
     ("awkward/tinyobj/cornell_box.obj", 36),

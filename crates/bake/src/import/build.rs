@@ -1,11 +1,12 @@
 //! What all importers share: parts of a mesh are cleaned, completed and appended.
 
-use std::collections::{BTreeMap, HashSet};
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::Path;
 
 use glam::{DVec3, Vec2, Vec3};
-use relight_format::{Material, Texture, math};
+use relight_format::{Material, Texture, TextureSlot, math};
 
+use super::colors::{self, Palette};
 use super::cutout::{self, Cutout, TooMuch};
 use super::{Error, Options};
 use crate::mesh::{self, MAX_COORDINATE, Mesh, Triangle, Vertex, orient, tangent};
@@ -21,6 +22,8 @@ pub(super) struct Part {
     pub double_sided: bool,
     /// What the material's alpha cuts away.
     pub cutout: Option<Cutout>,
+    /// Whether colours of vertices can be shown: by a texture, in place of the material's.
+    pub takes_colors: bool,
 }
 
 /// A part that waits for the size of the mesh and for its textures.
@@ -41,7 +44,12 @@ pub(super) struct GivenVertex {
     pub tangent: Option<(Vec3, f32)>,
     /// Zero where there are none.
     pub uv: Vec2,
+    /// Linear; multiplies the material's.
+    pub color: Option<[f32; 3]>,
 }
+
+/// Added to the material of a part whose vertices have colours.
+const PAINTED: usize = 1 << (usize::BITS - 1);
 
 /// Where a part's tangents come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -62,6 +70,7 @@ pub(super) struct Builder<'a> {
     pub options: &'a Options,
     max_vertices: usize,
     uncut: Vec<Uncut>,
+    palette: Palette,
     vertices: Vec<Vertex>,
     triangles: Vec<([u32; 3], usize)>,
     warnings: Vec<String>,
@@ -79,6 +88,7 @@ impl<'a> Builder<'a> {
             options,
             max_vertices,
             uncut: Vec::new(),
+            palette: Palette::default(),
             vertices: Vec::new(),
             triangles: Vec::new(),
             warnings: Vec::new(),
@@ -141,6 +151,15 @@ impl<'a> Builder<'a> {
             Tangents::MikkTSpace => tangent::set_mikktspace(&mut vertices, &mut triangles),
             Tangents::FromUv => tangent::set_from_uv(&mut vertices, &triangles),
         }
+        let painted = self.paint(
+            &part.vertices,
+            part.takes_colors,
+            &mut vertices,
+            &mut triangles,
+        );
+        if painted {
+            part.material |= PAINTED;
+        }
         if let Some(cutout) = part.cutout {
             self.uncut.push(Uncut {
                 vertices,
@@ -152,6 +171,32 @@ impl<'a> Builder<'a> {
             return Ok(());
         }
         self.append_sides(vertices, triangles, part.material, part.double_sided)
+    }
+
+    /// Gives vertices with colours places in the texture of them, if there are any but white.
+    fn paint(
+        &mut self,
+        given: &[GivenVertex],
+        takes_colors: bool,
+        vertices: &mut Vec<Vertex>,
+        triangles: &mut [[u32; 3]],
+    ) -> bool {
+        let color = |vertex: &GivenVertex| colors::texel(vertex.color.unwrap_or([1.0; 3]));
+        let colors: Vec<[u8; 3]> = given.iter().map(color).collect();
+        if colors.iter().all(|color| *color == [u8::MAX; 3]) {
+            return false;
+        }
+        let painted = takes_colors
+            && vertices.len() == given.len()
+            && self.palette.paint(vertices, triangles, &colors).is_some();
+        if !painted {
+            self.warn(
+                "vertex colours of materials with textures or anisotropy, and more than 4 million \
+                 of them, are left out"
+                    .into(),
+            );
+        }
+        painted
     }
 
     /// Appends the front, and the back of what has two sides.
@@ -373,10 +418,24 @@ impl<'a> Builder<'a> {
             vertices: self.vertices,
             ..Mesh::default()
         };
-        let mut used = vec![None; materials.len()];
-        for (vertices, material) in self.triangles {
-            let material = *used[material].get_or_insert_with(|| {
-                mesh.materials.push(materials[material].clone());
+        // Places in the texture of colours are texels so far.
+        let palette = self.palette.texture();
+        let sides = Vec2::new(palette.width as f32, palette.height as f32);
+        let mut divided = vec![false; mesh.vertices.len()];
+        let mut used = HashMap::new();
+        for (vertices, number) in self.triangles {
+            let painted = number & PAINTED != 0;
+            for vertex in vertices.into_iter().filter(|_| painted) {
+                if !std::mem::replace(&mut divided[vertex as usize], true) {
+                    mesh.vertices[vertex as usize].uv /= sides;
+                }
+            }
+            let material = *used.entry(number).or_insert_with(|| {
+                let mut material = materials[number & !PAINTED].clone();
+                if painted {
+                    material.base_color_texture = Some(TextureSlot::whole(textures.len() as u32));
+                }
+                mesh.materials.push(material);
                 mesh.materials.len() - 1
             });
             let Ok(material) = u16::try_from(material) else {
@@ -390,6 +449,9 @@ impl<'a> Builder<'a> {
             mesh.triangles.push(Triangle { vertices, material });
         }
         mesh.textures = textures.to_vec();
+        if !self.palette.is_empty() {
+            mesh.textures.push(palette);
+        }
         mesh.drop_unused_textures();
         self.warnings.extend(orient::mend(&mut mesh));
         let turned_away = (mesh.triangles.iter())

@@ -1,4 +1,4 @@
-//! PNG and JPEG to RGBA8.
+//! PNG, JPEG and WebP to RGBA8.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -19,7 +19,7 @@ pub(super) fn decode(
     most: u64,
 ) -> Result<Texture, Error> {
     let malformed = |error: &dyn std::fmt::Display| {
-        Error::invalid(file, place, "a readable PNG or JPEG image", error)
+        Error::invalid(file, place, "a readable PNG, JPEG or WebP image", error)
     };
     let reader = || {
         let mut reader = ImageReader::new(Cursor::new(bytes))
@@ -31,7 +31,10 @@ pub(super) fn decode(
         // 16-bit RGBA of the largest image.
         limits.max_alloc = Some(most.saturating_mul(8));
         reader.limits(limits);
-        let known = matches!(reader.format(), Some(ImageFormat::Png | ImageFormat::Jpeg));
+        let known = matches!(
+            reader.format(),
+            Some(ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::WebP)
+        );
         known.then_some(reader)
     };
     let unknown = || malformed(&"another format");

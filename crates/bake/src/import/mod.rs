@@ -6,6 +6,7 @@
 //! read but not represented is imported without it and listed in [`Mesh::warnings`].
 
 mod build;
+mod colors;
 mod cutout;
 mod gltf;
 mod image;
@@ -105,12 +106,16 @@ pub enum Error {
         found: String,
     },
     /// The file requires a glTF extension that is not supported.
-    #[error("{}: requires the glTF extension {extension}, which is not supported", file.display())]
+    #[error(
+        "{}: requires the glTF extension {extension}, which is not supported{hint}", file.display()
+    )]
     UnsupportedExtension {
         /// The file.
         file: PathBuf,
         /// Its registered name.
         extension: String,
+        /// What to do about it, or nothing.
+        hint: &'static str,
     },
 }
 

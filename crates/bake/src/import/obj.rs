@@ -14,6 +14,7 @@ use crate::visibility::places;
 use super::build::{Builder, GivenVertex, Part, Tangents, angle_weighted_normals};
 use crate::files::Files;
 
+use super::colors;
 use super::cutout::{Channel, Cutout, Wrap};
 use super::mtl::{self, Map, MtlMaterial};
 use super::{DEFAULT_CREASE_DEGREES, Error, Options, image, plain_material};
@@ -80,6 +81,8 @@ struct Face {
 #[derive(Debug, Default)]
 struct Obj {
     positions: Vec<Vec3>,
+    /// sRGB-encoded, of positions; none where the file has none, shorter where the last have none.
+    colors: Vec<[f32; 3]>,
     uvs: Vec<[f32; 2]>,
     normals: Vec<Vec3>,
     corners: Vec<Corner>,
@@ -125,10 +128,14 @@ fn parse(file: &Path, text: &str) -> Result<Obj, Error> {
             )
         };
         match key {
-            // A fourth number is a weight of rational curves, more are colours.
+            // A fourth number alone is a weight of rational curves, three more are a colour.
             "v" => {
                 let position = numbers(rest).ok_or_else(|| wrong("v and three finite numbers"))?;
                 obj.positions.push(position.into());
+                if let Some([_, _, _, r, g, b]) = numbers::<6>(rest) {
+                    obj.colors.resize(obj.positions.len() - 1, [1.0; 3]);
+                    obj.colors.push([r, g, b]);
+                }
             }
             "vt" => {
                 // v may be left out, and is 0 then.
@@ -451,6 +458,9 @@ fn push_part(
     (description, cutout): &Described,
 ) -> Result<(), Error> {
     let mut vertices = Vec::new();
+    // Some programs write bytes.
+    let bytes = obj.colors.as_flattened().iter().any(|x| *x > 1.0);
+    let largest = if bytes { 255.0 } else { 1.0 };
     let mut indices = HashMap::new();
     let mut has_uv = true;
     let mut part_triangles = Vec::new();
@@ -469,6 +479,9 @@ fn push_part(
                     normal,
                     tangent: None,
                     uv: uv.map_or(Vec2::ZERO, |uv| obj.uvs[uv as usize].into()),
+                    color: obj.colors.get(position as usize).map(|encoded| {
+                        encoded.map(|x| colors::linear(x.clamp(0.0, largest) / largest))
+                    }),
                 });
                 vertices.len() as u32 - 1
             })
@@ -492,6 +505,9 @@ fn push_part(
         tangents,
         double_sided: false,
         cutout: cutout.clone(),
+        takes_colors: description.base_color_texture.is_none()
+            && description.normal_texture.is_none()
+            && cutout.is_none(),
     };
     builder.push(part)
 }
@@ -549,7 +565,10 @@ fn load_materials(
     };
     let mut materials = Vec::new();
     for name in &obj.materials {
-        let described = library.get(name).cloned().unwrap_or_default();
+        let mut described = library.get(name).cloned().unwrap_or_default();
+        if !obj.colors.is_empty() {
+            described.diffuse = described.diffuse.or(Some([1.0; 3]));
+        }
         let material = convert(name, &described, &mut textures, builder)?;
         let cutout = cutout(name, &described, &mut textures, builder)?;
         materials.push((material, cutout));

@@ -756,7 +756,7 @@ fn concave_faces_are_covered_once() {
 #[test]
 fn obj_indices_may_be_relative_and_lines_continued() {
     let mesh = import_obj(
-        "v 0 0 0\nv 1 0 0 0.5 0.5 0.5\nv 0 1 0 1\nvt 0.25 0.75\nvt 1\nvn 0 0 2\n\
+        "v 0 0 0\nv 1 0 0 2\nv 0 1 0 1\nvt 0.25 0.75\nvt 1\nvn 0 0 2\n\
          f -3/-2/-1 \\\n  -2/1/-1 3/2/1 # end\n"
             .replace(" # end", "")
             .as_str(),
@@ -1092,4 +1092,242 @@ fn the_crease_angle_can_be_chosen() {
             "{crease:?}"
         );
     }
+}
+
+/// Appends a buffer view of floats and an accessor of them; gives the accessor's index.
+fn add_floats(json: &mut Value, blob: &mut Vec<u8>, kind: &str, values: &[f32]) -> usize {
+    let numbers = match kind {
+        "VEC2" => 2,
+        "VEC3" => 3,
+        _ => 4,
+    };
+    let view = json["bufferViews"].as_array().map_or(0, Vec::len);
+    let bytes = values.len() * 4;
+    let added = json!({"buffer": 0, "byteOffset": blob.len(), "byteLength": bytes});
+    json["bufferViews"]
+        .as_array_mut()
+        .expect("an array")
+        .push(added);
+    blob.extend(values.iter().flat_map(|value| value.to_le_bytes()));
+    json["buffers"][0]["byteLength"] = json!(blob.len());
+    let accessors = json["accessors"].as_array_mut().expect("an array");
+    accessors.push(json!({
+        "bufferView": view, "type": kind, "componentType": 5126, "count": values.len() / numbers,
+    }));
+    accessors.len() - 1
+}
+
+#[test]
+fn instances_are_copies() {
+    let (mut json, mut blob) = square();
+    let at = add_floats(
+        &mut json,
+        &mut blob,
+        "VEC3",
+        &[0.0, 0.0, 0.0, 5.0, 0.0, 0.0],
+    );
+    let half = std::f32::consts::FRAC_1_SQRT_2;
+    let turn = add_floats(
+        &mut json,
+        &mut blob,
+        "VEC4",
+        &[0.0, 0.0, 0.0, 1.0, 0.0, half, 0.0, half],
+    );
+    let scale = add_floats(
+        &mut json,
+        &mut blob,
+        "VEC3",
+        &[1.0, 1.0, 1.0, 2.0, 3.0, 1.0],
+    );
+    let extension =
+        |attributes: Value| json!({"EXT_mesh_gpu_instancing": {"attributes": attributes}});
+    json["extensionsUsed"] = json!(["EXT_mesh_gpu_instancing"]);
+    json["extensionsRequired"] = json!(["EXT_mesh_gpu_instancing"]);
+    json["nodes"][0]["extensions"] =
+        extension(json!({"TRANSLATION": at, "ROTATION": turn, "SCALE": scale}));
+    json["nodes"][0]["translation"] = json!([0, 10, 0]);
+    let mesh = import_good(&json, &blob);
+    assert_eq!((mesh.vertices.len(), mesh.triangles.len()), (8, 4));
+    assert!(mesh.warnings.is_empty(), "{:?}", mesh.warnings);
+    // Scaled, then turned about y so that x becomes -z, then moved.
+    let (low, high) = mesh.vertices[4..].iter().fold(
+        (Vec3::INFINITY, Vec3::NEG_INFINITY),
+        |(low, high), vertex| (low.min(vertex.position), high.max(vertex.position)),
+    );
+    assert!(
+        low.distance(Vec3::new(5.0, 10.0, -2.0)) < TOLERANCE,
+        "{low}"
+    );
+    assert!(
+        high.distance(Vec3::new(5.0, 13.0, 0.0)) < TOLERANCE,
+        "{high}"
+    );
+    // Attributes of different lengths, accessors that are none, numbers that are none.
+    for bad in [
+        json!({"TRANSLATION": at, "SCALE": 1}),
+        json!({"TRANSLATION": 99}),
+        json!(7),
+    ] {
+        json["nodes"][0]["extensions"] = extension(bad.clone());
+        let message = import(&json, &blob).expect_err("bad instances").to_string();
+        assert!(
+            message.contains("EXT_mesh_gpu_instancing"),
+            "{bad}: {message}"
+        );
+    }
+    // A million copies of nothing.
+    let many = json["accessors"].as_array().map_or(0, Vec::len);
+    let accessors = json["accessors"].as_array_mut().expect("an array");
+    accessors.push(json!({"type": "VEC3", "componentType": 5126, "count": 3_000_000}));
+    json["nodes"][0]["extensions"] = extension(json!({"SCALE": many}));
+    let message = import(&json, &blob).expect_err("too many").to_string();
+    assert!(message.contains("copies"), "{message}");
+}
+
+#[test]
+fn webp_textures_are_read() {
+    let texels = [10u8, 20, 30, 255, 40, 50, 60, 128];
+    let mut webp = Vec::new();
+    image::codecs::webp::WebPEncoder::new_lossless(&mut webp)
+        .encode(&texels, 2, 1, image::ExtendedColorType::Rgba8)
+        .expect("WebP encodes");
+    let (mut json, blob) = textured_square(&webp);
+    json["extensionsUsed"] = json!(["EXT_texture_webp"]);
+    json["extensionsRequired"] = json!(["EXT_texture_webp"]);
+    json["textures"] = json!([{"extensions": {"EXT_texture_webp": {"source": 0}}}]);
+    let mesh = import_good(&json, &blob);
+    assert_eq!(mesh.textures[0].texels, texels);
+    for bad in [json!({}), json!({"source": 9}), json!({"source": -1})] {
+        json["textures"] = json!([{"extensions": {"EXT_texture_webp": bad}}]);
+        assert!(import(&json, &blob).is_err());
+    }
+    // The last bytes are padding.
+    for length in 0..webp.len() - 8 {
+        let (json, blob) = textured_square(&webp[..length]);
+        assert!(import(&json, &blob).is_err(), "{length} bytes");
+    }
+    // Bytes at random in place of one: an image or an error.
+    let mut random = Random(11);
+    for _ in 0..2000 {
+        let mut webp = webp.clone();
+        let at = random.below(webp.len());
+        webp[at] = random.below(256) as u8;
+        let (json, blob) = textured_square(&webp);
+        let _ = import(&json, &blob);
+    }
+}
+
+#[test]
+fn refusals_of_compression_name_the_command() {
+    for (extension, command) in [
+        ("KHR_draco_mesh_compression", "gltf-transform copy"),
+        ("EXT_meshopt_compression", "gltf-transform copy"),
+        ("KHR_texture_basisu", "gltf-transform ktxdecompress"),
+    ] {
+        let (mut json, blob) = square();
+        json["extensionsRequired"] = json!([extension]);
+        let message = import(&json, &blob).expect_err(extension).to_string();
+        assert!(
+            message.contains(extension) && message.contains(command),
+            "{message}"
+        );
+    }
+    // Used without a texture to fall back on.
+    let (mut json, blob) = textured_square(&half_clear());
+    json["extensionsUsed"] = json!(["KHR_texture_basisu"]);
+    json["textures"] = json!([{"extensions": {"KHR_texture_basisu": {"source": 0}}}]);
+    let message = import(&json, &blob).expect_err("no PNG").to_string();
+    assert!(message.contains("ktxdecompress"), "{message}");
+}
+
+/// The colour at a vertex, as pictures show it.
+fn painted(mesh: &Mesh, vertex: usize) -> [u8; 3] {
+    let slot = mesh.materials[0]
+        .base_color_texture
+        .expect("a texture of colours");
+    let texture = &mesh.textures[slot.texture as usize];
+    let Vertex { uv, .. } = mesh.vertices[vertex];
+    let [x, y] = [uv.x * texture.width as f32, uv.y * texture.height as f32].map(|x| x as usize);
+    let at = 4 * (y * texture.width as usize + x);
+    [0, 1, 2].map(|k| texture.texels[at + k])
+}
+
+#[test]
+fn vertex_colours_become_a_texture() {
+    let (mut json, mut blob) = square();
+    let linear = [
+        1.0f32, 0.0, 0.0, 0.5, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.5, 0.5, 0.5, 1.0,
+    ];
+    let colors = add_floats(&mut json, &mut blob, "VEC4", &linear);
+    let attributes = &mut json["meshes"][0]["primitives"][0]["attributes"];
+    attributes["COLOR_0"] = json!(colors);
+    let mesh = import_good(&json, &blob);
+    assert!(mesh.warnings.is_empty(), "{:?}", mesh.warnings);
+    // Every corner has its own colour, whatever triangle it is of.
+    for triangle in &mesh.triangles {
+        for vertex in triangle.vertices {
+            let at = mesh.vertices[vertex as usize].position;
+            let expected = match (at.x > 0.5, at.y > 0.5) {
+                (false, false) => [255, 0, 0],
+                (true, false) => [0, 255, 0],
+                (true, true) => [0, 0, 255],
+                (false, true) => [188; 3],
+            };
+            assert_eq!(painted(&mesh, vertex as usize), expected, "{at}");
+        }
+    }
+    // One colour needs no copies.
+    let grey = [0.25f32; 16];
+    let start = blob.len() - 64;
+    blob[start..].copy_from_slice(bytemuck::cast_slice(&grey));
+    let mesh = import_good(&json, &blob);
+    assert_eq!(mesh.vertices.len(), 4);
+    assert_eq!(painted(&mesh, 0), [137; 3]);
+    // White is no colour, and a texture comes first.
+    blob[start..].copy_from_slice(bytemuck::cast_slice(&[1f32; 16]));
+    assert!(import_good(&json, &blob).textures.is_empty());
+    blob[start..].copy_from_slice(bytemuck::cast_slice(&grey));
+    let (mut textured, mut with_image) = textured_square(&half_clear());
+    let colors = add_floats(&mut textured, &mut with_image, "VEC4", &grey);
+    textured["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"] = json!(colors);
+    let mesh = import_good(&textured, &with_image);
+    let mut warnings = mesh.warnings.iter();
+    assert!(warnings.any(|text| text.contains("vertex colours")));
+    assert_eq!(mesh.textures.len(), 1);
+    // As many as there are positions.
+    let short = add_floats(&mut json, &mut blob, "VEC3", &[0.5; 9]);
+    json["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"] = json!(short);
+    assert!(import(&json, &blob).is_err());
+}
+
+#[test]
+fn vertex_colours_of_obj_files_are_encoded() {
+    for (text, expected) in [
+        (
+            "v 0 0 0 1 0.5 0\nv 1 0 0 1 0.5 0\nv 0 1 0 1 0.5 0\nf 1 2 3\n",
+            [255, 128, 0],
+        ),
+        (
+            "v 0 0 0 255 128 0\nv 1 0 0 255 128 0\nv 0 1 0 255 128 0\nf 1 2 3\n",
+            [255, 128, 0],
+        ),
+    ] {
+        let mesh = import_obj(text).expect("a triangle");
+        assert_eq!(painted(&mesh, 0), expected);
+        let white = Surface::Layered {
+            diffuse: [1.0; 3],
+            specular: Specular::None,
+        };
+        assert_eq!(mesh.materials[0].surface, white);
+    }
+    // A weight is no colour, and one colour leaves the others white.
+    assert!(
+        import_obj("v 0 0 0 1\nv 1 0 0 1\nv 0 1 0 1\nf 1 2 3\n")
+            .expect("a triangle")
+            .textures
+            .is_empty()
+    );
+    let mesh = import_obj("v 0 0 0\nv 1 0 0 0 0 0\nv 0 1 0\nf 1 2 3\n").expect("a triangle");
+    let found: Vec<_> = (0..3).map(|vertex| painted(&mesh, vertex)).collect();
+    assert_eq!(found, [[255; 3], [0; 3], [255; 3]]);
 }

@@ -74,6 +74,19 @@ impl Document<'_> {
         }
     }
 
+    /// Reads colours of three or four numbers, without their alpha.
+    pub(super) fn colors(
+        &self,
+        index: Index<Accessor>,
+        place: &str,
+    ) -> Result<Vec<[f32; 3]>, Error> {
+        if self.get(index, place)?.type_ == Checked::Valid(Type::Vec3) {
+            return self.floats::<3>(index, place);
+        }
+        let colors = self.floats::<4>(index, place)?;
+        Ok(colors.into_iter().map(|[r, g, b, _]| [r, g, b]).collect())
+    }
+
     /// Decodes the elements of an accessor, sparse ones included. `decode` gets as many bytes
     /// as one element has, and returns `None` for a component type that is not allowed.
     fn elements<T: Copy>(

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 
 use gltf::json::texture::{Sampler, WrappingMode};
 use gltf::json::validation::Checked;
-use gltf::json::{Index, material, texture};
+use gltf::json::{Image, Index, material, texture};
 use relight_format::{Material, Surface, Texture, TextureEncoding, TextureSlot};
 use serde::Deserialize;
 
@@ -32,6 +32,7 @@ impl Converted {
             || material.metallic_roughness_texture.is_some()
             || material.normal_texture.is_some()
             || material.anisotropy_texture.is_some()
+            || material.emission_texture.is_some()
     }
 }
 
@@ -113,7 +114,19 @@ impl Default for EmissiveStrength {
     }
 }
 
+/// `EXT_texture_webp`.
+#[derive(Deserialize)]
+struct Source {
+    source: Index<Image>,
+}
+
 pub(super) const EMISSIVE_STRENGTH: &str = "KHR_materials_emissive_strength";
+pub(super) const WEBP: &str = "EXT_texture_webp";
+pub(super) const BASISU: &str = "KHR_texture_basisu";
+
+fn document_lacks(document: &Document, image: Index<Image>) -> bool {
+    image.value() >= document.root.images.len()
+}
 
 impl<'a> Materials<'a> {
     pub(super) fn new(document: &'a Document<'a>) -> Self {
@@ -389,6 +402,25 @@ impl<'a> Materials<'a> {
         }))
     }
 
+    /// The image of a texture: a WebP one where there is a choice.
+    fn image(&self, texture: &texture::Texture, place: &str) -> Result<Index<Image>, Error> {
+        let others = texture.extensions.as_ref().map(|e| &e.others);
+        if let Some(value) = extension(others, WEBP) {
+            let place = format!("{place}.{WEBP}");
+            return Ok(self.parse::<Source>(value, &place)?.source);
+        }
+        // Its index is then out of range.
+        let none = document_lacks(self.document, texture.source);
+        if none && extension(others, BASISU).is_some() {
+            return Err(Error::UnsupportedExtension {
+                file: self.document.file.into(),
+                extension: BASISU.to_owned(),
+                hint: super::conversion(BASISU),
+            });
+        }
+        Ok(texture.source)
+    }
+
     fn parse<T: serde::de::DeserializeOwned>(
         &self,
         value: &serde_json::Value,
@@ -418,15 +450,13 @@ impl<'a> Materials<'a> {
                 builder.warn(format!("{place} does not repeat in its sampler, but will"));
             }
         }
-        let key = (
-            texture.source.value(),
-            reference.encoding == TextureEncoding::Srgb,
-        );
+        let image = self.image(texture, place)?;
+        let key = (image.value(), reference.encoding == TextureEncoding::Srgb);
         if let Some(&texture) = self.images.get(&key) {
             return Ok(TextureSlot { texture, transform });
         }
-        let source = document.get(texture.source, place)?;
-        let place = format!("images[{}]", texture.source);
+        let source = document.get(image, place)?;
+        let place = format!("images[{image}]");
         let bytes = match (&source.uri, source.buffer_view) {
             (Some(uri), _) => Cow::Owned(resolve(document.files, document.file, &place, uri)?),
             (None, Some(view)) => Cow::Borrowed(document.view(view, &place)?),

@@ -3,12 +3,30 @@
 use glam::{DMat3, DMat4, DQuat, DVec3, Vec2, Vec3};
 use gltf::json::mesh::{Mode, Primitive, Semantic};
 use gltf::json::validation::Checked;
-use gltf::json::{Index, scene};
+use gltf::json::{Accessor, Index, scene};
+use serde::Deserialize;
 
 use super::super::Error;
 use super::super::build::{Builder, GivenVertex, Part, Tangents, face_normal};
 use super::Document;
 use super::materials::{Converted, Materials};
+
+pub(super) const INSTANCING: &str = "EXT_mesh_gpu_instancing";
+
+/// Accessors of `EXT_mesh_gpu_instancing`.
+#[derive(Default, Deserialize)]
+#[serde(default, rename_all = "UPPERCASE")]
+struct InstanceAttributes {
+    translation: Option<Index<Accessor>>,
+    rotation: Option<Index<Accessor>>,
+    scale: Option<Index<Accessor>>,
+}
+
+/// `EXT_mesh_gpu_instancing`.
+#[derive(Deserialize)]
+struct Instancing {
+    attributes: InstanceAttributes,
+}
 
 /// Most nodes of a scene, those that several parents share counted once per parent.
 const MAX_NODES: usize = 1 << 20;
@@ -90,13 +108,84 @@ impl Document<'_> {
                 "nodes[{node_index}] is morphed; its base shape is baked"
             ));
         }
-        for (index, primitive) in mesh.primitives.iter().enumerate() {
-            let place = format!("meshes[{}].primitives[{index}]", mesh_index.value());
-            if let Some(part) = self.part(primitive, &place, matrix, materials, builder)? {
-                builder.push(part)?;
+        for matrix in self.instances(node_index, matrix)? {
+            for (index, primitive) in mesh.primitives.iter().enumerate() {
+                let place = format!("meshes[{}].primitives[{index}]", mesh_index.value());
+                if let Some(part) = self.part(primitive, &place, matrix, materials, builder)? {
+                    builder.push(part)?;
+                }
             }
         }
         Ok(())
+    }
+
+    /// Transforms to world space of every copy of a node's mesh.
+    fn instances(&self, node_index: usize, matrix: DMat4) -> Result<Vec<DMat4>, Error> {
+        let node = &self.root.nodes[node_index];
+        let others = node.extensions.as_ref().map(|e| &e.others);
+        let Some(value) = others.and_then(|others| others.get(INSTANCING)) else {
+            return Ok(vec![matrix]);
+        };
+        let place = format!("nodes[{node_index}].{INSTANCING}");
+        let Instancing { attributes } = Instancing::deserialize(value)
+            .map_err(|error| self.invalid(&place, "an object as the extension specifies", error))?;
+        let key = |name: &str| format!("{place}.attributes.{name}");
+        let vectors = |index: Option<Index<Accessor>>, name: &str| {
+            index
+                .map(|index| self.floats::<3>(index, &key(name)))
+                .transpose()
+        };
+        let translations = vectors(attributes.translation, "TRANSLATION")?;
+        let scales = vectors(attributes.scale, "SCALE")?;
+        let rotations = attributes
+            .rotation
+            .map(|index| self.floats::<4>(index, &key("ROTATION")))
+            .transpose()?;
+        let counts = [
+            translations.as_ref().map(Vec::len),
+            rotations.as_ref().map(Vec::len),
+            scales.as_ref().map(Vec::len),
+        ];
+        let mut given = counts.into_iter().flatten();
+        let count = given.next().unwrap_or(1);
+        if let Some(other) = given.find(|other| *other != count) {
+            let expected = format!("{count} elements in every attribute");
+            return Err(self.invalid(&place, expected, other));
+        }
+        // Each is read anew, so that ones that come to nothing take time as well.
+        let corners = node.mesh.map_or(0, |mesh| {
+            let primitives = self.root.get(mesh).map(|mesh| &mesh.primitives);
+            let accessors = primitives.into_iter().flatten().filter_map(|primitive| {
+                let positions = &Checked::Valid(Semantic::Positions);
+                let read = primitive
+                    .indices
+                    .or(primitive.attributes.get(positions).copied())?;
+                Some(self.root.get(read)?.count.0)
+            });
+            accessors.fold(0u64, u64::saturating_add)
+        });
+        let all = corners.saturating_mul(count as u64);
+        let most = 3 * self.files.max_vertices() as u64;
+        if count > MAX_NODES || all > most {
+            let expected = format!("at most {MAX_NODES} copies of {most} corners in all");
+            let found = format!("{count} copies of {corners} corners");
+            return Err(self.invalid(&place, expected, found));
+        }
+        (0..count)
+            .map(|index| {
+                let local = transform(
+                    translations.as_ref().map(|all| all[index]),
+                    rotations.as_ref().map(|all| all[index]),
+                    scales.as_ref().map(|all| all[index]),
+                );
+                let matrix = matrix * local;
+                if matrix.is_finite() {
+                    Ok(matrix)
+                } else {
+                    Err(self.invalid(&place, "finite transforms", format_args!("{matrix}")))
+                }
+            })
+            .collect()
     }
 
     /// One primitive in world space; `None` if it has no triangles.
@@ -165,10 +254,10 @@ impl Document<'_> {
             .map(|index| self.floats::<2>(index, &key(&uv_name)))
             .transpose()?;
         optional(uvs.as_ref().map(Vec::len).as_slice(), &uv_name)?;
-        if let Some(colors) = attribute(Semantic::Colors(0)) {
-            self.get(colors, &key("COLOR_0"))?;
-            builder.warn("vertex colours are left out".into());
-        }
+        let colors = attribute(Semantic::Colors(0))
+            .map(|index| self.colors(index, &key("COLOR_0")))
+            .transpose()?;
+        optional(colors.as_ref().map(Vec::len).as_slice(), "COLOR_0")?;
         if uvs.is_none() && materials.list[material].has_textures() {
             builder.warn(format!("{place} is textured but has no {uv_name}"));
         }
@@ -205,6 +294,7 @@ impl Document<'_> {
                 normal,
                 tangent,
                 uv: uvs.as_ref().map_or(Vec2::ZERO, |uvs| uvs[index].into()),
+                color: colors.as_ref().map(|colors| colors[index]),
             });
         }
 
@@ -234,6 +324,7 @@ impl Document<'_> {
             tangents,
             double_sided,
             cutout: materials.list[material].cutout.clone(),
+            takes_colors: !needs_tangents && !materials.list[material].has_textures(),
         }))
     }
 }
@@ -242,11 +333,20 @@ fn local_transform(node: &scene::Node) -> DMat4 {
     if let Some(matrix) = node.matrix {
         return DMat4::from_cols_array(&matrix.map(f64::from));
     }
+    let rotation = node.rotation.map(|rotation| rotation.0);
+    transform(node.translation, rotation, node.scale)
+}
+
+fn transform(
+    translation: Option<[f32; 3]>,
+    rotation: Option<[f32; 4]>,
+    scale: Option<[f32; 3]>,
+) -> DMat4 {
     let vector = |given: Option<[f32; 3]>, default| {
         given.map_or(default, |given| DVec3::from(given.map(f64::from)))
     };
-    let rotation = node.rotation.map_or(DQuat::IDENTITY, |rotation| {
-        let rotation = DQuat::from_array(rotation.0.map(f64::from));
+    let rotation = rotation.map_or(DQuat::IDENTITY, |rotation| {
+        let rotation = DQuat::from_array(rotation.map(f64::from));
         // A file's quaternion is only as long as its rounding lets it be.
         if rotation.length_squared() > 0.0 {
             rotation.normalize()
@@ -255,9 +355,9 @@ fn local_transform(node: &scene::Node) -> DMat4 {
         }
     });
     DMat4::from_scale_rotation_translation(
-        vector(node.scale, DVec3::ONE),
+        vector(scale, DVec3::ONE),
         rotation,
-        vector(node.translation, DVec3::ZERO),
+        vector(translation, DVec3::ZERO),
     )
 }
 

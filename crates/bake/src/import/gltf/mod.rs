@@ -32,8 +32,10 @@ const HARMLESS: [&str; 5] = [
     "EXT_structural_metadata",
 ];
 /// Extensions that are read.
-const READ: [&str; 4] = [
+const READ: [&str; 6] = [
     materials::EMISSIVE_STRENGTH,
+    materials::WEBP,
+    meshes::INSTANCING,
     "KHR_materials_anisotropy",
     "KHR_mesh_quantization",
     "KHR_texture_transform",
@@ -80,6 +82,7 @@ pub(super) fn import(
     {
         return Err(Error::UnsupportedExtension {
             file: file.into(),
+            hint: conversion(&extension),
             extension,
         });
     }
@@ -107,6 +110,19 @@ pub(super) fn import(
         .map(|converted| converted.material)
         .collect();
     builder.finish(&descriptions, &materials.textures)
+}
+
+/// How to do without an extension: commands of the glTF-Transform project.
+fn conversion(extension: &str) -> &'static str {
+    match extension {
+        "KHR_draco_mesh_compression" | "EXT_meshopt_compression" => {
+            "; `gltf-transform copy IN.glb OUT.glb` writes the mesh without compression"
+        }
+        materials::BASISU => {
+            "; `gltf-transform ktxdecompress IN.glb OUT.glb` writes its textures as PNG"
+        }
+        _ => "",
+    }
 }
 
 /// What must be known before the rest can be parsed.

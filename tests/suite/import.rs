@@ -72,7 +72,7 @@ const GOOD: [Good; 27] = [
     (
         "scenes/CornellBox_bevy.glb",
         [148, 72, 5, 0],
-        &["vertex colours", "double-sided"],
+        &["double-sided"],
     ),
     (
         "scenes/vr-gallery.glb",

@@ -40,12 +40,18 @@ pub fn trials() -> Vec<Trial> {
             "viewer::coarse_pictures_come_first_and_old_requests_end",
             progressive,
         ),
+        Trial::test("viewer::input_is_answered_by_few_pixels", answers),
+        Trial::test("viewer::jobs_are_cancelled_by_their_button", cancelling),
+        Trial::test("viewer::dialogs_bring_files_or_nothing", dialogs),
+        Trial::test("viewer::bounces_are_switched_off", bounces),
+        Trial::test("viewer::fingers_turn_and_pinch", fingers),
         Trial::test("viewer::what_is_saved_can_be_opened", saving),
         Trial::test("viewer::broken_files_are_messages", broken_files),
         Trial::test("viewer::files_that_change_are_read_again", reload),
         Trial::test("viewer::pictures_without_a_window", without_window),
         with_data("viewer::real_broken_files_are_messages", real_broken_files),
         with_data("viewer::drops_are_opened", drops),
+        with_data("viewer::measured_materials_show_their_table", measured),
         with_gpu("viewer::window_on_software_vulkan", on_vulkan),
         with_display("viewer::a_window_on_a_screen", on_screen),
     ]
@@ -452,12 +458,12 @@ fn progressive() -> Outcome {
         let Event::Picture(picture) = event else {
             return false;
         };
-        first = Some((picture.request, picture.image.width, picture.complete));
+        first = Some(picture.clone());
         true
     })?;
-    let (number, width, complete) = first.ok_or("a picture")?;
-    assert_eq!(number, slow);
-    assert!(width < 200 && !complete, "{width}");
+    let first = first.ok_or("a picture")?;
+    assert_eq!(first.request, slow);
+    assert!(first.image.width < 100 && first.draft && !first.complete);
     // The best picture by cells would take many seconds; another request ends it.
     let fast = engine.request(request(fast));
     let mut of_slow = 0;
@@ -475,6 +481,331 @@ fn progressive() -> Outcome {
         of_slow <= 1,
         "{of_slow} pictures after the request was replaced"
     );
+    Ok(())
+}
+
+/// What makes answers quick, as counts: small first pictures, and scenes that are prepared once.
+fn answers() -> Outcome {
+    let mut window = settled_window()?;
+    let preparations = |window: &Window| {
+        let picture = window.state().pictures[0].as_ref();
+        picture.map_or(0, |picture| picture.preparations)
+    };
+    assert_eq!(preparations(&window), 1);
+    // As on a device that takes long, whatever this one is.
+    window.state_mut().settings.resolution = 1.0;
+    let inputs: [fn(&mut Viewer); 5] = [
+        |viewer| viewer.settings.integrators[0] = Integrator::Cells,
+        |viewer| viewer.orbit = viewer.orbit.turned(0.05, 0.0),
+        |viewer| viewer.turn.yaw += 0.1,
+        |viewer| {
+            if let Some(document) = &mut viewer.document {
+                Arc::make_mut(&mut document.materials)[0].emission = [0.25; 3];
+            }
+        },
+        |viewer| viewer.settings.layout = Layout::Split,
+    ];
+    for (index, input) in inputs.into_iter().enumerate() {
+        let before = window.state().answers.len();
+        // Under way or not: nobody waits for the last picture.
+        input(window.state_mut());
+        until(&mut window, "an answer", |viewer| {
+            viewer.answers.len() > before
+        })?;
+        let picture = window.state().pictures[0].as_ref().ok_or("a picture")?;
+        let pixels = picture.image.width * picture.image.height;
+        assert!(
+            picture.draft && !picture.complete && pixels < 30_000,
+            "{index}: {pixels} pixels"
+        );
+        let (size, _) = window.state().screen().ok_or("pixels")?;
+        assert!(size[0] * size[1] < 30_000, "as few are composed: {size:?}");
+        assert_eq!(preparations(&window), 1, "{index}");
+    }
+    println!("answers: {:?}", window.state().answers);
+    Ok(())
+}
+
+/// A mesh whose bake takes long enough to be cancelled.
+fn cancelling() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let mesh = folder.path().join("many.obj");
+    let mut text = String::new();
+    for table in 0..60 {
+        for line in TABLE.lines() {
+            let numbers: Vec<f32> = line[1..].split_whitespace().flat_map(str::parse).collect();
+            match (line.split_whitespace().next(), &numbers[..]) {
+                (Some("v"), [x, y, z]) => {
+                    text += &format!(
+                        "v {} {y} {}\n",
+                        x + 3.0 * (table % 8) as f32,
+                        z + 3.0 * (table / 8) as f32
+                    );
+                }
+                (Some("f"), corners) => {
+                    let corners: Vec<String> = (corners.iter())
+                        .map(|corner| (*corner as usize + 12 * table).to_string())
+                        .collect();
+                    text += &format!("f {}\n", corners.join(" "));
+                }
+                _ => {}
+            }
+        }
+    }
+    std::fs::write(&mesh, text)?;
+    let mut window = settled_window()?;
+    let before = window
+        .state()
+        .document
+        .as_ref()
+        .ok_or("a scene")?
+        .scene
+        .clone();
+    window.state_mut().settings.quality = Quality::High;
+    window.state_mut().open(&mesh);
+    window.step();
+    let running = window.state().jobs.running().len();
+    assert_eq!(running, 1);
+    until(&mut window, "the bake is under way", |viewer| {
+        (viewer.jobs.running().first()).is_none_or(|job| job.status().fraction > 0.0)
+    })?;
+    assert!(
+        window.query_by_label_contains("many.obj").is_some(),
+        "its name is shown"
+    );
+    window.get_by_label("Cancel").click();
+    window.run_steps(3);
+    assert!(window.state().jobs.running().is_empty());
+    assert!(window.query_by_label("Cancel").is_none());
+    let after = window
+        .state()
+        .document
+        .as_ref()
+        .ok_or("a scene")?
+        .scene
+        .clone();
+    assert!(
+        Arc::ptr_eq(&before, &after),
+        "what was shown is still shown"
+    );
+    assert!(
+        window
+            .state()
+            .messages
+            .iter()
+            .all(|message| !message.is_error)
+    );
+    // Its thread ends; another bake takes its place.
+    std::fs::write(&mesh, TABLE)?;
+    window.state_mut().settings.quality = Quality::Draft;
+    window.state_mut().open(&mesh);
+    until(&mut window, "the next bake", |viewer| {
+        viewer
+            .document
+            .as_ref()
+            .is_some_and(|document| document.source.is_some())
+    })
+}
+
+/// Menus ask for files; what comes of it, later or never, is taken as dialogs give it.
+fn dialogs() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let picture = folder.path().join("picture.png");
+    let asked: Arc<Mutex<Vec<Purpose>>> = Arc::default();
+    let mut window = settled_window()?;
+    let (inbox, answer) = (asked.clone(), picture.clone());
+    window.state_mut().dialog = Box::new(move |purpose, _, answered| {
+        inbox
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .push(purpose.clone());
+        match purpose {
+            // Somebody closes the dialog.
+            Purpose::Open => answered(None),
+            _ => answered(Some(answer.clone())),
+        }
+    });
+    let choose = |window: &mut Window, item: &str| {
+        window.get_by_label("File").click();
+        window.run_steps(3);
+        window.get_by_label(item).click();
+        window.run_steps(3);
+    };
+    choose(&mut window, "Open…");
+    choose(&mut window, "Save picture…");
+    let asked = asked.lock().unwrap_or_else(PoisonError::into_inner);
+    assert!(
+        matches!(asked[..], [Purpose::Open, Purpose::SavePicture]),
+        "{asked:?}"
+    );
+    until(&mut window, "the picture is saved", |viewer| {
+        viewer
+            .messages
+            .iter()
+            .any(|message| message.text.contains("saved"))
+    })?;
+    let saved = image::open(&picture)?.into_rgba8();
+    assert!(saved.as_raw() == &pixels(&window));
+    assert!(
+        window
+            .state()
+            .messages
+            .iter()
+            .all(|message| !message.is_error)
+    );
+    Ok(())
+}
+
+fn bounces() -> Outcome {
+    let mut window = settled_window()?;
+    let document = window.state().document.as_ref().ok_or("a scene")?;
+    assert!(
+        document.scene.transfer.is_some(),
+        "the built-in scene has it"
+    );
+    let with = pixels(&window);
+    click(&mut window, Role::CheckBox, "Light that bounces");
+    assert!(!window.state().settings.bounce);
+    settle(&mut window)?;
+    let without = pixels(&window);
+    let sum = |pixels: &[u8]| pixels.iter().map(|value| u64::from(*value)).sum::<u64>();
+    assert!(sum(&without) < sum(&with), "less light");
+    click(&mut window, Role::CheckBox, "Light that bounces");
+    settle(&mut window)?;
+    assert!(with == pixels(&window), "and again as before");
+    Ok(())
+}
+
+fn fingers() -> Outcome {
+    let mut window = settled_window()?;
+    let middle = middle(&window);
+    let device = egui::TouchDeviceId(1);
+    let touch = |window: &mut Window, id: u64, phase, pos: Pos2| {
+        window.event(egui::Event::Touch {
+            device_id: device,
+            id: egui::TouchId(id),
+            phase,
+            pos,
+            force: None,
+        });
+    };
+    let orbit = window.state().orbit;
+    // One finger: window systems make a pointer of it.
+    touch(&mut window, 1, egui::TouchPhase::Start, middle);
+    drag(
+        &mut window,
+        middle,
+        Vec2::new(50.0, 0.0),
+        PointerButton::Primary,
+        Modifiers::NONE,
+    );
+    touch(&mut window, 1, egui::TouchPhase::End, middle);
+    let turned = window.state().orbit;
+    assert!(
+        turned.yaw < orbit.yaw && turned.target == orbit.target,
+        "{turned:?}"
+    );
+    window.run_steps(5);
+    // Two fingers that part.
+    let turned = window.state().orbit;
+    let apart = |x: f32| [middle - Vec2::new(x, 0.0), middle + Vec2::new(x, 0.0)];
+    window.event(egui::Event::PointerMoved(middle));
+    for (id, at) in apart(30.0).into_iter().enumerate() {
+        touch(&mut window, id as u64, egui::TouchPhase::Start, at);
+    }
+    window.step();
+    for step in 1..=5u8 {
+        for (id, at) in apart(30.0 + 10.0 * f32::from(step)).into_iter().enumerate() {
+            touch(&mut window, id as u64, egui::TouchPhase::Move, at);
+        }
+        window.step();
+    }
+    let pinched = window.state().orbit;
+    assert!(pinched.distance < 0.7 * turned.distance, "{pinched:?}");
+    // Both move: the scene follows.
+    for step in 1..=5u8 {
+        for (id, at) in apart(80.0).into_iter().enumerate() {
+            let moved = at + Vec2::new(0.0, 10.0 * f32::from(step));
+            touch(&mut window, id as u64, egui::TouchPhase::Move, moved);
+        }
+        window.step();
+    }
+    let moved = window.state().orbit;
+    assert!(moved.target != pinched.target, "{moved:?}");
+    for (id, at) in apart(80.0).into_iter().enumerate() {
+        touch(&mut window, id as u64, egui::TouchPhase::End, at);
+    }
+    settle(&mut window)
+}
+
+/// A dropped table looks as the same table baked into a scene.
+fn measured(data: &Path) -> Outcome {
+    let tables = std::fs::read_dir(data.join("brdf/rgl"))?;
+    let table = (tables.flatten().map(|entry| entry.path()))
+        .find(|path| path.extension().is_some_and(|ending| ending == "bsdf"))
+        .ok_or("a table")?;
+    let folder = tempfile::tempdir()?;
+    let place = |name: &str| folder.path().join(name);
+    std::fs::copy(&table, place("table.bsdf"))?;
+    std::fs::write(place("table.obj"), TABLE)?;
+    let named =
+        "mesh = \"table.obj\"\n[materials.wood]\nmodel = \"measured\"\nfile = \"table.bsdf\"\n";
+    std::fs::write(place("named.toml"), named)?;
+    std::fs::write(place("plain.toml"), "mesh = \"table.obj\"\n")?;
+    let light = start_prepared().files[1].clone();
+    let open = |name: &str| -> Result<Window, libtest_mimic::Failed> {
+        let mut window = window(&Start {
+            files: vec![place(name), light.clone()],
+            ..start()
+        });
+        settle(&mut window)?;
+        Ok(window)
+    };
+    let expected = open("named.toml")?;
+    let mut window = open("plain.toml")?;
+    let plain = pixels(&window);
+    window
+        .state_mut()
+        .document
+        .as_mut()
+        .ok_or("a scene")?
+        .selected = Some(0);
+    window.state_mut().open(&place("table.bsdf"));
+    settle(&mut window)?;
+    assert!(plain != pixels(&window));
+    let shown = |window: &Window| {
+        let picture = window.state().pictures[0].as_ref();
+        picture.map(|picture| picture.image.clone())
+    };
+    let (found, baked) = (
+        shown(&window).ok_or("a picture")?,
+        shown(&expected).ok_or("a picture")?,
+    );
+    let apart = relight_viewer::compose::relative_difference(&found, &baked);
+    let apart = apart.ok_or("pictures of something")?;
+    // Light that bounces was baked with another material.
+    assert!(apart < 0.02, "{apart}");
+    // A scene file of it names the table and shows the same; so does an asset.
+    for (purpose, name) in [
+        (Purpose::SaveScene, "saved.toml"),
+        (Purpose::SaveAsset, "saved.relight"),
+    ] {
+        window.state_mut().chosen(&purpose, &place(name));
+        settle(&mut window)?;
+        let errors = window
+            .state()
+            .messages
+            .iter()
+            .any(|message| message.is_error);
+        assert!(!errors, "{:?}", window.state().messages);
+    }
+    assert!(std::fs::read_to_string(place("saved.toml"))?.contains("table.bsdf"));
+    // A better bake keeps it.
+    window.state_mut().bake_again();
+    settle(&mut window)?;
+    let again = shown(&window).ok_or("a picture")?;
+    let apart = relight_viewer::compose::relative_difference(&again, &found);
+    assert!(apart.is_some_and(|apart| apart < 1e-3), "{apart:?}");
     Ok(())
 }
 
@@ -787,7 +1118,8 @@ fn without_window() -> Outcome {
     let run = |arguments: &[&str]| {
         let mut command = crate::support::binary("viewer");
         command
-            .args(["--device", "cpu", "--quality", "draft", "--lobes", "8"])
+            .args(["--device", "cpu", "--quality", "draft", "--environment"])
+            .arg(&start_prepared().files[1])
             .args(arguments);
         command.output()
     };
@@ -835,6 +1167,12 @@ fn without_window() -> Outcome {
 fn on_screen(display: &str) -> Outcome {
     let folder = tempfile::tempdir()?;
     let picture = folder.path().join("window.png");
+    // A large window, of which few pixels are drawn: that takes most of the time.
+    std::fs::create_dir(folder.path().join("relight"))?;
+    std::fs::write(
+        folder.path().join("relight/viewer.json"),
+        "{ \"resolution\": 0.25 }",
+    )?;
     let output = crate::support::binary("viewer")
         .args([
             "--device",

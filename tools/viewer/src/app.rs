@@ -18,7 +18,7 @@ use crate::state::{Document, Integrator, Layout, Light, LightTurn, Settings};
 use crate::turntable::{self, Turntable};
 use crate::watch::{self, Watch};
 use crate::worker::Worker;
-use crate::{panels, save, settings, viewport};
+use crate::{dialog, panels, save, settings, viewport};
 
 /// Messages that are kept.
 const MOST_MESSAGES: usize = 50;
@@ -89,6 +89,8 @@ struct Wanted {
 struct Flight {
     number: u64,
     asked: Instant,
+    /// Whether a picture of it is on the screen.
+    answered: bool,
     /// Panes of which a picture has come.
     seen: [bool; 2],
     panes: usize,
@@ -96,12 +98,22 @@ struct Flight {
 
 /// What to compose.
 struct Composition {
+    /// The newest request that a picture of it answers.
+    request: u64,
     images: [Option<Arc<Image>>; 2],
     look: Look,
     light: Light,
     camera: Camera,
     rotation: Quat,
     size: [u32; 2],
+}
+
+/// What the composer makes.
+struct Composed {
+    request: u64,
+    size: [u32; 2],
+    /// Premultiplied RGBA8.
+    pixels: Vec<u8>,
 }
 
 #[derive(Clone, PartialEq)]
@@ -115,8 +127,8 @@ struct ComposedKey {
 
 /// A file and what it was chosen for.
 type Choice = (Purpose, PathBuf);
-/// A file that a dialog may bring.
-type Chosen = std::pin::Pin<Box<dyn Future<Output = Option<rfd::FileHandle>> + Send>>;
+/// Asks for a file, for a purpose and a scene of this name; the answer may come at any time.
+pub type Dialog = Box<dyn Fn(&Purpose, &str, dialog::Answer)>;
 
 /// The application.
 #[expect(
@@ -154,15 +166,17 @@ pub struct Viewer {
     pub path: String,
     /// Name of the device that draws.
     pub device_name: String,
-    /// From asking for pictures to the first of them, the last few times.
+    /// From asking for pictures to the first of them on the screen, the last few times.
     pub answers: Vec<Duration>,
+    /// Asks for files: the system's own dialogs.
+    pub dialog: Dialog,
     pub(crate) texture: Option<egui::TextureHandle>,
     pub(crate) size: [u32; 2],
     device: Device,
     engine: Engine,
     wanted: Option<Wanted>,
     flight: Option<Flight>,
-    composer: Worker<Composition, ([u32; 2], Vec<u8>)>,
+    composer: Worker<Composition, Composed>,
     composing: Option<ComposedKey>,
     composed: Option<([u32; 2], Vec<u8>)>,
     waiting_for_composer: bool,
@@ -192,7 +206,11 @@ impl Viewer {
             };
             let images = [0, 1].map(|i: usize| task.images[i].as_deref());
             let pixels = compose::compose(images, &task.look, &sky, &task.camera, task.size);
-            (task.size, pixels)
+            Composed {
+                request: task.request,
+                size: task.size,
+                pixels,
+            }
         };
         let mut viewer = Self {
             settings: start.settings.unwrap_or_default(),
@@ -216,6 +234,7 @@ impl Viewer {
             path: String::new(),
             device_name: String::new(),
             answers: Vec::new(),
+            dialog: Box::new(dialog::of_the_system),
             texture: None,
             size: [0; 2],
             device: start.device,
@@ -437,8 +456,22 @@ impl Viewer {
         for (purpose, path) in choices {
             self.chosen(&purpose, &path);
         }
-        if let Some((size, pixels)) = self.composer.newest() {
+        if let Some(Composed {
+            request,
+            size,
+            pixels,
+        }) = self.composer.newest()
+        {
             self.waiting_for_composer = false;
+            if let Some(flight) = &mut self.flight
+                && flight.number == request
+                && !flight.answered
+            {
+                flight.answered = true;
+                self.answers.push(flight.asked.elapsed());
+                let surplus = self.answers.len().saturating_sub(100);
+                self.answers.drain(..surplus);
+            }
             let image =
                 egui::ColorImage::from_rgba_premultiplied(size.map(|side| side as usize), &pixels);
             let options = egui::TextureOptions::LINEAR;
@@ -454,11 +487,6 @@ impl Viewer {
         if let Some(flight) = &mut self.flight
             && flight.number == picture.request
         {
-            if flight.seen == [false; 2] {
-                self.answers.push(flight.asked.elapsed());
-                let surplus = self.answers.len().saturating_sub(100);
-                self.answers.drain(..surplus);
-            }
             flight.seen[picture.pane] = true;
         }
         let pane = picture.pane;
@@ -502,21 +530,18 @@ impl Viewer {
                 self.watch[1].set(&files);
                 self.light = light;
             }
-            Loaded::Material { source, surface } => {
-                let selected = self.document.as_mut().and_then(|document| {
-                    let selected = document.selected?;
-                    Arc::make_mut(&mut document.materials).get_mut(selected)
-                });
-                match selected {
-                    Some(material) => {
-                        material.surface = surface;
-                        material.base_color_texture = None;
-                        material.metallic_roughness_texture = None;
-                    }
-                    None => self.error(format!(
-                        "{}: click the surface that it is for, then open it again",
-                        source.display()
-                    )),
+            Loaded::Material {
+                source,
+                surface,
+                textures,
+            } => {
+                let name = source.display().to_string();
+                let taken = (self.document.as_mut())
+                    .is_some_and(|document| document.replace_selected(source, surface, textures));
+                if !taken {
+                    self.error(format!(
+                        "{name}: click the surface that it is for, then open it again"
+                    ));
                 }
             }
             Loaded::Saved(what) => self.tell(format!("saved {what}"), false),
@@ -607,6 +632,7 @@ impl Viewer {
         self.flight = Some(Flight {
             number,
             asked: Instant::now(),
+            answered: false,
             seen: [false; 2],
             panes,
         });
@@ -619,25 +645,35 @@ impl Viewer {
         };
         let images = [0, 1]
             .map(|pane: usize| (self.pictures[pane].as_ref()).map(|picture| picture.image.clone()));
+        let images = match self.settings.layout {
+            Layout::One => [images[0].clone(), None],
+            Layout::Split | Layout::Difference => images,
+        };
         let look = Look::from(&self.settings);
+        // No larger than what there is to see: whoever drags waits for it.
+        let size = [0, 1].map(|side: usize| {
+            let sides = (images.iter().flatten()).map(|image| [image.width, image.height][side]);
+            sides.max().unwrap_or(1).min(self.size[side])
+        });
         let key = ComposedKey {
             images: [0, 1].map(|pane: usize| images[pane].as_ref().map(Arc::as_ptr)),
             look,
             sky: self.light.image.as_ref().map(Arc::as_ptr),
             lights: self.light.lobes.as_ptr(),
-            size: self.size,
+            size,
         };
         if self.composing.as_ref() == Some(&key) || self.size.contains(&0) {
             return;
         }
         self.waiting_for_composer = true;
         self.composer.ask(Composition {
+            request: newest.request,
             images,
             look,
             light: self.light.clone(),
             camera: newest.camera,
             rotation: newest.rotation,
-            size: self.size,
+            size,
         });
         self.composing = Some(key);
     }
@@ -704,54 +740,22 @@ impl Viewer {
         self.inspection = Some((inspection, texture));
     }
 
-    /// Asks for a file in a dialog of the system.
+    /// Asks for a file in a dialog.
     pub fn choose(&self, purpose: Purpose) {
-        let dialog = rfd::AsyncFileDialog::new();
         let name = self
             .document
             .as_ref()
             .map_or("scene", |document| document.scene.name.as_str());
-        let future: Chosen = match &purpose {
-            Purpose::Open => {
-                let endings: Vec<&str> = (jobs::SCENE_ENDINGS.iter())
-                    .chain(&jobs::LIGHT_ENDINGS)
-                    .chain(&jobs::MATERIAL_ENDINGS)
-                    .copied()
-                    .collect();
-                Box::pin(
-                    dialog
-                        .add_filter("scenes, images, materials", &endings)
-                        .pick_file(),
-                )
-            }
-            Purpose::SavePicture => Box::pin(
-                dialog
-                    .add_filter("PNG or OpenEXR", &["png", "exr"])
-                    .set_file_name(format!("{name}.png"))
-                    .save_file(),
-            ),
-            Purpose::SaveCamera => Box::pin(
-                dialog
-                    .set_file_name(format!("{name}-camera.toml"))
-                    .save_file(),
-            ),
-            Purpose::SaveScene => {
-                Box::pin(dialog.set_file_name(format!("{name}.toml")).save_file())
-            }
-            Purpose::SaveAsset => {
-                Box::pin(dialog.set_file_name(format!("{name}.relight")).save_file())
-            }
-            Purpose::SaveTurntable => Box::pin(dialog.pick_folder()),
-        };
         let (sender, context) = (self.choices.0.clone(), self.context.clone());
-        // Detached: a dialog that is never answered must not keep the application alive.
-        std::thread::spawn(move || {
-            if let Some(file) = pollster::block_on(future) {
+        let of = purpose.clone();
+        let answered = move |path: Option<PathBuf>| {
+            if let Some(path) = path {
                 // Nobody listens any more while the application ends.
-                let _ = sender.send((purpose, file.path().to_owned()));
+                let _ = sender.send((of, path));
                 context.request_repaint();
             }
-        });
+        };
+        (self.dialog)(&purpose, name, Box::new(answered));
     }
 
     /// Does what a file was chosen for.
@@ -783,6 +787,9 @@ impl Viewer {
             return save::exr(path, &picture.image);
         }
         let (size, pixels) = self.composed.as_ref().ok_or_else(nothing)?;
+        if *size != self.size {
+            anyhow::bail!("the picture is not finished yet");
+        }
         save::png(path, *size, pixels)
     }
 

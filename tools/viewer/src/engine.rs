@@ -2,34 +2,33 @@
 //!
 //! One thread draws. A new request ends the one at hand, whatever it was doing: on a graphics
 //! device rows are submitted in groups that take a fraction of a second, on the processor every
-//! pixel looks whether it is still wanted. The first picture of a request is as large as can be
-//! drawn within [`FIRST`], by what pixels took before.
+//! pixel looks whether it is still wanted. [`pace`](crate::pace) says how large the first ones are.
 
-use std::collections::HashMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError, mpsc};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use glam::Quat;
+use glam::{Quat, Vec3};
 use relight_format::{Camera, Material, Scene};
 use relight_lab::truth::{self, lobes};
 use relight_runtime::offscreen::Gpu;
 use relight_runtime::{
     Frame, GpuScene, Image, Instance, LocalLight, Method, Options, PassTimes, Prefiltered, Sources,
-    SphericalGaussian, View, twin, wgpu,
+    SphericalGaussian, View, twin, twin::Prepared, wgpu,
 };
+use relight_shading::sources::LEVELS;
+use relight_shading::spherical_gaussian::energy;
 
+use crate::pace::{Level, Pace};
 use crate::state::Integrator;
 
-/// How soon the first picture of a request shall be there.
-const FIRST: Duration = Duration::from_millis(50);
 /// How long a group of rows on a graphics device may take.
 const GROUP: Duration = Duration::from_millis(40);
 /// Rows of the smallest group.
 const BAND: u32 = 8;
-/// A picture is drawn at this fraction of its width at least.
-const COARSEST: f32 = 1.0 / 16.0;
+/// Sharpness of the lobe that stands for a source in drafts, at most: what SSDFs can tell apart.
+const SHARPEST_SOURCE: f32 = 1000.0;
 /// Samples per pixel of one pass of the ray tracer.
 const PASS_SAMPLES: u32 = truth::REPLICAS;
 /// Passes after which the ray tracer rests.
@@ -72,6 +71,22 @@ pub struct Shot {
 }
 
 impl Shot {
+    /// What the first picture shows where the best takes long: the same view and light, of few
+    /// spokes, each source a lobe that is shadowed as the others are.
+    pub fn draft(&self) -> Self {
+        let mut lights = self.lights.to_vec();
+        lights.extend((self.sources.iter()).flat_map(|sources| sources_as_lobes(sources)));
+        Self {
+            lights: lights.into(),
+            sources: None,
+            integrator: match self.integrator {
+                Integrator::Ambient => Integrator::Ambient,
+                _ => Integrator::PolarDraft,
+            },
+            ..self.clone()
+        }
+    }
+
     /// The same for the runtime. `method` stands for the ray tracer as well.
     pub fn frame(&self, method: Method) -> Frame<'_> {
         Frame {
@@ -83,6 +98,25 @@ impl Shot {
             ..Frame::new(self.camera, &self.lights)
         }
     }
+}
+
+/// One lobe for every source, of its light, direction and width.
+fn sources_as_lobes(sources: &Sources) -> Vec<SphericalGaussian> {
+    let points: Vec<SphericalGaussian> = sources.lobes().collect();
+    let lobe = |points: &[SphericalGaussian]| {
+        let light: Vec3 = points.iter().map(SphericalGaussian::integral).sum();
+        let mean: Vec3 = points.iter().map(|point| point.axis).sum::<Vec3>() / points.len() as f32;
+        // Banerjee et al. 2005, equation 4.4, of directions on the sphere.
+        let length = mean.length().min(1.0 - f32::EPSILON);
+        let sharpness = length * (3.0 - length * length) / (1.0 - length * length);
+        let sharpness = sharpness.min(SHARPEST_SOURCE);
+        SphericalGaussian {
+            axis: mean.normalize_or(Vec3::Y),
+            sharpness,
+            amplitude: light / energy(sharpness),
+        }
+    };
+    points.chunks(LEVELS[0] as usize).map(lobe).collect()
 }
 
 /// One or two pictures of one size.
@@ -109,6 +143,8 @@ pub struct Picture {
     pub camera: Camera,
     /// The turn of its light.
     pub rotation: Quat,
+    /// Whether it shows what others will show, by cheaper means: [`Shot::draft`].
+    pub draft: bool,
     /// Whether none better comes.
     pub complete: bool,
     /// Samples per pixel, where it is ray-traced.
@@ -117,6 +153,8 @@ pub struct Picture {
     pub time: Duration,
     /// How long the passes took, on a graphics device that tells.
     pub passes: Option<PassTimes>,
+    /// How many scenes were prepared or uploaded until then: neither edits nor cameras take one.
+    pub preparations: u32,
 }
 
 /// What comes from the engine.
@@ -248,9 +286,15 @@ pub struct Artist {
     view: Option<View>,
     /// With the materials of the last shot, for the processor.
     edited: Option<Edited>,
-    /// Seconds per pixel.
-    rates: HashMap<Integrator, f64>,
+    /// For the processor, those used last, the newest one last.
+    prepared: Vec<(Arc<Scene>, Prepared)>,
+    /// How many scenes were prepared or uploaded.
+    preparations: u32,
+    pace: Pace,
 }
+
+/// Scenes that are kept prepared: one, and the same without light that bounces.
+const MOST_PREPARED: usize = 2;
 
 /// A picture that was finished, and how.
 pub struct Drawn {
@@ -284,7 +328,9 @@ impl Artist {
             uploaded: None,
             view: None,
             edited: None,
-            rates: HashMap::new(),
+            prepared: Vec::new(),
+            preparations: 0,
+            pace: Pace::default(),
         }
     }
 
@@ -311,56 +357,61 @@ impl Artist {
         post: &(dyn Fn(Event) + Sync),
     ) -> Result<(), String> {
         let count = request.shots.len();
-        let first = |artist: &Self| {
-            request
-                .shots
-                .iter()
-                .map(|shot| artist.first_scale(shot.integrator, request.size, count))
-                .fold(1.0, f32::min)
-        };
-        let mut scale = if request.progressive {
-            first(self)
+        let integrators: Vec<_> = request.shots.iter().map(|shot| shot.integrator).collect();
+        let mut level = if request.progressive {
+            self.pace.first(&integrators, request.size)
         } else {
-            1.0
+            Level::BEST
         };
         loop {
-            let size = (request.size).map(|side| ((side as f32 * scale).round() as u32).max(1));
-            let full = scale >= 1.0;
+            let size = level.size(request.size);
+            let full = level == Level::BEST;
             for (pane, shot) in request.shots.iter().enumerate() {
-                let traced = shot.integrator == Integrator::Truth;
+                let traced = shot.integrator == Integrator::Truth && !level.draft;
                 if traced && full && request.progressive {
                     // Its passes come below.
                     continue;
                 }
                 let start = Instant::now();
-                let Some(drawn) = self.picture(shot, size, 0, wanted)? else {
+                let draft = level.draft.then(|| shot.draft());
+                let Some(drawn) = self.picture(draft.as_ref().unwrap_or(shot), size, 0, wanted)?
+                else {
                     return Ok(());
                 };
                 let time = start.elapsed();
-                let pixels = f64::from(size[0]) * f64::from(size[1]);
-                let rate = time.as_secs_f64() / pixels;
-                self.rates.insert(shot.integrator, rate);
+                self.pace
+                    .note(level, shot.integrator, size, time.as_secs_f64(), count);
                 post(Event::Picture(Picture {
                     request: number,
                     pane,
                     image: Arc::new(drawn.image),
                     camera: shot.camera,
                     rotation: shot.rotation,
+                    draft: level.draft,
                     complete: full && !traced,
                     samples: if traced { PASS_SAMPLES } else { 0 },
                     time,
                     passes: drawn.passes,
+                    preparations: self.preparations,
                 }));
                 if !wanted() {
                     return Ok(());
                 }
             }
-            if full {
-                break;
+            match self.pace.next(level, &integrators, request.size) {
+                Some(next) => level = next,
+                None => break,
             }
-            scale = if scale > 0.4 { 1.0 } else { 2.0 * scale };
         }
+        self.own_edited();
         self.accumulate(number, request, wanted, post)
+    }
+
+    /// Takes a copy of the scene while nobody waits, so that the first edit need not.
+    fn own_edited(&mut self) {
+        if let Some((_, _, edited)) = &mut self.edited {
+            Arc::make_mut(edited);
+        }
     }
 
     /// Further passes of the ray tracer.
@@ -403,10 +454,12 @@ impl Artist {
                     image: Arc::new(mean),
                     camera: shot.camera,
                     rotation: shot.rotation,
+                    draft: false,
                     complete: pass + 1 == MOST_PASSES,
                     samples: (pass + 1) * PASS_SAMPLES,
                     time: start.elapsed(),
                     passes: None,
+                    preparations: self.preparations,
                 }));
             }
             if traced().next().is_none() || !wanted() {
@@ -414,22 +467,6 @@ impl Artist {
             }
         }
         Ok(())
-    }
-
-    fn first_scale(&self, integrator: Integrator, [width, height]: [u32; 2], count: usize) -> f32 {
-        let Some(rate) = self.rates.get(&integrator) else {
-            // The paper's method takes ten times as long as ours.
-            let slow = matches!(integrator, Integrator::Cells | Integrator::Truth);
-            return if slow { COARSEST } else { 2.0 * COARSEST };
-        };
-        let pixels = f64::from(width) * f64::from(height) * count as f64;
-        let scale = (FIRST.as_secs_f64() / (rate * pixels)).sqrt() as f32;
-        // A picture a little smaller than the best is not worth drawing first.
-        if scale > 0.8 {
-            1.0
-        } else {
-            scale.max(COARSEST)
-        }
     }
 
     /// Draws one picture for as long as it takes; of the ray tracer the mean of some passes.
@@ -484,7 +521,8 @@ impl Artist {
         }
         let scene = self.edited(shot);
         let frame = shot.frame(method);
-        let image = twin::render_while(&scene, &frame, size[0], size[1], wanted)
+        let prepared = self.prepared(&shot.scene);
+        let image = twin::render_prepared(&scene, prepared, &frame, size[0], size[1], wanted)
             .map_err(|error| error.to_string())?;
         Ok(wanted().then_some(Drawn {
             image,
@@ -500,12 +538,13 @@ impl Artist {
         wanted: &(dyn Fn() -> bool + Sync),
     ) -> Result<Option<Drawn>, String> {
         let failed = |error: relight_runtime::Error| error.to_string();
-        let rate = self.rates.get(&shot.integrator).copied().unwrap_or(2e-5);
+        let rate = self.pace.rate(shot.integrator).unwrap_or(2e-5);
         let gpu = self.gpu.as_mut().ok_or("no graphics device")?;
         let same = |uploaded: &(Arc<Scene>, _, _)| Arc::ptr_eq(&uploaded.0, &shot.scene);
         if !self.uploaded.as_ref().is_some_and(same) {
             // The old one first: two may not fit.
             self.uploaded = None;
+            self.preparations += 1;
             let uploaded = gpu.upload(&shot.scene).map_err(failed)?;
             let materials = Arc::new(shot.scene.materials.clone());
             self.uploaded = Some((shot.scene.clone(), materials, uploaded));
@@ -606,6 +645,21 @@ impl Artist {
             Err(payload) if payload.is::<Unwanted>() => None,
             Err(payload) => std::panic::resume_unwind(payload),
         }
+    }
+
+    /// What the processor needs of a scene, whatever its materials.
+    fn prepared(&mut self, scene: &Arc<Scene>) -> &Prepared {
+        let known = (self.prepared.iter()).position(|(known, _)| Arc::ptr_eq(known, scene));
+        let newest = match known {
+            Some(index) => self.prepared.remove(index),
+            None => {
+                self.preparations += 1;
+                (scene.clone(), Prepared::new(scene))
+            }
+        };
+        let surplus = (self.prepared.len() + 1).saturating_sub(MOST_PREPARED);
+        self.prepared.drain(..surplus);
+        &self.prepared.push_mut(newest).1
     }
 
     /// The scene with the shot's materials.

@@ -17,7 +17,7 @@ use relight_bake::measured::{Table, fit};
 use relight_bake::monitor::{Interrupted, Monitor, Progress};
 use relight_bake::scene;
 use relight_bake::scene::load::{self, SceneInput};
-use relight_format::{self as format, Limits, Scene, Specular, Surface};
+use relight_format::{self as format, Limits, Scene, Specular, Surface, Texture};
 use relight_lab::demo;
 use relight_runtime::LocalLight;
 
@@ -55,8 +55,10 @@ pub enum Loaded {
     Material {
         /// Where it came from.
         source: PathBuf,
-        /// What replaces the surface.
+        /// What replaces the surface; its slots count from the first of `textures`.
         surface: Surface,
+        /// To be added to the scene's.
+        textures: Vec<Texture>,
     },
     /// A file was written.
     Saved(String),
@@ -65,18 +67,110 @@ pub enum Loaded {
 /// How far a job is.
 #[derive(Clone, Debug)]
 pub struct Status {
-    /// Of the stage at hand.
+    /// The stage at hand.
     pub stage: &'static str,
-    /// In [0, 1].
+    /// Of the whole job, in [0, 1].
     pub fraction: f32,
-    /// How long the stage will take, once that can be told.
+    /// How long all that is left will take, once that can be told.
     pub left: Option<Duration>,
 }
 
+/// Stages of a job in their order, and how long they take beside each other.
+pub type Plan = Vec<(&'static str, f32)>;
+
+/// How far a job is by its plan, which may become longer.
+#[derive(Debug)]
 struct Tracker {
     stage: &'static str,
+    plan: Plan,
+    /// Where in the plan.
+    at: usize,
+    /// Of the stage at hand.
     fraction: f32,
     since: Instant,
+}
+
+impl Tracker {
+    fn new(now: Instant) -> Self {
+        Self {
+            stage: "wait",
+            plan: Vec::new(),
+            at: 0,
+            fraction: 0.0,
+            since: now,
+        }
+    }
+
+    /// Takes what a stage reports. Those that are not in the plan, as they are short, leave the rest
+    /// as it is.
+    fn report(&mut self, stage: &'static str, fraction: f32) {
+        self.stage = stage;
+        let fraction = fraction.clamp(0.0, 1.0);
+        // Once a stage is done the next one of its name is meant.
+        let from = self.at + usize::from(self.is_at(stage) && fraction + 0.5 < self.fraction);
+        let found = (self.plan.iter().skip(from)).position(|(name, _)| *name == stage);
+        match found {
+            Some(0) if from == self.at => self.fraction = self.fraction.max(fraction),
+            Some(further) => (self.at, self.fraction) = (from + further, fraction),
+            None if self.plan.is_empty() => self.fraction = fraction,
+            None => {}
+        }
+    }
+
+    fn is_at(&self, stage: &str) -> bool {
+        (self.plan.get(self.at)).is_some_and(|(name, _)| *name == stage)
+    }
+
+    /// Of all of it, in [0, 1].
+    fn whole(&self) -> f32 {
+        let sum = |plan: &[(&str, f32)]| plan.iter().map(|(_, weight)| weight).sum::<f32>();
+        let Some((_, weight)) = self.plan.get(self.at) else {
+            return self.fraction;
+        };
+        (sum(&self.plan[..self.at]) + weight * self.fraction) / sum(&self.plan)
+    }
+
+    fn status(&self, elapsed: Duration) -> Status {
+        let fraction = self.whole();
+        let elapsed = elapsed.as_secs_f64();
+        // Too early, and the guess is wild.
+        let left = (fraction > 0.02 && elapsed > 0.5)
+            .then(|| Duration::try_from_secs_f64(elapsed * (1.0 / f64::from(fraction) - 1.0)).ok())
+            .flatten();
+        Status {
+            stage: self.stage,
+            fraction,
+            left,
+        }
+    }
+}
+
+/// Stages of a bake beside each other, of spot and of the built-in scene; they vary by a factor of
+/// two.
+const BAKE: [(&str, f32); 4] = [
+    ("build bvh", 0.01),
+    ("bounces", 0.11),
+    ("refine", 0.03),
+    ("visibility and compression", 0.85),
+];
+
+/// The stages of bakes at these qualities.
+fn bake_plan(qualities: &[Quality]) -> Plan {
+    let weight = |quality: &Quality| match quality {
+        Quality::Draft => 1.0,
+        Quality::Standard => 3.2,
+        Quality::High => 23.0,
+    };
+    (qualities.iter())
+        .flat_map(|quality| BAKE.map(|(name, part)| (name, part * weight(quality))))
+        .collect()
+}
+
+/// The stages of fits of these numbers of lobes: time grows with the square, or a little less.
+fn fit_plan(stages: &[usize]) -> Plan {
+    (stages.iter())
+        .map(|lobes| ("fitting lobes", (4.0 + *lobes as f32).powf(1.8)))
+        .collect()
 }
 
 /// Something that goes on in the background.
@@ -107,17 +201,7 @@ impl Job {
     /// How far it is.
     pub fn status(&self) -> Status {
         let tracker = lock(&self.tracker);
-        let elapsed = tracker.since.elapsed().as_secs_f64();
-        let fraction = f64::from(tracker.fraction);
-        // Too early, and the guess is wild.
-        let left = (fraction > 0.02 && elapsed > 0.5)
-            .then(|| Duration::try_from_secs_f64(elapsed * (1.0 / fraction - 1.0)).ok())
-            .flatten();
-        Status {
-            stage: tracker.stage,
-            fraction: tracker.fraction,
-            left,
-        }
+        tracker.status(tracker.since.elapsed())
     }
 
     /// Asks it to stop; what it brings afterwards is dropped.
@@ -156,6 +240,8 @@ pub struct Context<'a> {
     pub monitor: Monitor<'a>,
     /// Takes what is ready.
     pub deliver: &'a (dyn Fn(Loaded) + Sync),
+    /// Takes the stages to come; the time that is left counts from then on.
+    pub plan: &'a (dyn Fn(Plan) + Sync),
 }
 
 impl Jobs {
@@ -190,11 +276,7 @@ impl Jobs {
         self.next += 1;
         let number = self.next;
         let stop = Arc::new(AtomicBool::new(false));
-        let tracker = Arc::new(Mutex::new(Tracker {
-            stage: "wait",
-            fraction: 0.0,
-            since: Instant::now(),
-        }));
+        let tracker = Arc::new(Mutex::new(Tracker::new(Instant::now())));
         let job = Job {
             name: name.clone(),
             kind,
@@ -280,11 +362,12 @@ fn run(
     send: &(impl Fn(Report) + Sync),
 ) -> Option<String> {
     let report = |Progress { stage, fraction }: Progress| {
+        lock(tracker).report(stage, fraction);
+    };
+    let plan = |plan: Plan| {
         let mut tracker = lock(tracker);
-        if tracker.stage != stage {
-            (tracker.stage, tracker.since) = (stage, Instant::now());
-        }
-        tracker.fraction = fraction.clamp(0.0, 1.0);
+        tracker.plan = plan;
+        (tracker.at, tracker.fraction, tracker.since) = (0, 0.0, Instant::now());
     };
     let deliver = |loaded| send(Report::Loaded(Box::new(loaded)));
     let context = Context {
@@ -293,6 +376,7 @@ fn run(
             stop,
         },
         deliver: &deliver,
+        plan: &plan,
     };
     let pool = rayon::ThreadPoolBuilder::new()
         .thread_name(|index| format!("job {index}"))
@@ -402,6 +486,7 @@ pub fn scene_from_file(path: &Path, stages: &[Quality], context: &Context) -> an
         let folder = path.parent().unwrap_or(Path::new(""));
         files.push(folder.join(scene::description::load(path)?.mesh));
     }
+    (context.plan)(bake_plan(stages));
     for quality in stages {
         let (source, is_last) = (Some((path, &files[..])), Some(quality) == stages.last());
         bake_stage(&input, source, *quality, is_last, context)
@@ -412,6 +497,7 @@ pub fn scene_from_file(path: &Path, stages: &[Quality], context: &Context) -> an
 
 /// Bakes the built-in scene, the draft of a coarser mesh.
 pub fn built_in_scene(stages: &[Quality], context: &Context) -> anyhow::Result<()> {
+    (context.plan)(bake_plan(stages));
     for quality in stages {
         let detail = if *quality == Quality::Draft { 0.5 } else { 1.0 };
         let input = demo::scene_input(detail)?;
@@ -437,6 +523,7 @@ pub fn collect(work: impl FnOnce(&Context) -> anyhow::Result<()>) -> anyhow::Res
             stop: &NEVER,
         },
         deliver: &deliver,
+        plan: &|_| (),
     };
     work(&context)?;
     Ok(std::mem::take(&mut *lock(&loaded)))
@@ -511,6 +598,7 @@ fn fit_stages(
         height: image.height,
         pixels: image.pixels.clone(),
     });
+    (context.plan)(fit_plan(stages));
     for lobes in stages.iter().copied() {
         let options = FitOptions {
             lobes,
@@ -529,34 +617,43 @@ fn fit_stages(
 pub fn material_from_file(path: &Path, context: &Context) -> anyhow::Result<()> {
     context.monitor.step("read", 0.0)?;
     let is_asset = (path.extension()).is_some_and(|ending| ending.eq_ignore_ascii_case("relight"));
-    let surface = if is_asset {
+    let (surface, textures) = if is_asset {
         let bytes = std::fs::read(path).with_context(|| path.display().to_string())?;
         let asset = format::read_material(&bytes, &Limits::default())
             .with_context(|| path.display().to_string())?;
-        let mut material = asset.material;
-        // Textures are those of the bake: without its ratio a measured material is its lobes alone.
-        if let Surface::Layered {
-            specular: Specular::Lobes { ratio, .. },
-            ..
-        } = &mut material.surface
-        {
-            *ratio = None;
+        // Ratios need no texture coordinates; other textures do, and are refused.
+        let mut plain = asset.material.clone();
+        let layers = match &mut plain.surface {
+            Surface::Layered { specular, .. } => vec![specular],
+            Surface::Layers { layers } => {
+                layers.iter_mut().map(|layer| &mut layer.specular).collect()
+            }
+            Surface::MetallicRoughness { .. } => Vec::new(),
+        };
+        for specular in layers {
+            if let Specular::Lobes { ratio, .. } = specular {
+                *ratio = None;
+            }
         }
-        if material.slots().next().is_some() {
+        if plain.slots().next().is_some() {
             bail!(
                 "{}: its textures have to be baked into a scene; name it in a scene file",
                 path.display()
             );
         }
-        material.surface
+        (asset.material.surface, asset.textures)
     } else {
         let table = Table::load(path)?;
         context.monitor.step("fit lobes", 0.1)?;
-        fit::fit(&table, fit::Stop::default()).surface(file_name(path), None)
+        let fitted = fit::corrected(&table, fit::Stop::default());
+        let slot = format::TextureSlot::whole(0);
+        let surface = fitted.fit.surface(file_name(path), Some(slot));
+        (surface, vec![fitted.ratio])
     };
     (context.deliver)(Loaded::Material {
         source: path.into(),
         surface,
+        textures,
     });
     Ok(())
 }
@@ -567,4 +664,51 @@ pub fn file_name(path: &Path) -> String {
         .unwrap_or_default()
         .to_string_lossy()
         .into_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_time_left_is_that_of_all_stages() {
+        let start = Instant::now();
+        let mut tracker = Tracker::new(start);
+        tracker.plan = bake_plan(Quality::Standard.stages());
+        let mut last = 0.0;
+        let mut told = Vec::new();
+        // A draft that takes a second and a standard bake of 3.2, as they report.
+        for (quality, scale) in [(0.0, 1.0), (1.0, 3.2)] {
+            let mut elapsed = quality;
+            for (stage, part) in BAKE {
+                for step in 0..=20 {
+                    tracker.report(stage, step as f32 / 20.0);
+                    let status = tracker.status(Duration::from_secs_f32(elapsed));
+                    assert!(status.fraction >= last, "{stage} {step}: {status:?} {last}");
+                    assert_eq!(status.stage, stage);
+                    last = status.fraction;
+                    if let Some(left) = status.left {
+                        told.push(elapsed + left.as_secs_f32());
+                    }
+                    elapsed += part * scale / 20.0;
+                }
+                elapsed -= part * scale / 20.0;
+            }
+            tracker.report("assemble", 0.0);
+        }
+        assert!((last - 1.0).abs() < 1e-4, "{last}");
+        assert!(told.len() > 50);
+        for whole in told {
+            assert!((whole - 4.2).abs() < 0.2, "{whole} of 4.2 seconds");
+        }
+    }
+
+    #[test]
+    fn jobs_without_a_plan_tell_of_their_stage() {
+        let mut tracker = Tracker::new(Instant::now());
+        tracker.report("draw frames", 0.25);
+        let status = tracker.status(Duration::from_secs(10));
+        assert_eq!(status.fraction, 0.25);
+        assert_eq!(status.left.unwrap().as_secs(), 30);
+    }
 }

@@ -14,12 +14,16 @@ pub mod command;
 #[cfg(not(target_family = "wasm"))]
 pub mod compose;
 #[cfg(not(target_family = "wasm"))]
+pub mod dialog;
+#[cfg(not(target_family = "wasm"))]
 pub mod engine;
 #[cfg(not(target_family = "wasm"))]
 pub mod inspect;
 #[cfg(not(target_family = "wasm"))]
 pub mod jobs;
 pub mod orbit;
+#[cfg(not(target_family = "wasm"))]
+pub mod pace;
 #[cfg(not(target_family = "wasm"))]
 pub mod panels;
 pub mod pick;

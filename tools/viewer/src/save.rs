@@ -174,15 +174,25 @@ fn scene_file(
     };
     file.camera = Some(describe_camera(camera));
     file.lights = document.local_lights.iter().map(describe_light).collect();
-    let edited = (document.materials.iter().zip(&document.scene.materials))
-        .filter(|(new, old)| new != old)
-        .map(|(new, _)| new);
-    for material in edited {
+    let edited = (document
+        .materials
+        .iter()
+        .zip(&document.scene.materials)
+        .enumerate())
+    .filter(|(_, (new, old))| new != old)
+    .map(|(index, (new, _))| (index, new));
+    for (index, material) in edited {
         if material.emission != [0.0; 3] || file.emission.contains_key(&material.name) {
             let emission = Color::Rgb(material.emission);
             file.emission.insert(material.name.clone(), emission);
         }
-        let described = describe_material(material)?;
+        let described = match document.dropped.get(&index) {
+            Some((source, surface)) if *surface == material.surface => MaterialOverride::Measured {
+                file: place(&std::path::absolute(source)?)?,
+                original: None,
+            },
+            _ => describe_material(material)?,
+        };
         match &mut file.ground {
             Some(ground) if material.name == "ground" => ground.material = Some(described),
             _ => drop(file.materials.insert(material.name.clone(), described)),
@@ -240,8 +250,8 @@ fn visit_paths(material: &mut MaterialOverride, visit: &mut dyn FnMut(&mut PathB
 fn describe_material(material: &Material) -> anyhow::Result<MaterialOverride> {
     if material.slots().next().is_some() {
         bail!(
-            "material {:?} has textures, which a scene file cannot take from the mesh; \
-             undo its change to save the rest",
+            "material {:?} has textures, or lobes of a table that were changed, which a scene file \
+             cannot describe; undo its change to save the rest",
             material.name
         );
     }

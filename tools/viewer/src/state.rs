@@ -1,10 +1,14 @@
 //! What is shown and how: plain data that panels change and pictures are made from.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 
 use glam::{Quat, Vec3};
-use relight_format::{Camera, Environment, FieldOfView, Material, Scene};
+use relight_format::{
+    Camera, Environment, FieldOfView, Layer, Material, Scene, Specular, Surface, Texture,
+    TextureSlot,
+};
 use relight_runtime::{
     CellsOptions, LocalLight, Method, PolarOptions, Prefiltered, Sources, SphericalGaussian,
 };
@@ -305,6 +309,8 @@ pub struct Document {
     pub selected: Option<usize>,
     /// Point that the inspector shows.
     pub inspected: Option<Hit>,
+    /// Files that surfaces of materials came from, and what came.
+    pub dropped: BTreeMap<usize, (PathBuf, Surface)>,
     /// Corners of the box about everything.
     pub bounds: (Vec3, Vec3),
 }
@@ -326,7 +332,35 @@ impl Document {
             local_lights,
             selected: None,
             inspected: None,
+            dropped: BTreeMap::new(),
         }
+    }
+
+    /// Gives the selected material another surface, whose slots count from the first of `textures`;
+    /// `false` where nothing is selected.
+    pub fn replace_selected(
+        &mut self,
+        source: PathBuf,
+        surface: Surface,
+        textures: Vec<Texture>,
+    ) -> bool {
+        let Some(index) = self.selected.filter(|index| *index < self.materials.len()) else {
+            return false;
+        };
+        let first = self.scene.textures.len() as u32;
+        let material = &mut Arc::make_mut(&mut self.materials)[index];
+        material.base_color_texture = None;
+        material.metallic_roughness_texture = None;
+        material.surface = surface;
+        for slot in ratios_mut(&mut material.surface) {
+            slot.texture += first;
+        }
+        (self.dropped).insert(index, (source, material.surface.clone()));
+        if !textures.is_empty() {
+            // Textures are the scene's: it becomes another one, with the same geometry.
+            Arc::make_mut(&mut self.scene).textures.extend(textures);
+        }
+        true
     }
 
     /// The same scene, baked better or read again: edits, lights and selection stay, unless it has
@@ -348,9 +382,28 @@ impl Document {
             new.selected = self.selected;
             let materials = Arc::make_mut(&mut new.materials);
             let edits = self.materials.iter().zip(&self.scene.materials);
-            for (material, (edited, original)) in materials.iter_mut().zip(edits) {
+            for (index, (material, (edited, original))) in
+                materials.iter_mut().zip(edits).enumerate()
+            {
                 if edited != original {
                     material.surface = edited.surface.clone();
+                    for slot in ratios_mut(&mut material.surface) {
+                        // What was dropped onto the old scene; its own are where they were.
+                        let index = slot.texture as usize;
+                        if let Some(texture) = self.scene.textures.get(index)
+                            && new.scene.textures.get(index) != Some(texture)
+                        {
+                            let textures = &mut Arc::make_mut(&mut new.scene).textures;
+                            slot.texture = textures.len() as u32;
+                            textures.push(texture.clone());
+                        }
+                    }
+                    if let Some((source, surface)) = self.dropped.remove(&index)
+                        && surface == edited.surface
+                    {
+                        let dropped = (source, material.surface.clone());
+                        new.dropped.insert(index, dropped);
+                    }
                 }
             }
         }
@@ -373,6 +426,23 @@ impl Document {
             |camera| Orbit::new(&camera),
         )
     }
+}
+
+/// Slots of the ratios of a surface's fitted lobes.
+fn ratios_mut(surface: &mut Surface) -> impl Iterator<Item = &mut TextureSlot> {
+    let (layers, single): (&mut [Layer], _) = match surface {
+        Surface::Layers { layers } => (layers, None),
+        Surface::Layered { specular, .. } => (&mut [], Some(specular)),
+        Surface::MetallicRoughness { .. } => (&mut [], None),
+    };
+    let speculars = layers
+        .iter_mut()
+        .map(|layer| &mut layer.specular)
+        .chain(single);
+    speculars.filter_map(|specular| match specular {
+        Specular::Lobes { ratio, .. } => ratio.as_mut(),
+        _ => None,
+    })
 }
 
 /// The turn of distant light.

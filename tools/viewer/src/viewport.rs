@@ -75,6 +75,16 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
 fn pointer(ui: &Ui, viewer: &mut Viewer, rect: Rect, response: &egui::Response) {
     let drag = response.drag_delta() / rect.height().max(1.0);
     let modifiers = ui.input(|input| input.modifiers);
+    // Two fingers move the scene and pinch it; the pointer that egui makes of the first is not meant.
+    let fingers = ui.input(egui::InputState::multi_touch);
+    if let Some(touch) = fingers {
+        if rect.contains(touch.center_pos) {
+            let moved = touch.translation_delta / rect.height().max(1.0);
+            viewer.orbit = viewer.orbit.panned(moved.x, moved.y, rect.aspect_ratio());
+            viewer.orbit = viewer.orbit.dollied(touch.zoom_delta);
+        }
+        return;
+    }
     if response.dragged() {
         let primary = response.dragged_by(PointerButton::Primary);
         if primary && (modifiers.ctrl || modifiers.command) {
@@ -287,7 +297,9 @@ fn labels(ui: &Ui, viewer: &Viewer, rect: Rect) {
             return integrator.name().to_owned();
         };
         let size = [picture.image.width, picture.image.height];
-        if integrator == Integrator::Truth && picture.samples > 0 {
+        if picture.draft {
+            format!("{}, draft {}×{}", integrator.name(), size[0], size[1])
+        } else if integrator == Integrator::Truth && picture.samples > 0 {
             format!("{}, {} samples", integrator.name(), picture.samples)
         } else if size == viewer.size {
             integrator.name().to_owned()

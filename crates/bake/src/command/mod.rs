@@ -15,7 +15,7 @@ use clap::Parser as _;
 use relight_bake::environment::{self, hdr};
 use relight_bake::files::{self, Access, Files, OutputError};
 use relight_bake::import;
-use relight_bake::measured::{fit, ratio};
+use relight_bake::measured::fit;
 use relight_bake::monitor::{Interrupted, Monitor};
 use relight_bake::scene::load;
 use relight_bake::simd;
@@ -349,9 +349,11 @@ fn bake_material(arguments: &MaterialArguments, monitor: Monitor) -> anyhow::Res
         let table = load::parse_table(&arguments.input, &bytes)?;
         let stop =
             (arguments.lobes).map_or(fit::Stop::default(), |lobes| fit::Stop::Lobes(lobes.into()));
-        let fit = fit::fit(&table, stop);
-        let ratio = ratio::texture(&table, &fit.appearance());
-        let corrected = fit::corrected_relative_l2(&table, &fit, &ratio);
+        let fit::Corrected {
+            fit,
+            ratio,
+            relative_l2: corrected,
+        } = fit::corrected(&table, stop);
         if let Some(most) = arguments.max_error
             && corrected > f64::from(most)
         {

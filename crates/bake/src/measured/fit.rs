@@ -24,7 +24,7 @@ use relight_shading::brdf::specular_lobes;
 use relight_shading::reference;
 use relight_shading::surface::{Appearance, MIN_ALPHA, Model, Reflection, fitted_reflection};
 
-use super::{Table, radical_inverse};
+use super::{Table, radical_inverse, ratio};
 use crate::solve::amplitude;
 
 /// When to stop adding lobes.
@@ -170,19 +170,32 @@ impl<'a> Measure<'a> {
     }
 }
 
-/// Fits a table.
-pub fn fit(table: &Table, stop: Stop) -> Fit {
-    fit_pairs(&pairs(table), stop)
+/// A table's lobes, and what they are multiplied by to be the table.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Corrected {
+    /// The lobes.
+    pub fit: Fit,
+    /// The ratio between the table and them, [`ratio::texture`].
+    pub ratio: Texture,
+    /// Relative L2 error of both together, cosine included.
+    pub relative_l2: f64,
 }
 
-/// Relative L2 error of a table's fit multiplied by `ratio`, cosine included.
-pub fn corrected_relative_l2(table: &Table, fit: &Fit, ratio: &Texture) -> f64 {
+/// Fits a table: what scenes, `bake material` and viewers show.
+pub fn corrected(table: &Table, stop: Stop) -> Corrected {
+    let pairs = pairs(table);
+    let fit = fit_pairs(&pairs, stop);
+    let ratio = ratio::texture(table, &fit.appearance());
     let mut appearance = fit.appearance();
-    let lobes = &mut appearance.reflections[..fit.lobes.len()];
-    for reflection in lobes {
-        reflection.ratio = Some(ratio);
+    for reflection in &mut appearance.reflections[..fit.lobes.len()] {
+        reflection.ratio = Some(&ratio);
     }
-    measure(&pairs(table), &appearance).relative_l2
+    let relative_l2 = measure(&pairs, &appearance).relative_l2;
+    Corrected {
+        fit,
+        ratio,
+        relative_l2,
+    }
 }
 
 /// Directions drawn from highlights of every width, and from the table's own density.

@@ -12,7 +12,7 @@ use relight_shading::local_light::LocalLight;
 use crate::environment::hdr;
 use crate::files::{Access, Files};
 use crate::import::{self, Error};
-use crate::measured::{self, Table, fit, ratio};
+use crate::measured::{self, Table, fit};
 use crate::mesh::{self, MAX_COORDINATE, Mesh, ground};
 use crate::scene::description::{
     self, BlendName, LayerFile, MaterialOverride, SceneFile, alpha_pair,
@@ -530,10 +530,12 @@ fn measured_surface(
         };
     }
     let table = parse_table(&path, &files.read(&path)?)?;
-    let fit = fit::fit(&table, fit::Stop::default());
-    textures.push(ratio::texture(&table, &fit.appearance()));
+    let fitted = fit::corrected(&table, fit::Stop::default());
+    textures.push(fitted.ratio);
     let slot = format::TextureSlot::whole(textures.len() as u32 - 1);
-    Ok(fit.surface(file.to_string_lossy().into_owned(), Some(slot)))
+    Ok(fitted
+        .fit
+        .surface(file.to_string_lossy().into_owned(), Some(slot)))
 }
 
 /// An asset's material; its textures are appended.

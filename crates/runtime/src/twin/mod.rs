@@ -4,6 +4,7 @@ mod vertex_fractions;
 mod visibility_buffer;
 
 use std::cell::Cell;
+use std::sync::{Mutex, OnceLock};
 
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
@@ -43,22 +44,58 @@ impl<'a> From<&'a Scene> for Placed<'a> {
     }
 }
 
+/// What pictures of a scene need that depends on neither camera, light nor materials: worth keeping
+/// for as long as its geometry and visibility stay.
+pub struct Prepared {
+    basis: Basis,
+    transfer: Option<PackedTransfer>,
+    /// For the first frame with sources.
+    occluders: OnceLock<Occluders>,
+    /// Of the last frames, for the next one with the same lights.
+    fractions: Mutex<Vec<VertexFractions>>,
+}
+
+impl Prepared {
+    /// Of a scene as [`render`] takes it.
+    pub fn new(scene: &Scene) -> Self {
+        Self {
+            basis: Basis::new(scene),
+            transfer: PackedTransfer::new(scene),
+            occluders: OnceLock::new(),
+            fractions: Mutex::new(Vec::new()),
+        }
+    }
+
+    /// SSDFs as they are evaluated.
+    pub fn basis(&self) -> &Basis {
+        &self.basis
+    }
+}
+
+impl std::fmt::Debug for Prepared {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.debug_struct("Prepared").finish_non_exhaustive()
+    }
+}
+
 /// The linear radiance of one frame, not exposed. The scene is one that
 /// [`relight_format::read_scene`] returned or [`relight_format::write_scene`] accepts.
 pub fn render(scene: &Scene, frame: &Frame, width: u32, height: u32) -> Result<Image, Error> {
-    render_while(scene, frame, width, height, &|| true)
+    render_instances(&[scene.into()], frame, width, height)
 }
 
-/// The same for as long as it is `wanted`, which is asked at every pixel: once it is not, the rest
-/// stays black.
-pub fn render_while(
+/// The same picture of a scene that was prepared before, for as long as it is `wanted`, which is
+/// asked at every pixel: once it is not, the rest stays black. Materials of `scene` may be others
+/// than those it was prepared with.
+pub fn render_prepared(
     scene: &Scene,
+    prepared: &Prepared,
     frame: &Frame,
     width: u32,
     height: u32,
     wanted: &(dyn Fn() -> bool + Sync),
 ) -> Result<Image, Error> {
-    render_instances_while(&[scene.into()], frame, width, height, wanted)
+    render_while(&[scene.into()], &[prepared], frame, [width, height], wanted)
 }
 
 /// The same of several instances, which occlude one another, but neither shadow nor light one
@@ -69,19 +106,24 @@ pub fn render_instances(
     width: u32,
     height: u32,
 ) -> Result<Image, Error> {
-    render_instances_while(instances, frame, width, height, &|| true)
+    let prepared: Vec<Prepared> = (instances.iter())
+        .map(|placed| Prepared::new(placed.scene))
+        .collect();
+    let prepared: Vec<&Prepared> = prepared.iter().collect();
+    render_while(instances, &prepared, frame, [width, height], &|| true)
 }
 
-fn render_instances_while(
+fn render_while(
     instances: &[Placed],
+    prepared: &[&Prepared],
     frame: &Frame,
-    width: u32,
-    height: u32,
+    size: [u32; 2],
     wanted: &(dyn Fn() -> bool + Sync),
 ) -> Result<Image, Error> {
-    let stage = Stage::new(instances, frame, [width, height])?;
+    let [width, height] = size;
+    let stage = Stage::new(instances, prepared, frame, size, wanted)?;
     let bounced: Vec<_> = (stage.instances.iter())
-        .map(|instance| BouncedLight::new(instance.scene, &instance.local))
+        .map(|instance| BouncedLight::new(instance.prepared, &instance.local))
         .collect();
     let shade_pixel = |seen: &Seen, lighting: &Lighting, field: &Ssdf| {
         if !wanted() {
@@ -100,6 +142,7 @@ fn render_instances_while(
         Some(surfaces) => surfaces.resolve(&shaded),
         None => shaded,
     };
+    stage.keep_fractions();
     Ok(Image {
         width,
         height,
@@ -108,15 +151,15 @@ fn render_instances_while(
 }
 
 /// Light of one frame that other surfaces reflect.
-struct BouncedLight {
-    packed: PackedTransfer,
+struct BouncedLight<'a> {
+    packed: &'a PackedTransfer,
     products: Vec<[f32; 4]>,
 }
 
-impl BouncedLight {
+impl<'a> BouncedLight<'a> {
     /// `None` where the asset has none.
-    fn new(scene: &Scene, frame: &LocalFrame) -> Option<Self> {
-        let packed = PackedTransfer::new(scene)?;
+    fn new(prepared: &'a Prepared, frame: &LocalFrame) -> Option<Self> {
+        let packed = prepared.transfer.as_ref()?;
         let light = packed.light(&frame.bouncing_lights(), &frame.local_lights);
         let products = packed.products(&light);
         Some(Self { packed, products })
@@ -160,7 +203,9 @@ pub struct Work {
 
 /// Counts what [`render`] does.
 pub fn work(scene: &Scene, frame: &Frame, width: u32, height: u32) -> Result<Work, Error> {
-    let stage = Stage::new(&[scene.into()], frame, [width, height])?;
+    let prepared = Prepared::new(scene);
+    let size = [width, height];
+    let stage = Stage::new(&[scene.into()], &[&prepared], frame, size, &|| true)?;
     let counts = stage.map(|seen, lighting, field| {
         let point = &seen.point;
         let counted = Counted {
@@ -223,7 +268,8 @@ pub fn map_pixels<T: Default + Send>(
         antialias: false,
         ..frame.clone()
     };
-    let stage = Stage::new(&[scene.into()], &frame, size)?;
+    let prepared = Prepared::new(scene);
+    let stage = Stage::new(&[scene.into()], &[&prepared], &frame, size, &|| true)?;
     Ok(stage.map(|seen, lighting, field| shade(&seen.point, lighting, field)))
 }
 
@@ -242,8 +288,7 @@ struct Staged<'a> {
     scene: &'a Scene,
     first_id: u32,
     local: LocalFrame,
-    occluders: Occluders,
-    basis: Basis,
+    prepared: &'a Prepared,
     /// With `polar`, what vertices see of distant lights.
     fractions: Option<VertexFractions>,
 }
@@ -251,8 +296,10 @@ struct Staged<'a> {
 impl<'a> Stage<'a> {
     fn new(
         instances: &[Placed<'a>],
+        prepared: &[&'a Prepared],
         frame: &Frame<'a>,
         [width, height]: [u32; 2],
+        wanted: &(dyn Fn() -> bool + Sync),
     ) -> Result<Self, Error> {
         if width == 0 || height == 0 {
             return Err(Error::EmptyImage { width, height });
@@ -272,28 +319,24 @@ impl<'a> Stage<'a> {
             &visibility_buffer::CENTRE
         };
         let mut visible = visibility_buffer::Nearest::new([width, height], samples);
-        let stage = |(placed, first_id): (&Placed<'a>, u32)| {
+        let stage = |((placed, first_id), &prepared): ((&Placed<'a>, u32), &&'a Prepared)| {
             let scene = placed.scene;
             let local = frame.seen_from(&placed.placement, [width, height], near)?;
             visible.draw(scene, &local.view, first_id);
             Ok(Staged {
                 scene,
                 first_id,
-                occluders: match local.sources {
-                    Some(_) => occluders::build(scene),
-                    None => Occluders::default(),
-                },
                 local,
-                basis: Basis::new(scene),
+                prepared,
                 fractions: None,
             })
         };
-        let mut instances = (instances.iter().zip(ids))
+        let mut instances = (instances.iter().zip(ids).zip(prepared))
             .map(stage)
             .collect::<Result<Vec<_>, Error>>()?;
         if let Method::Polar(options) = frame.method {
             for staged in &mut instances {
-                staged.fractions = VertexFractions::new(staged, &visible.ids, options);
+                staged.fractions = VertexFractions::new(staged, &visible.ids, options, wanted);
             }
         }
         let world = frame.seen_from(&Placement::IDENTITY, [width, height], near.min(f32::MAX))?;
@@ -345,7 +388,7 @@ impl<'a> Stage<'a> {
             let Staged {
                 scene,
                 local,
-                basis,
+                prepared,
                 fractions,
                 ..
             } = &self.instances[instance];
@@ -360,7 +403,7 @@ impl<'a> Stage<'a> {
                 triangle,
                 barycentrics: weights,
             };
-            let field = Ssdf::interpolate(scene, basis, triangle, weights);
+            let field = Ssdf::interpolate(scene, &prepared.basis, triangle, weights);
             let lighting = Lighting {
                 corners: fractions.as_ref().map(|fractions| Corners {
                     fractions: (scene.triangles[triangle].vertices)
@@ -378,12 +421,27 @@ impl<'a> Stage<'a> {
             .collect()
     }
 
+    /// For the next frame.
+    fn keep_fractions(self) {
+        for Staged {
+            prepared,
+            fractions,
+            ..
+        } in self.instances
+        {
+            if let Some(fractions) = fractions {
+                fractions.keep(prepared);
+            }
+        }
+    }
+
     fn lighting<'b>(&'b self, staged: &'b Staged) -> Lighting<'b> {
         let local = &staged.local;
         Lighting {
             sources: local.sources.as_ref().map(|sources| Lit {
                 sources,
-                occluders: &staged.occluders,
+                occluders: (staged.prepared.occluders)
+                    .get_or_init(|| occluders::build(staged.scene)),
                 ray_offset: staged.scene.visibility.ray_offset,
             }),
             lights: &local.lights,

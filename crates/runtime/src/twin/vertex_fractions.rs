@@ -2,59 +2,94 @@
 //! `vertices_main`.
 
 use std::cell::Cell;
+use std::sync::PoisonError;
 
 use glam::Vec3;
 use rayon::prelude::*;
 use relight_shading::polar::PolarOptions;
+use relight_shading::spherical_gaussian::SphericalGaussian;
 use relight_shading::ssdf::Ssdf;
 use relight_shading::vertex_visibility::{light_fraction, spokes, texture_rows};
 
-use super::{Counted, Staged};
+use super::{Counted, Prepared, Staged};
+
+/// Of so many lights and options fractions are kept: those of drafts, and of what they are drafts of.
+const MOST_KEPT: usize = 2;
+/// Of a vertex without fractions.
+const NONE: u32 = u32::MAX;
+
 /// Fractions at the vertices of triangles in sight.
 pub(super) struct VertexFractions {
-    /// Where a vertex stands in `fractions`, in vertices; meaningless for those not seen.
+    /// Of what they are.
+    lights: Vec<SphericalGaussian>,
+    options: PolarOptions,
+    /// Where a vertex stands in `fractions`, in vertices, or [`NONE`].
     slots: Vec<u32>,
-    /// Light by light for every vertex seen.
+    /// Light by light for every vertex that was seen.
     fractions: Vec<f32>,
-    lights: usize,
     /// SSDF samples that it took, and texels of four basis images interpolated for them.
     pub work: [u64; 2],
 }
 
 impl VertexFractions {
-    /// `None` where there are none: no lights, or more than a GPU keeps.
-    pub fn new(staged: &Staged, visible: &[u32], options: PolarOptions) -> Option<Self> {
+    /// Those that the last frame left, where lights are the same, and those that are missing.
+    /// `None` where there are none: no lights, more than a GPU keeps, or nobody `wanted` them long
+    /// enough.
+    pub fn new(
+        staged: &Staged,
+        visible: &[u32],
+        options: PolarOptions,
+        wanted: &(dyn Fn() -> bool + Sync),
+    ) -> Option<Self> {
         let Staged {
             scene,
-            basis,
+            prepared,
             first_id,
             ..
         } = staged;
         let lights = &staged.local.lights;
         texture_rows(scene.vertices.len(), lights.len())?;
-        let mut seen = vec![false; scene.vertices.len()];
+        let fits = |kept: &Self| {
+            let same_lights = kept.options == options && kept.lights == *lights;
+            same_lights && kept.slots.len() == scene.vertices.len()
+        };
+        let mut kept = (prepared.fractions.lock()).unwrap_or_else(PoisonError::into_inner);
+        let known = kept.iter().position(fits).map(|index| kept.remove(index));
+        drop(kept);
+        let mut found = known.unwrap_or_else(|| Self {
+            lights: lights.clone(),
+            options,
+            slots: vec![NONE; scene.vertices.len()],
+            fractions: Vec::new(),
+            work: [0; 2],
+        });
+        let mut missing = vec![false; scene.vertices.len()];
         for id in visible {
             // Background and other instances' triangles are before the first or past the last.
             let number = id.checked_sub(*first_id).map(|number| number as usize);
             let triangle = number.and_then(|number| scene.triangles.get(number));
             for vertex in triangle.into_iter().flat_map(|triangle| triangle.vertices) {
-                seen[vertex as usize] = true;
+                missing[vertex as usize] = found.slots[vertex as usize] == NONE;
             }
         }
-        let mut slots = vec![0; seen.len()];
+        let first_place = found.fractions.len() / lights.len();
         let mut places = Vec::new();
         for (index, cluster) in scene.clusters.iter().enumerate() {
             let first = cluster.first_vertex;
-            for vertex in (first..first + cluster.vertex_count).filter(|v| seen[*v as usize]) {
-                slots[vertex as usize] = places.len() as u32;
+            for vertex in (first..first + cluster.vertex_count).filter(|v| missing[*v as usize]) {
+                found.slots[vertex as usize] = (first_place + places.len()) as u32;
                 places.push((index, vertex));
             }
         }
         let spokes = spokes(lights, options);
-        let mut fractions = vec![0.0; places.len() * lights.len()];
+        let before = found.fractions.len();
+        (found.fractions).resize(before + places.len() * lights.len(), 0.0);
         let fill = |(fractions, &(cluster, vertex)): (&mut [f32], &(usize, u32))| {
+            if !wanted() {
+                return [0; 2];
+            }
             let counted = Counted {
-                field: &Ssdf::at_vertex(scene, basis, cluster, vertex),
+                field: &Ssdf::at_vertex(scene, &prepared.basis, cluster, vertex),
                 samples: Cell::new(0),
             };
             let normal = Vec3::from(scene.vertices[vertex as usize].normal);
@@ -65,21 +100,33 @@ impl VertexFractions {
             let samples = counted.samples.get();
             [samples, samples * counted.field.tiles() as u64]
         };
-        let work = fractions
+        found.work = found.fractions[before..]
             .par_chunks_mut(lights.len())
             .zip(&places)
             .map(fill)
             .reduce(|| [0; 2], |a, b| [a[0] + b[0], a[1] + b[1]]);
-        Some(Self {
-            slots,
-            fractions,
-            lights: lights.len(),
-            work,
-        })
+        if wanted() {
+            return Some(found);
+        }
+        // Those may be zeros.
+        found.fractions.truncate(before);
+        for (_, vertex) in places {
+            found.slots[vertex as usize] = NONE;
+        }
+        found.keep(prepared);
+        None
+    }
+
+    /// For the next frame.
+    pub fn keep(self, prepared: &Prepared) {
+        let mut kept = (prepared.fractions.lock()).unwrap_or_else(PoisonError::into_inner);
+        let surplus = (kept.len() + 1).saturating_sub(MOST_KEPT);
+        kept.drain(..surplus);
+        kept.push(self);
     }
 
     pub fn of(&self, vertex: u32) -> &[f32] {
-        let first = self.slots[vertex as usize] as usize * self.lights;
-        &self.fractions[first..first + self.lights]
+        let first = self.slots[vertex as usize] as usize * self.lights.len();
+        &self.fractions[first..first + self.lights.len()]
     }
 }

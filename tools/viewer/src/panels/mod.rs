@@ -124,6 +124,7 @@ fn keys(ui: &mut Ui) {
         ("shift or right button + drag, shift + wheel", "move it"),
         ("ctrl + drag", "turn the light"),
         ("wheel, pinch, + and −", "come closer, go away"),
+        ("one finger, two", "turn the camera; move it"),
         ("click, double click", "select a surface, and frame it"),
         ("arrows", "turn the camera"),
         ("F", "frame what is selected"),
@@ -185,7 +186,9 @@ fn jobs(ui: &mut Ui, viewer: &mut Viewer) {
             if ui.button("Cancel").clicked() {
                 cancel = Some(job.kind);
             }
-            let left = left.map_or_else(String::new, |left| format!(", {} s left", left.as_secs()));
+            let left = left.map_or_else(String::new, |left| {
+                format!(", {} s left", left.as_secs() + 1)
+            });
             let text = format!("{}: {stage}{left}", job.name);
             ui.add(egui::ProgressBar::new(fraction).text(text));
         });

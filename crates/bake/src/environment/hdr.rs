@@ -15,7 +15,9 @@ use image::ImageDecoder;
 use image::codecs::hdr::HdrDecoder;
 
 use super::primaries;
+#[cfg(not(target_family = "wasm"))]
 use crate::files::{Access, Files};
+#[cfg(not(target_family = "wasm"))]
 use crate::import;
 
 /// Most pixels that an image may have whatever is asked for: 32,768 × 16,384, 6 GiB as f32 RGB.
@@ -109,6 +111,7 @@ pub struct LatLong {
 }
 
 impl Error {
+    #[cfg(not(target_family = "wasm"))]
     fn of(path: &Path, error: import::Error) -> Self {
         let path = path.display().to_string();
         match error {
@@ -150,6 +153,7 @@ impl Error {
 
 /// Loads a Radiance `.hdr` or OpenEXR file, told apart by content, and repairs it. See
 /// [`load_from`].
+#[cfg(not(target_family = "wasm"))]
 pub fn load(path: &Path) -> Result<LatLong, Error> {
     let files = Files::new(path, &Access::default()).map_err(|error| Error::of(path, error))?;
     load_from(&files, path, &Reading::default())
@@ -160,6 +164,7 @@ pub fn load(path: &Path) -> Result<LatLong, Error> {
 /// OpenEXR: the first layer with red, green and blue channels of any spelling (`R`,
 /// `view.red`), else with a luminance channel (`Y`). Pixels outside the data window are 0.
 /// Colours of other primaries (attribute `chromaticities`) become Rec.709.
+#[cfg(not(target_family = "wasm"))]
 pub fn load_from(files: &Files, path: &Path, reading: &Reading) -> Result<LatLong, Error> {
     let bytes = files
         .read_named(path)
@@ -173,6 +178,7 @@ pub fn parse(bytes: &[u8], reading: &Reading) -> Result<LatLong, Error> {
 }
 
 /// Checks that an opened file begins like an image that [`load`] would take, without its pixels.
+#[cfg(not(target_family = "wasm"))]
 pub(crate) fn check(path: &Path, file: File, reading: &Reading) -> Result<(), Error> {
     let mut reader = BufReader::new(file);
     let start = reader.fill_buf().map_err(|source| Error::Io {

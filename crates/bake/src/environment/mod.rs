@@ -11,6 +11,7 @@ mod lobe;
 mod measure;
 mod prefilter;
 mod primaries;
+#[cfg(not(target_family = "wasm"))]
 pub mod report;
 mod seed;
 mod solve;

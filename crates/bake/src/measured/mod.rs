@@ -4,14 +4,18 @@
 pub mod fit;
 mod merl;
 pub mod ratio;
+#[cfg(not(target_family = "wasm"))]
 pub mod report;
 mod rgl;
 
+#[cfg(not(target_family = "wasm"))]
 use std::path::Path;
 
 use glam::{Vec2, Vec3};
 
+#[cfg(not(target_family = "wasm"))]
 use crate::files::{Access, Files};
+#[cfg(not(target_family = "wasm"))]
 use crate::import;
 
 pub use merl::Merl;
@@ -59,6 +63,7 @@ pub enum Table {
 
 impl Table {
     /// Loads a file of either kind; its first bytes tell which.
+    #[cfg(not(target_family = "wasm"))]
     pub fn load(path: &Path) -> Result<Self, Error> {
         let bytes = Files::new(path, &Access::default()).and_then(|files| files.read_named(path));
         let bytes = bytes.map_err(|error| match error {

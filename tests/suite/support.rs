@@ -77,7 +77,7 @@ pub fn with_page(
     name: impl Into<String>,
     run: impl FnOnce(&str) -> Outcome + Send + 'static,
 ) -> Trial {
-    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../out/web/relight_bg.wasm");
+    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../out/web/relight_viewer_bg.wasm");
     if page.exists() {
         return with_browser(name, run);
     }

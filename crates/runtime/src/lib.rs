@@ -87,7 +87,6 @@
 mod composite;
 mod error;
 mod frame;
-#[cfg(any(feature = "offscreen", feature = "twin"))]
 mod image;
 mod occluders;
 #[cfg(feature = "offscreen")]
@@ -106,7 +105,6 @@ mod view;
 
 pub use error::Error;
 pub use frame::{EnvironmentLight, Frame};
-#[cfg(any(feature = "offscreen", feature = "twin"))]
 pub use image::Image;
 pub use options::{Options, Output};
 pub use pass_times::PassTimes;

@@ -60,6 +60,35 @@ pub fn wgsl_constants() -> String {
     )
 }
 
+/// Exposure in stops that shows the log-average luminance of the covered pixels as middle
+/// grey, 0.18 (Reinhard et al. 2002, §3.1); 0 for a black picture. `pixels`: linear Rec.709 radiance
+/// times coverage, and coverage.
+pub fn automatic_exposure(pixels: &[[f32; 4]]) -> f32 {
+    let luminances: Vec<f64> = pixels
+        .iter()
+        .filter(|pixel| pixel[3] > 0.5)
+        .map(|pixel| f64::from(luminance([0, 1, 2].map(|i| pixel[i] / pixel[3])).max(0.0)))
+        .collect();
+    let count = luminances.len().max(1) as f64;
+    let mean = luminances.iter().sum::<f64>() / count;
+    if !(mean > 0.0 && mean.is_finite()) {
+        return 0.0;
+    }
+    // Keeps black pixels from dragging the average to zero.
+    let floor = 1e-3 * mean;
+    let log = luminances
+        .iter()
+        .map(|luminance| (luminance + floor).log2())
+        .sum::<f64>()
+        / count;
+    (0.18f64.log2() - log) as f32
+}
+
+/// Rec.709 luminance.
+pub fn luminance(color: [f32; 3]) -> f32 {
+    0.2126 * color[0] + 0.7152 * color[1] + 0.0722 * color[2]
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

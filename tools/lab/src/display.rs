@@ -1,7 +1,8 @@
 //! Linear radiance to 8-bit sRGB, for eyes and for FLIP: as the runtime shows it.
 
 use glam::Vec3;
-use relight_shading::tonemap::{encode_srgb, neutral};
+pub use relight_shading::tonemap::luminance;
+use relight_shading::tonemap::{self, encode_srgb, neutral};
 
 use crate::image_file::Image;
 
@@ -58,33 +59,9 @@ pub fn side_by_side(images: &[&Image], exposure: f32) -> (u32, Vec<[u8; 3]>) {
     (joined.len() as u32 / height.max(1), joined)
 }
 
-/// Exposure in stops that shows the log-average luminance of the covered pixels as middle
-/// grey, 0.18 (Reinhard et al. 2002, §3.1); 0 for a black image.
+/// [`tonemap::automatic_exposure`] of an image.
 pub fn automatic_exposure(image: &Image) -> f32 {
-    let luminances: Vec<f64> = image
-        .pixels
-        .iter()
-        .filter(|pixel| pixel[3] > 0.5)
-        .map(|pixel| f64::from(luminance([0, 1, 2].map(|i| pixel[i] / pixel[3])).max(0.0)))
-        .collect();
-    let count = luminances.len().max(1) as f64;
-    let mean = luminances.iter().sum::<f64>() / count;
-    if !(mean > 0.0 && mean.is_finite()) {
-        return 0.0;
-    }
-    // Keeps black pixels from dragging the average to zero.
-    let floor = 1e-3 * mean;
-    let log = luminances
-        .iter()
-        .map(|luminance| (luminance + floor).log2())
-        .sum::<f64>()
-        / count;
-    (0.18f64.log2() - log) as f32
-}
-
-/// Rec.709 luminance.
-pub fn luminance(color: [f32; 3]) -> f32 {
-    0.2126 * color[0] + 0.7152 * color[1] + 0.0722 * color[2]
+    tonemap::automatic_exposure(&image.pixels)
 }
 
 #[cfg(test)]

@@ -14,7 +14,10 @@ const WINDOW: [f32; 2] = [1280.0, 800.0];
 /// Inputs of a kind.
 const INPUTS: usize = 24;
 /// How long anything may take.
-const PATIENCE: Duration = Duration::from_secs(180);
+const PATIENCE: Duration = Duration::from_mins(3);
+
+/// What it is called, and what it does, the how manieth time.
+type Input = (&'static str, fn(&mut Viewer, usize));
 
 fn frame(context: &egui::Context, viewer: &mut Viewer) {
     let input = egui::RawInput {
@@ -54,7 +57,6 @@ fn main() {
         viewer.jobs.running().is_empty() && !viewer.answers.is_empty()
     });
     println!("{}", viewer.device_name);
-    type Input = (&'static str, fn(&mut Viewer, usize));
     let inputs: [Input; 6] = [
         ("turn the camera", |viewer, _| {
             viewer.orbit = viewer.orbit.turned(0.02, 0.0);

@@ -2,22 +2,33 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, mpsc};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use glam::Quat;
 use relight_format::{Camera, Material, Scene};
+#[cfg(target_family = "wasm")]
+use relight_runtime::wgpu;
 use relight_runtime::{Image, LocalLight, SphericalGaussian};
 use relight_shading::ssdf::Basis;
+use web_time::Instant;
 
 use crate::compose::{self, Look, Sky};
-use crate::engine::{self, Device, Engine, Picture, Request, Shot};
+use crate::composer::Worker;
+#[cfg(not(target_family = "wasm"))]
+use crate::engine::Device;
+use crate::engine::{self, Engine, Picture, Request, Shot};
 use crate::inspect::{self, Inspection};
-use crate::jobs::{self, FileKind, Jobs, Kind, Loaded};
+use crate::jobs::{self, Jobs, Loaded};
+#[cfg(not(target_family = "wasm"))]
+use crate::jobs::{FileKind, Kind};
 use crate::orbit::Orbit;
+#[cfg(not(target_family = "wasm"))]
+use crate::scene_file;
 use crate::state::{Document, Integrator, Layout, Light, LightTurn, Settings};
+#[cfg(not(target_family = "wasm"))]
 use crate::turntable::{self, Turntable};
+#[cfg(not(target_family = "wasm"))]
 use crate::watch::{self, Watch};
-use crate::worker::Worker;
 use crate::{dialog, panels, save, settings, viewport};
 
 /// Messages that are kept.
@@ -25,7 +36,21 @@ const MOST_MESSAGES: usize = 50;
 /// Texels per side of the inspector's map.
 const INSPECTION_SIDE: u32 = 160;
 
+/// How the application starts in a page.
+#[cfg(target_family = "wasm")]
+pub struct Start {
+    /// In place of the default ones.
+    pub settings: Option<Settings>,
+    /// What the page does for it.
+    pub hooks: crate::page::Hooks,
+    /// What the page tells it.
+    pub inbox: jobs::Inbox,
+    /// What draws the window, and the pictures.
+    pub graphics: (wgpu::Device, wgpu::Queue),
+}
+
 /// How the application starts.
+#[cfg(not(target_family = "wasm"))]
 #[derive(Clone, Debug, Default)]
 pub struct Start {
     /// What to open, in this order; without a scene among them the built-in one is shown.
@@ -39,6 +64,7 @@ pub struct Start {
 }
 
 /// A picture of the window: waited for, asked for, or there.
+#[cfg(not(target_family = "wasm"))]
 enum Capture {
     Waiting(PathBuf),
     Asked(mpsc::Receiver<()>),
@@ -61,12 +87,15 @@ pub enum Purpose {
     /// For the picture, as PNG or OpenEXR by its ending.
     SavePicture,
     /// For the camera.
+    #[cfg(not(target_family = "wasm"))]
     SaveCamera,
     /// For a scene file.
+    #[cfg(not(target_family = "wasm"))]
     SaveScene,
     /// For the baked scene.
     SaveAsset,
     /// A folder for a turntable.
+    #[cfg(not(target_family = "wasm"))]
     SaveTurntable,
 }
 
@@ -161,6 +190,7 @@ pub struct Viewer {
     /// What the inspector shows.
     pub inspection: Option<(Inspection, egui::TextureHandle)>,
     /// Turntable to draw.
+    #[cfg(not(target_family = "wasm"))]
     pub turntable: Turntable,
     /// Text of the path to open.
     pub path: String,
@@ -172,6 +202,7 @@ pub struct Viewer {
     pub dialog: Dialog,
     pub(crate) texture: Option<egui::TextureHandle>,
     pub(crate) size: [u32; 2],
+    #[cfg(not(target_family = "wasm"))]
     device: Device,
     engine: Engine,
     wanted: Option<Wanted>,
@@ -184,16 +215,27 @@ pub struct Viewer {
     /// A scene and its copy without light that bounces.
     direct: Option<(Arc<Scene>, Arc<Scene>)>,
     choices: (mpsc::Sender<Choice>, mpsc::Receiver<Choice>),
+    #[cfg(not(target_family = "wasm"))]
     watch: [Watch; 2],
     /// Whether the next scene to come brings its own camera and light.
     fresh: bool,
+    #[cfg(not(target_family = "wasm"))]
     capture: Option<Capture>,
+    /// As they were kept last.
+    #[cfg(target_family = "wasm")]
+    kept_settings: Settings,
     context: egui::Context,
 }
 
 impl Viewer {
-    /// Starts the threads and the first jobs.
-    pub fn new(context: &egui::Context, start: &Start) -> Self {
+    /// Everything as it is before the first file.
+    fn empty(
+        context: &egui::Context,
+        settings: Option<Settings>,
+        engine: Engine,
+        jobs: Jobs,
+        dialog: Dialog,
+    ) -> Self {
         let wake = || {
             let context = context.clone();
             move || context.request_repaint()
@@ -212,8 +254,9 @@ impl Viewer {
                 pixels,
             }
         };
-        let mut viewer = Self {
-            settings: start.settings.unwrap_or_default(),
+        let settings = settings.unwrap_or_default();
+        Self {
+            settings,
             document: None,
             light: Light::default(),
             turn: LightTurn::default(),
@@ -224,21 +267,23 @@ impl Viewer {
                 up: [0.0, 1.0, 0.0],
                 field_of_view: relight_format::FieldOfView::Y(0.7),
             }),
-            jobs: Jobs::new(wake()),
+            jobs,
             messages: Vec::new(),
             pictures: [None, None],
             inspecting: false,
             reveal_inspector: false,
             inspection: None,
+            #[cfg(not(target_family = "wasm"))]
             turntable: Turntable::default(),
             path: String::new(),
             device_name: String::new(),
             answers: Vec::new(),
-            dialog: Box::new(dialog::of_the_system),
+            dialog,
             texture: None,
             size: [0; 2],
-            device: start.device,
-            engine: Engine::new(start.device, wake()),
+            #[cfg(not(target_family = "wasm"))]
+            device: Device::default(),
+            engine,
             wanted: None,
             flight: None,
             composer: Worker::new("composer", compose, wake()),
@@ -248,11 +293,30 @@ impl Viewer {
             basis: None,
             direct: None,
             choices: mpsc::channel(),
+            #[cfg(not(target_family = "wasm"))]
             watch: Default::default(),
             fresh: true,
-            capture: start.capture.clone().map(Capture::Waiting),
+            #[cfg(not(target_family = "wasm"))]
+            capture: None,
+            #[cfg(target_family = "wasm")]
+            kept_settings: settings,
             context: context.clone(),
+        }
+    }
+
+    /// Starts the threads and the first jobs.
+    #[cfg(not(target_family = "wasm"))]
+    pub fn new(context: &egui::Context, start: &Start) -> Self {
+        let wake = || {
+            let context = context.clone();
+            move || context.request_repaint()
         };
+        let engine = Engine::new(start.device, wake());
+        let dialog = Box::new(dialog::of_the_system);
+        let jobs = Jobs::new(wake());
+        let mut viewer = Self::empty(context, start.settings, engine, jobs, dialog);
+        viewer.device = start.device;
+        viewer.capture = start.capture.clone().map(Capture::Waiting);
         for file in &start.files {
             viewer.open(file);
         }
@@ -272,7 +336,23 @@ impl Viewer {
         viewer
     }
 
+    /// Starts under a plain sky; the page's files come in by its messages.
+    #[cfg(target_family = "wasm")]
+    pub fn new(context: &egui::Context, start: Start) -> Result<Self, relight_runtime::Error> {
+        let wake = context.clone();
+        let (device, queue) = &start.graphics;
+        let engine = Engine::new(device, queue, move || wake.request_repaint())?;
+        let jobs = Jobs::new(start.hooks.clone(), start.inbox);
+        let dialog = dialog::of_the_page(start.hooks);
+        let mut viewer = Self::empty(context, start.settings, engine, jobs, dialog);
+        let sky = relight_embed::plain_sky();
+        viewer.light = Light::new("plain sky".into(), None, sky, None);
+        viewer.device_name = "WebGPU".into();
+        Ok(viewer)
+    }
+
     /// Bakes the built-in scene and shows it.
+    #[cfg(not(target_family = "wasm"))]
     pub fn open_built_in(&mut self) {
         let best = self.settings.quality;
         self.fresh = true;
@@ -283,8 +363,9 @@ impl Viewer {
     }
 
     /// Opens whatever a file is.
+    #[cfg(not(target_family = "wasm"))]
     pub fn open(&mut self, path: &Path) {
-        match FileKind::of(path) {
+        match jobs::kind_of(path) {
             Some(FileKind::Scene) => {
                 self.fresh = true;
                 self.load_scene(path);
@@ -304,6 +385,7 @@ impl Viewer {
         }
     }
 
+    #[cfg(not(target_family = "wasm"))]
     fn load_scene(&mut self, path: &Path) {
         let (path, best) = (path.to_owned(), self.settings.quality);
         self.jobs
@@ -312,6 +394,7 @@ impl Viewer {
             });
     }
 
+    #[cfg(not(target_family = "wasm"))]
     fn load_light(&mut self, path: &Path) {
         let (path, lobes) = (path.to_owned(), self.settings.lobes);
         self.jobs
@@ -321,6 +404,7 @@ impl Viewer {
     }
 
     /// Fits the environment again, with as many lobes as are asked for now.
+    #[cfg(not(target_family = "wasm"))]
     pub fn fit_again(&mut self) {
         if let Some(path) = self.light.source.clone() {
             return self.load_light(&path);
@@ -333,6 +417,7 @@ impl Viewer {
     }
 
     /// Bakes the scene again, at the quality asked for now.
+    #[cfg(not(target_family = "wasm"))]
     pub fn bake_again(&mut self) {
         let source = self
             .document
@@ -343,6 +428,14 @@ impl Viewer {
         } else {
             self.open_built_in();
             self.fresh = self.document.is_none();
+        }
+    }
+
+    /// Fits the image again, with as many lobes as are asked for now.
+    #[cfg(target_family = "wasm")]
+    pub fn fit_again(&mut self) {
+        if !self.jobs.fit_again(self.settings.lobes) {
+            self.error("drop an image (.hdr, .exr) first");
         }
     }
 
@@ -364,6 +457,7 @@ impl Viewer {
     pub fn show(&mut self, ui: &mut egui::Ui) {
         self.receive();
         self.take_dropped(ui);
+        #[cfg(not(target_family = "wasm"))]
         self.follow_files();
         if self.playing {
             let step = ui.input(|input| input.stable_dt).min(0.1);
@@ -375,9 +469,17 @@ impl Viewer {
         viewport::show(ui, self);
         self.ask_for_pictures();
         self.ask_for_pixels();
+        #[cfg(not(target_family = "wasm"))]
         self.capture();
+        #[cfg(target_family = "wasm")]
+        if self.kept_settings != self.settings && !ui.input(|input| input.pointer.any_down()) {
+            // Nobody tells a page that it ends.
+            self.kept_settings = self.settings;
+            settings::write(&self.settings);
+        }
     }
 
+    #[cfg(not(target_family = "wasm"))]
     fn capture(&mut self) {
         let context = self.context.clone();
         match &self.capture {
@@ -413,10 +515,14 @@ impl Viewer {
     fn take_dropped(&mut self, ui: &egui::Ui) {
         let dropped = ui.input(|input| input.raw.dropped_files.clone());
         for file in dropped {
+            #[cfg(not(target_family = "wasm"))]
             self.open(file.path());
+            #[cfg(target_family = "wasm")]
+            crate::page::take_dropped(file, self.jobs.inbox(), &self.context);
         }
     }
 
+    #[cfg(not(target_family = "wasm"))]
     fn follow_files(&mut self) {
         if !self.settings.watch {
             return;
@@ -435,7 +541,11 @@ impl Viewer {
 
     /// Takes what threads have made.
     pub fn receive(&mut self) {
-        for event in self.jobs.events() {
+        #[cfg(not(target_family = "wasm"))]
+        let events = self.jobs.events();
+        #[cfg(target_family = "wasm")]
+        let events = self.jobs.events(self.settings.lobes);
+        for event in events {
             match event {
                 jobs::Event::Failed(error) => self.error(error),
                 jobs::Event::Loaded(loaded) => self.take(*loaded),
@@ -496,6 +606,13 @@ impl Viewer {
     /// Takes what a job has made.
     fn take(&mut self, loaded: Loaded) {
         match loaded {
+            #[cfg_attr(
+                target_family = "wasm",
+                expect(
+                    unused_variables,
+                    reason = "pages neither watch files nor load them by name"
+                )
+            )]
             Loaded::Scene {
                 scene,
                 source,
@@ -508,12 +625,16 @@ impl Viewer {
                 for warning in warnings {
                     self.tell(format!("{}: {warning}", scene.name), false);
                 }
+                #[cfg(not(target_family = "wasm"))]
                 self.watch[0].set(&files);
-                if self.fresh || self.document.is_none() {
+                // A page opens nothing but what somebody chose.
+                let fresh = self.fresh || cfg!(target_family = "wasm");
+                if fresh || self.document.is_none() {
                     self.fresh = false;
                     let document = Document::new(scene, source, quality, lights);
                     self.orbit = document.camera();
                     self.document = Some(document);
+                    #[cfg(not(target_family = "wasm"))]
                     if let Some(environment) = environment
                         && self.light.source.as_ref() != Some(&environment)
                         && !self.is_loading_named_light()
@@ -526,8 +647,8 @@ impl Viewer {
                 }
             }
             Loaded::Light(light) => {
-                let files: Vec<_> = light.source.iter().cloned().collect();
-                self.watch[1].set(&files);
+                #[cfg(not(target_family = "wasm"))]
+                self.watch[1].set(light.source.as_slice());
                 self.light = light;
             }
             Loaded::Material {
@@ -549,6 +670,7 @@ impl Viewer {
     }
 
     /// Whether a light that somebody named is still being loaded.
+    #[cfg(not(target_family = "wasm"))]
     fn is_loading_named_light(&self) -> bool {
         (self.jobs.running().iter())
             .any(|job| job.kind == Kind::Light && job.name != "built-in light")
@@ -741,7 +863,7 @@ impl Viewer {
     }
 
     /// Asks for a file in a dialog.
-    pub fn choose(&self, purpose: Purpose) {
+    pub fn choose(&self, purpose: &Purpose) {
         let name = self
             .document
             .as_ref()
@@ -755,21 +877,32 @@ impl Viewer {
                 context.request_repaint();
             }
         };
-        (self.dialog)(&purpose, name, Box::new(answered));
+        (self.dialog)(purpose, name, Box::new(answered));
     }
 
     /// Does what a file was chosen for.
     pub fn chosen(&mut self, purpose: &Purpose, path: &Path) {
         let saved = match purpose {
-            Purpose::Open => return self.open(path),
-            Purpose::SaveTurntable => return self.draw_turntable(path),
-            Purpose::SaveAsset => return self.save_asset(path),
             Purpose::SavePicture => self.save_picture(path),
-            Purpose::SaveCamera => save::camera(path, &self.orbit.camera()),
+            #[cfg(not(target_family = "wasm"))]
+            Purpose::Open => return self.open(path),
+            #[cfg(not(target_family = "wasm"))]
+            Purpose::SaveTurntable => return self.draw_turntable(path),
+            #[cfg(not(target_family = "wasm"))]
+            Purpose::SaveAsset => return self.save_asset(path),
+            #[cfg(not(target_family = "wasm"))]
+            Purpose::SaveCamera => scene_file::camera(path, &self.orbit.camera()),
+            #[cfg(not(target_family = "wasm"))]
             Purpose::SaveScene => match &self.document {
-                Some(document) => save::scene(path, document, &self.light, &self.orbit.camera()),
+                Some(document) => {
+                    scene_file::scene(path, document, &self.light, &self.orbit.camera())
+                }
                 None => Err(anyhow::anyhow!("there is no scene")),
             },
+            #[cfg(target_family = "wasm")]
+            Purpose::SaveAsset => self.save_asset(path),
+            #[cfg(target_family = "wasm")]
+            Purpose::Open => return,
         };
         match saved {
             Ok(()) => self.tell(format!("saved {}", path.display()), false),
@@ -779,6 +912,7 @@ impl Viewer {
 
     fn save_picture(&self, path: &Path) -> anyhow::Result<()> {
         let nothing = || anyhow::anyhow!("nothing is drawn yet");
+        #[cfg(not(target_family = "wasm"))]
         if path
             .extension()
             .is_some_and(|ending| ending.eq_ignore_ascii_case("exr"))
@@ -790,9 +924,32 @@ impl Viewer {
         if *size != self.size {
             anyhow::bail!("the picture is not finished yet");
         }
-        save::png(path, *size, pixels)
+        #[cfg(not(target_family = "wasm"))]
+        return save::png(path, *size, pixels);
+        #[cfg(target_family = "wasm")]
+        self.jobs
+            .save(path, &save::encode_png(*size, &[pixels], 0)?);
+        #[cfg(target_family = "wasm")]
+        Ok(())
     }
 
+    #[cfg(target_family = "wasm")]
+    fn save_asset(&self, path: &Path) -> anyhow::Result<()> {
+        self.jobs.save(path, &self.asset()?);
+        Ok(())
+    }
+
+    /// The scene with its edits, as an asset.
+    #[cfg(target_family = "wasm")]
+    pub fn asset(&self) -> anyhow::Result<Vec<u8>> {
+        let document = self.document.as_ref();
+        let document = document.ok_or_else(|| anyhow::anyhow!("there is no scene"))?;
+        let mut scene = Scene::clone(&document.scene);
+        scene.materials = document.materials.to_vec();
+        Ok(relight_format::write_scene(&scene)?)
+    }
+
+    #[cfg(not(target_family = "wasm"))]
     fn save_asset(&mut self, path: &Path) {
         let Some(document) = &self.document else {
             return self.error("there is no scene");
@@ -811,6 +968,7 @@ impl Viewer {
             });
     }
 
+    #[cfg(not(target_family = "wasm"))]
     fn draw_turntable(&mut self, folder: &Path) {
         let Some(shot) = self.shot(self.settings.integrators[0]) else {
             return self.error("there is no scene");
@@ -832,7 +990,13 @@ impl eframe::App for Viewer {
         self.show(ui);
     }
 
+    #[cfg(not(target_family = "wasm"))]
     fn on_exit(&mut self) {
         settings::write(&self.settings);
+    }
+
+    #[cfg(target_family = "wasm")]
+    fn as_any_mut(&mut self) -> Option<&mut dyn std::any::Any> {
+        Some(self)
     }
 }

@@ -313,7 +313,7 @@ fn final_scene(
     let best = &[settings.quality];
     let stages = match &arguments.files[..] {
         [] => jobs::collect(|context| jobs::built_in_scene(best, context))?,
-        [file] if FileKind::of(file) == Some(FileKind::Scene) => {
+        [file] if jobs::kind_of(file) == Some(FileKind::Scene) => {
             jobs::collect(|context| jobs::scene_from_file(file, best, context))?
         }
         [file] => bail!("{}: expected a scene", file.display()),

@@ -5,41 +5,33 @@
 //! environments and materials, [`save`] all of it into files. [`app`] and [`panels`] draw and
 //! change the state; nothing else knows of windows.
 //!
-//! Compiled to WebAssembly it is the renderer behind a page instead: `web`.
+//! Compiled to WebAssembly it is the same application on a page, without what takes files and
+//! threads: `page` is how the page and it talk, `worker` what the page's workers run.
 
-#[cfg(not(target_family = "wasm"))]
 pub mod app;
 #[cfg(not(target_family = "wasm"))]
 pub mod command;
-#[cfg(not(target_family = "wasm"))]
 pub mod compose;
-#[cfg(not(target_family = "wasm"))]
+pub mod composer;
 pub mod dialog;
-#[cfg(not(target_family = "wasm"))]
 pub mod engine;
-#[cfg(not(target_family = "wasm"))]
 pub mod inspect;
-#[cfg(not(target_family = "wasm"))]
 pub mod jobs;
-pub mod orbit;
-#[cfg(not(target_family = "wasm"))]
 pub mod pace;
-#[cfg(not(target_family = "wasm"))]
+#[cfg(target_family = "wasm")]
+pub mod page;
 pub mod panels;
-pub mod pick;
-#[cfg(not(target_family = "wasm"))]
 pub mod save;
 #[cfg(not(target_family = "wasm"))]
+pub mod scene_file;
 pub mod settings;
-#[cfg(not(target_family = "wasm"))]
 pub mod state;
 #[cfg(not(target_family = "wasm"))]
 pub mod turntable;
-#[cfg(not(target_family = "wasm"))]
 pub mod viewport;
 #[cfg(not(target_family = "wasm"))]
 pub mod watch;
 #[cfg(target_family = "wasm")]
-pub mod web;
-#[cfg(not(target_family = "wasm"))]
 pub mod worker;
+
+pub use relight_embed::{orbit, pick};

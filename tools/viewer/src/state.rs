@@ -36,13 +36,14 @@ pub enum Integrator {
 }
 
 impl Integrator {
-    /// All of them, fastest first.
-    pub const ALL: [Self; 6] = [
+    /// All of them, fastest first; a page has no processor to trace rays on.
+    pub const ALL: &[Self] = &[
         Self::Ambient,
         Self::PolarDraft,
         Self::Polar,
         Self::PolarHigh,
         Self::Cells,
+        #[cfg(not(target_family = "wasm"))]
         Self::Truth,
     ];
 

@@ -202,7 +202,7 @@ fn keys(ui: &Ui, viewer: &mut Viewer, rect: Rect) {
     ];
     for (key, integrator) in numbers.into_iter().zip(Integrator::ALL) {
         if pressed(key) {
-            viewer.settings.integrators[0] = integrator;
+            viewer.settings.integrators[0] = *integrator;
         }
     }
 }

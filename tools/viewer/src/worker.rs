@@ -1,88 +1,93 @@
-//! A thread that does the newest thing asked of it.
+//! What a page's workers run: fits, which take seconds.
 
-use std::sync::{Arc, Condvar, Mutex, PoisonError, mpsc};
-use std::thread::JoinHandle;
+use std::sync::atomic::AtomicBool;
 
-struct Slot<T> {
-    task: Option<T>,
-    ended: bool,
+use js_sys::{Float32Array, Function, Uint8Array};
+use relight_bake::environment::hdr::{self, Reading};
+use relight_bake::environment::{self, FitOptions};
+use relight_bake::measured::{Table, fit};
+use relight_bake::monitor::{Monitor, Progress};
+use relight_format::{self as format, MaterialAsset, MaterialReport, TextureSlot};
+use send_wrapper::SendWrapper;
+use wasm_bindgen::prelude::wasm_bindgen;
+use wasm_bindgen::{JsError, JsValue};
+
+use crate::jobs::fit_stages_to;
+
+static NEVER: AtomicBool = AtomicBool::new(false);
+
+fn failed(error: impl std::fmt::Display) -> JsError {
+    JsError::new(&error.to_string())
 }
 
-/// Takes tasks, forgets those that are replaced before they begin, and returns results.
-pub struct Worker<T, R> {
-    slot: Arc<(Mutex<Slot<T>>, Condvar)>,
-    results: mpsc::Receiver<R>,
-    thread: Option<JoinHandle<()>>,
-}
-
-impl<T: Send + 'static, R: Send + 'static> Worker<T, R> {
-    /// Starts the thread; `wake` is called after every result.
-    pub fn new(
-        name: &str,
-        mut work: impl FnMut(T) -> R + Send + 'static,
-        wake: impl Fn() + Send + 'static,
-    ) -> Self {
-        let slot = Arc::new((
-            Mutex::new(Slot {
-                task: None,
-                ended: false,
-            }),
-            Condvar::new(),
-        ));
-        let (sender, results) = mpsc::channel();
-        let inbox = slot.clone();
-        let run = move || {
-            while let Some(task) = next(&inbox) {
-                // Nobody listens any more while the application ends.
-                let _ = sender.send(work(task));
-                wake();
-            }
+/// Fits an image with few lobes, then with all of them. Calls `report(stage, fraction)` often, and
+/// `deliver(asset, width, height, pixels)` after each of the two.
+#[wasm_bindgen]
+pub fn fit_light(
+    bytes: &[u8],
+    name: &str,
+    lobes: usize,
+    report: Function,
+    deliver: &Function,
+) -> Result<(), JsError> {
+    let image = hdr::parse(bytes, &Reading::default()).map_err(failed)?;
+    // Workers have one thread.
+    let report = SendWrapper::new(report);
+    let tell = |Progress { stage, fraction }: Progress| {
+        // Nobody may listen any more.
+        let _ = report.call2(&JsValue::NULL, &stage.into(), &fraction.into());
+    };
+    let monitor = Monitor {
+        report: &tell,
+        stop: &NEVER,
+    };
+    for lobes in fit_stages_to(lobes) {
+        let options = FitOptions {
+            lobes,
+            ..FitOptions::default()
         };
-        let thread = std::thread::Builder::new()
-            .name(name.into())
-            .spawn(run)
-            .ok();
-        Self {
-            slot,
-            results,
-            thread,
-        }
+        let fitted = environment::fit(&image, &options, monitor).map_err(failed)?;
+        let mut fitted = fitted.environment;
+        name.clone_into(&mut fitted.report.source);
+        let asset = format::write_environment(&fitted).map_err(failed)?;
+        let _ = deliver.call4(
+            &JsValue::NULL,
+            &Uint8Array::from(&asset[..]),
+            &image.width.into(),
+            &image.height.into(),
+            &Float32Array::from(image.pixels.as_flattened()),
+        );
     }
-
-    /// Asks for this in place of what has not begun.
-    pub fn ask(&self, task: T) {
-        let (slot, posted) = &*self.slot;
-        slot.lock().unwrap_or_else(PoisonError::into_inner).task = Some(task);
-        posted.notify_one();
-    }
-
-    /// The newest result since it was asked last.
-    pub fn newest(&self) -> Option<R> {
-        self.results.try_iter().last()
-    }
+    Ok(())
 }
 
-fn next<T>((slot, posted): &(Mutex<Slot<T>>, Condvar)) -> Option<T> {
-    let mut slot = slot.lock().unwrap_or_else(PoisonError::into_inner);
-    loop {
-        if slot.ended {
-            return None;
-        }
-        if let Some(task) = slot.task.take() {
-            return Some(task);
-        }
-        slot = posted.wait(slot).unwrap_or_else(PoisonError::into_inner);
-    }
-}
-
-impl<T, R> Drop for Worker<T, R> {
-    fn drop(&mut self) {
-        let (slot, posted) = &*self.slot;
-        slot.lock().unwrap_or_else(PoisonError::into_inner).ended = true;
-        posted.notify_one();
-        if let Some(thread) = self.thread.take() {
-            // What it panicked of was told when it did.
-            let _ = thread.join();
-        }
-    }
+/// Fits a measured BRDF and returns a material asset.
+#[wasm_bindgen]
+pub fn fit_material(bytes: &[u8], name: &str) -> Result<Vec<u8>, JsError> {
+    let table = Table::parse(bytes).map_err(failed)?;
+    let fitted = fit::corrected(&table, fit::Stop::default());
+    let slot = TextureSlot::whole(0);
+    let surface = fitted.fit.surface(name.to_owned(), Some(slot));
+    let asset = MaterialAsset {
+        report: MaterialReport {
+            source: name.to_owned(),
+            relative_l2: fitted.fit.relative_l2 as f32,
+            shaded_relative_l2: fitted.fit.shaded_relative_l2 as f32,
+            albedo_error: fitted.fit.albedo_error as f32,
+            corrected_relative_l2: fitted.relative_l2 as f32,
+        },
+        material: format::Material {
+            name: name.to_owned(),
+            surface,
+            base_color_texture: None,
+            metallic_roughness_texture: None,
+            normal_texture: None,
+            normal_scale: 1.0,
+            anisotropy_texture: None,
+            emission: [0.0; 3],
+            emission_texture: None,
+        },
+        textures: vec![fitted.ratio],
+    };
+    format::write_material(&asset).map_err(failed)
 }

@@ -1,4 +1,4 @@
-//! The page: compiled, bound to JavaScript, and put together in `out/web`.
+//! The pages: compiled, bound to JavaScript, and put together in `out/web`.
 
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
@@ -7,8 +7,25 @@ use std::process::{Command, ExitCode};
 use relight_xtask::server;
 
 const TARGET: &str = "wasm32-unknown-unknown";
-/// Files of the page that are taken as they are.
-const FILES: [&str; 4] = ["index.html", "embed.html", "page.css", "page.js"];
+/// A page: the package whose library it runs, and its files that are taken as they are.
+struct Page {
+    package: &'static str,
+    folder: &'static str,
+    files: &'static [&'static str],
+}
+
+const PAGES: [Page; 2] = [
+    Page {
+        package: "relight-viewer",
+        folder: "tools/viewer/web",
+        files: &["index.html", "app.css", "app.js", "worker.js"],
+    },
+    Page {
+        package: "relight-embed",
+        folder: "tools/embed/web",
+        files: &["embed.html", "embed.css", "embed.js"],
+    },
+];
 /// Assets that `cargo demo` bakes, shown by the page where they are there.
 const ASSETS: [&str; 2] = ["demo.relight", "demo-environment.relight"];
 
@@ -24,42 +41,38 @@ pub fn run(root: &Path, serve: bool) -> ExitCode {
 }
 
 fn build(root: &Path) -> Result<PathBuf, String> {
-    let compiled = compile(root)?;
     let bindgen = bindgen(root)?;
     let folder = root.join("out/web");
     let failed = |what: &Path, error: std::io::Error| format!("{}: {error}", what.display());
     std::fs::create_dir_all(&folder).map_err(|error| failed(&folder, error))?;
-    run_to_end(
-        Command::new(&bindgen)
-            .args([
-                "--target",
-                "web",
-                "--no-typescript",
-                "--out-name",
-                "relight",
-            ])
-            .arg("--out-dir")
-            .arg(&folder)
-            .arg(&compiled),
-    )?;
-    for name in FILES {
-        let (from, to) = (root.join("tools/viewer/web").join(name), folder.join(name));
-        std::fs::copy(&from, &to).map_err(|error| failed(&from, error))?;
+    for page in &PAGES {
+        let compiled = compile(root, page.package)?;
+        run_to_end(
+            Command::new(&bindgen)
+                .args(["--target", "web", "--no-typescript"])
+                .arg("--out-dir")
+                .arg(&folder)
+                .arg(&compiled),
+        )?;
+        for name in page.files {
+            let (from, to) = (root.join(page.folder).join(name), folder.join(name));
+            std::fs::copy(&from, &to).map_err(|error| failed(&from, error))?;
+        }
+        let name = format!("{}_bg.wasm", page.package.replace('-', "_"));
+        let module = folder.join(&name);
+        let bytes = std::fs::read(&module).map_err(|error| failed(&module, error))?;
+        println!("xtask: {name}: {} kB", bytes.len() / 1000);
     }
     for name in ASSETS {
         // Without them the page asks for files.
         let _ = std::fs::copy(root.join("out/demo").join(name), folder.join(name));
-    }
-    for name in ["relight_bg.wasm", "relight.js"] {
-        let bytes = std::fs::metadata(folder.join(name)).map_or(0, |data| data.len());
-        println!("xtask: {name}: {} kB", bytes / 1000);
     }
     println!("xtask: {}", folder.display());
     Ok(folder)
 }
 
 /// The library as a module of WebAssembly.
-fn compile(root: &Path) -> Result<PathBuf, String> {
+fn compile(root: &Path, package: &str) -> Result<PathBuf, String> {
     let output = |arguments: &[&str]| {
         let output = Command::new("rustc").args(arguments).output();
         let output = output.map_err(|error| format!("rustc: {error}"))?;
@@ -83,7 +96,7 @@ fn compile(root: &Path) -> Result<PathBuf, String> {
         .join("web");
     let mut cargo = crate::cargo(root, "rustc --profile web --lib --crate-type cdylib");
     cargo
-        .args(["--package", "relight-viewer", "--target", TARGET])
+        .args(["--package", package, "--target", TARGET])
         .arg("--target-dir")
         .arg(&folder);
     if from_source {
@@ -92,7 +105,8 @@ fn compile(root: &Path) -> Result<PathBuf, String> {
             .env("RUSTC_BOOTSTRAP", "1");
     }
     run_to_end(&mut cargo)?;
-    Ok(folder.join(TARGET).join("web/relight_viewer.wasm"))
+    let name = format!("{}.wasm", package.replace('-', "_"));
+    Ok(folder.join(TARGET).join("web").join(name))
 }
 
 /// The program that writes the JavaScript around a module, in the version that the module was

@@ -349,11 +349,8 @@ fn bake_material(arguments: &MaterialArguments, monitor: Monitor) -> anyhow::Res
         let table = load::parse_table(&arguments.input, &bytes)?;
         let stop =
             (arguments.lobes).map_or(fit::Stop::default(), |lobes| fit::Stop::Lobes(lobes.into()));
-        let fit::Corrected {
-            fit,
-            ratio,
-            relative_l2: corrected,
-        } = fit::corrected(&table, stop);
+        let fitted = fit::corrected(&table, stop);
+        let (fit, corrected) = (fitted.fit, fitted.relative_l2);
         if let Some(most) = arguments.max_error
             && corrected > f64::from(most)
         {
@@ -368,7 +365,7 @@ fn bake_material(arguments: &MaterialArguments, monitor: Monitor) -> anyhow::Res
         }
         report.corrected_relative_l2 = corrected as f32;
         let surface = fit.surface(source, Some(format::TextureSlot::whole(0)));
-        (import::plain_material("", surface), vec![ratio])
+        (import::plain_material("", surface), vec![fitted.ratio])
     };
     material.name = name(arguments.input.file_stem());
     let asset = format::MaterialAsset {

@@ -5,8 +5,11 @@
 
 use relight_format::math;
 use std::f64::consts::{PI, TAU};
+#[cfg(not(target_family = "wasm"))]
 use std::fs::File;
-use std::io::{BufRead, BufReader, Cursor, Read};
+#[cfg(not(target_family = "wasm"))]
+use std::io::BufReader;
+use std::io::{BufRead, Cursor, Read};
 use std::path::Path;
 
 use exr::prelude::{FlatSamples, MetaData, ReadChannels, ReadLayers};

@@ -15,7 +15,7 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
     ui.horizontal(|ui| {
         ui.strong(&viewer.light.name);
         if ui.button("Open…").clicked() {
-            viewer.choose(Purpose::Open);
+            viewer.choose(&Purpose::Open);
         }
     });
     let report = &viewer.light.environment.report;

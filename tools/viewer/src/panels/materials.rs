@@ -57,7 +57,7 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
         Arc::make_mut(&mut document.materials)[index] = material;
     }
     if open {
-        viewer.choose(Purpose::Open);
+        viewer.choose(&Purpose::Open);
     }
 }
 

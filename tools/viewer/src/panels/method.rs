@@ -19,7 +19,7 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
             .selected_text(chosen.name())
             .show_ui(ui, |ui| {
                 for integrator in Integrator::ALL {
-                    ui.selectable_value(chosen, integrator, integrator.name());
+                    ui.selectable_value(chosen, *integrator, integrator.name());
                 }
             });
     }

@@ -60,6 +60,7 @@ fn side(ui: &mut Ui, viewer: &mut Viewer) {
 fn menu(ui: &mut Ui, viewer: &mut Viewer) {
     egui::MenuBar::new().ui(ui, |ui| {
         ui.menu_button("File", |ui| file_menu(ui, viewer));
+        #[cfg(not(target_family = "wasm"))]
         ui.menu_button("Turntable", |ui| picture::turntable(ui, viewer));
         ui.menu_button("Keys", keys);
         ui.separator();
@@ -88,16 +89,25 @@ fn file_menu(ui: &mut Ui, viewer: &mut Viewer) {
     let items = [
         ("Open…", Purpose::Open),
         ("Save picture…", Purpose::SavePicture),
+        #[cfg(not(target_family = "wasm"))]
         ("Save camera…", Purpose::SaveCamera),
+        #[cfg(not(target_family = "wasm"))]
         ("Save scene file…", Purpose::SaveScene),
         ("Save baked scene…", Purpose::SaveAsset),
     ];
     for (name, purpose) in items {
         if ui.button(name).clicked() {
-            viewer.choose(purpose);
+            viewer.choose(&purpose);
             ui.close();
         }
     }
+    #[cfg(not(target_family = "wasm"))]
+    files_by_name(ui, viewer);
+}
+
+/// What takes a file system.
+#[cfg(not(target_family = "wasm"))]
+fn files_by_name(ui: &mut Ui, viewer: &mut Viewer) {
     if ui.button("Built-in scene").clicked() {
         viewer.open_built_in();
         ui.close();
@@ -130,7 +140,7 @@ fn keys(ui: &mut Ui) {
         ("F", "frame what is selected"),
         ("space, [ and ]", "turn the light"),
         ("S", "one picture, two, their difference"),
-        ("1 to 6", "method"),
+        ("1, 2, 3…", "method"),
         ("I, P", "inspector, panels"),
     ];
     egui::Grid::new("keys").show(ui, |ui| {

@@ -1,11 +1,13 @@
 //! Exposure and tone curve; turntables.
 
 use egui::Ui;
-use relight_lab::display;
-use relight_lab::image_file;
+use relight_shading::tonemap;
 
-use crate::app::{Purpose, Viewer};
+#[cfg(not(target_family = "wasm"))]
+use crate::app::Purpose;
+use crate::app::Viewer;
 use crate::state::Curve;
+#[cfg(not(target_family = "wasm"))]
 use crate::turntable::{MAX_FRAMES, Turn};
 
 pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
@@ -14,13 +16,7 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
         if ui.button("Auto").clicked()
             && let Some(picture) = &viewer.pictures[0]
         {
-            let image = image_file::Image {
-                width: picture.image.width,
-                height: picture.image.height,
-                pixels: picture.image.pixels.clone(),
-                variance: None,
-            };
-            viewer.settings.exposure = display::automatic_exposure(&image);
+            viewer.settings.exposure = tonemap::automatic_exposure(&picture.image.pixels);
         }
     });
     let curve = &mut viewer.settings.curve;
@@ -34,6 +30,7 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
 }
 
 /// What a turntable shall be; draws it once a folder is chosen.
+#[cfg(not(target_family = "wasm"))]
 pub fn turntable(ui: &mut Ui, viewer: &mut Viewer) {
     let options = &mut viewer.turntable;
     ui.horizontal(|ui| {
@@ -52,7 +49,7 @@ pub fn turntable(ui: &mut Ui, viewer: &mut Viewer) {
         ui.add(egui::DragValue::new(&mut options.size[1]).range(16..=4096));
     });
     if ui.button("Draw into a folder…").clicked() {
-        viewer.choose(Purpose::SaveTurntable);
+        viewer.choose(&Purpose::SaveTurntable);
         ui.close();
     }
 }

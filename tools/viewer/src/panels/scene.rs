@@ -31,6 +31,7 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
             ui.selectable_value(&mut viewer.settings.quality, wanted, wanted.name());
         }
     });
+    #[cfg(not(target_family = "wasm"))]
     if ui.button("Bake again").clicked() {
         viewer.bake_again();
     }

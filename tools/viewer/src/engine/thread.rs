@@ -1,172 +1,29 @@
-//! What is asked for to linear pictures, coarse ones first.
+//! Pictures drawn in a thread of their own.
 //!
-//! One thread draws. A new request ends the one at hand, whatever it was doing: on a graphics
-//! device rows are submitted in groups that take a fraction of a second, on the processor every
-//! pixel looks whether it is still wanted. [`pace`](crate::pace) says how large the first ones are.
+//! On a graphics device rows are submitted in groups that take a fraction of a second, on the
+//! processor every pixel looks whether it is still wanted.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError, mpsc};
 use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
-use glam::{Quat, Vec3};
-use relight_format::{Camera, Material, Scene};
+use relight_format::{Material, Scene};
 use relight_lab::truth::{self, lobes};
 use relight_runtime::offscreen::Gpu;
 use relight_runtime::{
-    Frame, GpuScene, Image, Instance, LocalLight, Method, Options, PassTimes, Prefiltered, Sources,
-    SphericalGaussian, View, twin, twin::Prepared, wgpu,
+    Image, Instance, Method, Options, PassTimes, View, twin, twin::Prepared, wgpu,
 };
-use relight_shading::sources::LEVELS;
-use relight_shading::spherical_gaussian::energy;
 
+use super::uploaded::Uploaded;
+use super::{BAND, Device, Event, Picture, Request, Shot, rows_of_group};
 use crate::pace::{Level, Pace};
 use crate::state::Integrator;
 
-/// How long a group of rows on a graphics device may take.
-const GROUP: Duration = Duration::from_millis(40);
-/// Rows of the smallest group.
-const BAND: u32 = 8;
-/// Sharpness of the lobe that stands for a source in drafts, at most: what SSDFs can tell apart.
-const SHARPEST_SOURCE: f32 = 1000.0;
 /// Samples per pixel of one pass of the ray tracer.
 const PASS_SAMPLES: u32 = truth::REPLICAS;
 /// Passes after which the ray tracer rests.
 const MOST_PASSES: u32 = 64;
-
-/// Where pictures are drawn.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Device {
-    /// A graphics card if there is one, else the processor: software Vulkan is slower than the
-    /// twin is.
-    #[default]
-    Auto,
-    /// A graphics device, if only in software.
-    Gpu,
-    /// The processor.
-    Cpu,
-}
-
-/// Everything that a picture depends on.
-#[derive(Clone, Debug)]
-pub struct Shot {
-    /// The scene as baked.
-    pub scene: Arc<Scene>,
-    /// In place of the scene's.
-    pub materials: Arc<Vec<Material>>,
-    /// From where.
-    pub camera: Camera,
-    /// Distant light.
-    pub lights: Arc<[SphericalGaussian]>,
-    /// Its image, to be reflected in place of it.
-    pub reflections: Option<Prefiltered>,
-    /// Suns, lamps and windows, apart from the lobes.
-    pub sources: Option<Arc<Sources>>,
-    /// Turns all of it.
-    pub rotation: Quat,
-    /// Lights inside the scene.
-    pub local_lights: Vec<LocalLight>,
-    /// How light is integrated.
-    pub integrator: Integrator,
-}
-
-impl Shot {
-    /// What the first picture shows where the best takes long: the same view and light, of few
-    /// spokes, each source a lobe that is shadowed as the others are.
-    pub fn draft(&self) -> Self {
-        let mut lights = self.lights.to_vec();
-        lights.extend((self.sources.iter()).flat_map(|sources| sources_as_lobes(sources)));
-        Self {
-            lights: lights.into(),
-            sources: None,
-            integrator: match self.integrator {
-                Integrator::Ambient => Integrator::Ambient,
-                _ => Integrator::PolarDraft,
-            },
-            ..self.clone()
-        }
-    }
-
-    /// The same for the runtime. `method` stands for the ray tracer as well.
-    pub fn frame(&self, method: Method) -> Frame<'_> {
-        Frame {
-            reflections: self.reflections.as_ref(),
-            sources: self.sources.as_deref(),
-            rotation: self.rotation,
-            local_lights: &self.local_lights,
-            method,
-            ..Frame::new(self.camera, &self.lights)
-        }
-    }
-}
-
-/// One lobe for every source, of its light, direction and width.
-fn sources_as_lobes(sources: &Sources) -> Vec<SphericalGaussian> {
-    let points: Vec<SphericalGaussian> = sources.lobes().collect();
-    let lobe = |points: &[SphericalGaussian]| {
-        let light: Vec3 = points.iter().map(SphericalGaussian::integral).sum();
-        let mean: Vec3 = points.iter().map(|point| point.axis).sum::<Vec3>() / points.len() as f32;
-        // Banerjee et al. 2005, equation 4.4, of directions on the sphere.
-        let length = mean.length().min(1.0 - f32::EPSILON);
-        let sharpness = length * (3.0 - length * length) / (1.0 - length * length);
-        let sharpness = sharpness.min(SHARPEST_SOURCE);
-        SphericalGaussian {
-            axis: mean.normalize_or(Vec3::Y),
-            sharpness,
-            amplitude: light / energy(sharpness),
-        }
-    };
-    points.chunks(LEVELS[0] as usize).map(lobe).collect()
-}
-
-/// One or two pictures of one size.
-#[derive(Clone, Debug)]
-pub struct Request {
-    /// What is to be seen.
-    pub shots: Vec<Shot>,
-    /// Size of the best pictures.
-    pub size: [u32; 2],
-    /// Whether coarse pictures come first; else only the best ones come.
-    pub progressive: bool,
-}
-
-/// One picture of a request.
-#[derive(Clone, Debug)]
-pub struct Picture {
-    /// Counts requests.
-    pub request: u64,
-    /// Which shot of the request.
-    pub pane: usize,
-    /// Linear radiance times coverage, and coverage.
-    pub image: Arc<Image>,
-    /// The camera that it is seen by.
-    pub camera: Camera,
-    /// The turn of its light.
-    pub rotation: Quat,
-    /// Whether it shows what others will show, by cheaper means: [`Shot::draft`].
-    pub draft: bool,
-    /// Whether none better comes.
-    pub complete: bool,
-    /// Samples per pixel, where it is ray-traced.
-    pub samples: u32,
-    /// How long it took.
-    pub time: Duration,
-    /// How long the passes took, on a graphics device that tells.
-    pub passes: Option<PassTimes>,
-    /// How many scenes were prepared or uploaded until then: neither edits nor cameras take one.
-    pub preparations: u32,
-}
-
-/// What comes from the engine.
-#[derive(Clone, Debug)]
-pub enum Event {
-    /// A picture.
-    Picture(Picture),
-    /// Name of the device, once it is open.
-    Device(String),
-    /// What went wrong, for people.
-    Failed(String),
-}
 
 struct Mailbox {
     request: Mutex<(Option<(u64, Request)>, bool)>,
@@ -282,7 +139,7 @@ type Edited = (Arc<Scene>, Arc<Vec<Material>>, Arc<Scene>);
 /// Draws, and remembers how long it takes.
 pub struct Artist {
     gpu: Option<Box<Gpu>>,
-    uploaded: Option<(Arc<Scene>, Arc<Vec<Material>>, GpuScene)>,
+    uploaded: Option<Uploaded>,
     view: Option<View>,
     /// With the materials of the last shot, for the processor.
     edited: Option<Edited>,
@@ -538,26 +395,11 @@ impl Artist {
         wanted: &(dyn Fn() -> bool + Sync),
     ) -> Result<Option<Drawn>, String> {
         let failed = |error: relight_runtime::Error| error.to_string();
-        let rate = self.pace.rate(shot.integrator).unwrap_or(2e-5);
+        let rate = self.pace.rate(shot.integrator);
         let gpu = self.gpu.as_mut().ok_or("no graphics device")?;
-        let same = |uploaded: &(Arc<Scene>, _, _)| Arc::ptr_eq(&uploaded.0, &shot.scene);
-        if !self.uploaded.as_ref().is_some_and(same) {
-            // The old one first: two may not fit.
-            self.uploaded = None;
-            self.preparations += 1;
-            let uploaded = gpu.upload(&shot.scene).map_err(failed)?;
-            let materials = Arc::new(shot.scene.materials.clone());
-            self.uploaded = Some((shot.scene.clone(), materials, uploaded));
-        }
-        let (_, materials, uploaded) = self.uploaded.as_mut().ok_or("no scene")?;
-        if !Arc::ptr_eq(materials, &shot.materials) {
-            let changed = (materials.iter().zip(shot.materials.iter()).enumerate())
-                .filter(|(_, (old, new))| old != new);
-            for (index, (_, material)) in changed {
-                uploaded.set_material(index, material).map_err(failed)?;
-            }
-            *materials = shot.materials.clone();
-        }
+        let upload = |scene: &Scene| gpu.upload(scene);
+        let uploaded = Uploaded::keep(&mut self.uploaded, shot, &mut self.preparations, upload)
+            .map_err(failed)?;
         let frame = shot.frame(method);
         let most = gpu.device.limits().max_texture_dimension_2d;
         if width.max(height) > most {
@@ -570,9 +412,8 @@ impl Artist {
             empty => *empty = Some(gpu.renderer.view([width, height]).map_err(failed)?),
         }
         let view = self.view.as_mut().ok_or("no view")?;
-        let instances = [Instance::from(&*uploaded)];
-        let rows = (GROUP.as_secs_f64() / (rate * f64::from(width)).max(1e-12)) as u32;
-        let rows = rows.max(BAND).next_multiple_of(BAND);
+        let instances = [Instance::from(uploaded)];
+        let rows = rows_of_group(rate, width);
         for first in (0..height).step_by(rows as usize) {
             if !wanted() {
                 return Ok(None);
@@ -650,13 +491,11 @@ impl Artist {
     /// What the processor needs of a scene, whatever its materials.
     fn prepared(&mut self, scene: &Arc<Scene>) -> &Prepared {
         let known = (self.prepared.iter()).position(|(known, _)| Arc::ptr_eq(known, scene));
-        let newest = match known {
-            Some(index) => self.prepared.remove(index),
-            None => {
-                self.preparations += 1;
-                (scene.clone(), Prepared::new(scene))
-            }
-        };
+        let newest = known.map(|index| self.prepared.remove(index));
+        let newest = newest.unwrap_or_else(|| {
+            self.preparations += 1;
+            (scene.clone(), Prepared::new(scene))
+        });
         let surplus = (self.prepared.len() + 1).saturating_sub(MOST_PREPARED);
         self.prepared.drain(..surplus);
         &self.prepared.push_mut(newest).1

@@ -5,7 +5,7 @@
 
 use glam::Quat;
 use js_sys::{Float32Array, Promise};
-use relight_format::{Camera, Environment, FieldOfView, Kind, Limits, Lobe, Scene};
+use relight_format::{Camera, FieldOfView, Kind, Limits, Scene};
 use relight_runtime::{
     CellsOptions, EnvironmentLight, Frame, GpuScene, Instance, Method, Options, PolarOptions,
     Renderer, View, wgpu,
@@ -16,6 +16,7 @@ use wasm_bindgen_futures::{JsFuture, future_to_promise};
 use web_sys::HtmlCanvasElement;
 
 use crate::orbit::Orbit;
+use crate::plain_sky;
 
 /// Rows per dispatch: what a part of a picture is made of.
 const BAND: u32 = 16;
@@ -381,22 +382,5 @@ impl Stage {
             alpha_mode: wgpu::CompositeAlphaMode::PreMultiplied,
             view_formats: Vec::new(),
         }
-    }
-}
-
-/// A wide sky and a lamp, for scenes without an environment.
-fn plain_sky() -> Environment {
-    let lobe = |axis, sharpness, amplitude| Lobe {
-        axis,
-        sharpness,
-        amplitude,
-        ..bytemuck::Zeroable::zeroed()
-    };
-    Environment {
-        lobes: vec![
-            lobe([0.0, 1.0, 0.0], 2.0, [0.3, 0.35, 0.4]),
-            lobe([0.6, 0.64, 0.48], 60.0, [9.0, 8.0, 6.0]),
-        ],
-        ..Environment::default()
     }
 }

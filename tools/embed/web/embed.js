@@ -2,7 +2,7 @@
 // stands in its address: scene, environment, poster (files), method, exposure (stops), yaw and pitch
 // of the light (degrees), spin (its radians per second), background (a colour), scale (pixels per
 // pixel of the screen, at most 1).
-import init, { Stage } from "./relight.js";
+import init, { Stage } from "./relight_embed.js";
 
 const query = new URLSearchParams(location.search);
 const canvas = document.querySelector("canvas");
@@ -14,7 +14,7 @@ const control = (id) => document.getElementById(id) ?? {};
 // shall not take longer than the other.
 const FIRST = 50;
 const PART = 30;
-// Rows of a part are a multiple of this, as in web.rs.
+// Rows of a part are a multiple of this, as in stage.rs.
 const BAND = 16;
 const COARSEST = 1 / 16;
 

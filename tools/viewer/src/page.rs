@@ -53,7 +53,11 @@ pub struct Page {
     inbox: Inbox,
     context: Rc<RefCell<Option<egui::Context>>>,
     widgets: Widgets,
+    captured: Captured,
 }
+
+/// A picture of the window: columns, rows, RGBA8.
+type Captured = Arc<Mutex<Option<(u32, u32, Vec<u8>)>>>;
 
 #[wasm_bindgen]
 impl Page {
@@ -64,6 +68,7 @@ impl Page {
             inbox: Inbox::default(),
             context: Rc::default(),
             widgets: Widgets::default(),
+            captured: Captured::default(),
         };
         let (inbox, context, widgets) = (
             page.inbox.clone(),
@@ -212,6 +217,29 @@ impl Page {
             Uint8Array::from(&scene[..]),
             Uint8Array::from(&light[..]),
         ])
+    }
+
+    /// Takes a picture of the whole window with the next frame.
+    pub fn capture(&self) {
+        let Some(context) = self.context.borrow().clone() else {
+            return;
+        };
+        let captured = self.captured.clone();
+        context.request_screenshot(move |image| {
+            let pixels = image.pixels.iter().flat_map(egui::Color32::to_array);
+            let [width, height] = image.size.map(|side| side as u32);
+            *captured.lock().unwrap_or_else(PoisonError::into_inner) =
+                Some((width, height, pixels.collect()));
+        });
+        context.request_repaint();
+    }
+
+    /// The last picture of the window, once it is there, as PNG.
+    pub fn captured(&self) -> Option<Uint8Array> {
+        let captured = self.captured.lock().unwrap_or_else(PoisonError::into_inner);
+        let (width, height, pixels) = captured.as_ref()?;
+        let png = crate::save::encode_png([*width, *height], &[pixels], 0).ok()?;
+        Some(Uint8Array::from(&png[..]))
     }
 
     /// Left, top, right and bottom of the last widget of this name, points of the page, once it was

@@ -1,5 +1,5 @@
 //! Repository tasks: `cargo xtask test` installs what the tests need and runs them all,
-//! `cargo xtask results` makes the tables of RESULTS.md, `cargo xtask web` the page.
+//! `cargo xtask results` makes the tables of RESULTS.md, `cargo xtask web` the pages.
 
 mod web;
 
@@ -10,13 +10,13 @@ use std::time::Instant;
 
 const USAGE: &str = "usage: cargo xtask test | results | web [--serve] | gpu-cost [KERNEL...]
 
-test: installs what the tests need (apt, only what is missing), then checks formatting and lints,
-runs every test, and checks dependencies by cargo-deny, which it installs into target/tools.
+test: installs what the tests need (apt, only what is missing), then checks formatting and lints, builds
+the pages if there is a standard library for them, runs every test, and checks dependencies by cargo-deny, which it installs into target/tools.
 
 results: runs every experiment on the CPU into out/results, which takes an hour or more and
 needs the test data, and replaces the tables of RESULTS.md.
 
-web: builds the page that shows baked assets into out/web, adding what that takes where it is missing
+web: builds the viewer as a page, and a small one, into out/web, adding what that takes where it is missing
 (the target wasm32-unknown-unknown, wasm-bindgen). --serve then serves it on the loopback address.
 
 gpu-cost: what compilers of an AMD and an NVIDIA GPU make of every kernel, on a machine without
@@ -94,7 +94,7 @@ fn test() -> ExitCode {
         None => println!("xtask: no test data; tests on real input are skipped"),
     }
     let mut counts = Counts::default();
-    let steps: [(&str, &mut dyn FnMut() -> Outcome); 5] = [
+    let steps: [(&str, &mut dyn FnMut() -> Outcome); 6] = [
         ("install", &mut || install(&root)),
         ("format", &mut || {
             Outcome::of(&mut cargo("fmt --all --check"))
@@ -103,6 +103,7 @@ fn test() -> ExitCode {
             let arguments = "clippy --release --workspace --all-targets -- -D warnings";
             Outcome::of(&mut cargo(arguments))
         }),
+        ("pages", &mut || web::for_tests(&root)),
         ("tests", &mut || {
             run_tests(
                 &mut cargo("test --release --workspace --no-fail-fast"),

@@ -29,7 +29,26 @@ const PAGES: [Page; 2] = [
 /// Assets that `cargo demo` bakes, shown by the page where they are there.
 const ASSETS: [&str; 2] = ["demo.relight", "demo-environment.relight"];
 
-/// Builds the page into `out/web`, and serves it if that is asked for.
+/// What is wrong where pages cannot be compiled on this machine at all.
+const NO_LIBRARY: &str = "no standard library for wasm32-unknown-unknown";
+
+/// Builds the pages for the tests that open them.
+pub fn for_tests(root: &Path) -> crate::Outcome {
+    if std::env::var_os("RELIGHT_NO_BROWSER").is_some_and(|value| value == "1") {
+        return crate::Outcome::Skipped("RELIGHT_NO_BROWSER=1".into());
+    }
+    match build(root) {
+        Ok(_) => crate::Outcome::Passed,
+        Err(message) if message.starts_with(NO_LIBRARY) => {
+            // What was built before is of other sources.
+            let _ = std::fs::remove_dir_all(root.join("out/web"));
+            crate::Outcome::Skipped(format!("NO PAGE IS TESTED: {message}"))
+        }
+        Err(message) => crate::Outcome::Failed(message),
+    }
+}
+
+/// Builds the pages into `out/web`, and serves it if that is asked for.
 pub fn run(root: &Path, serve: bool) -> ExitCode {
     match build(root).and_then(|folder| if serve { forever(&folder) } else { Ok(()) }) {
         Ok(()) => ExitCode::SUCCESS,
@@ -86,7 +105,7 @@ fn compile(root: &Path, package: &str) -> Result<PathBuf, String> {
         let sources = Path::new(&output(&["--print", "sysroot"])?).join("lib/rustlib/src");
         if !sources.exists() {
             return Err(format!(
-                "no standard library for {TARGET}: `rustup target add {TARGET}`, or install rust-src"
+                "{NO_LIBRARY}: `rustup target add {TARGET}`, or install rust-src"
             ));
         }
         from_source = true;

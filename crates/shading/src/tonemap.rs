@@ -78,10 +78,10 @@ pub fn automatic_exposure(pixels: &[[f32; 4]]) -> f32 {
     let floor = 1e-3 * mean;
     let log = luminances
         .iter()
-        .map(|luminance| (luminance + floor).log2())
+        .map(|luminance| math::log2(luminance + floor))
         .sum::<f64>()
         / count;
-    (0.18f64.log2() - log) as f32
+    (math::log2(0.18f64) - log) as f32
 }
 
 /// Rec.709 luminance.

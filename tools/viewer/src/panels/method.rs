@@ -45,7 +45,12 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
             100.0 * difference
         ));
     }
-    ui.add(egui::Slider::new(&mut viewer.settings.resolution, 0.25..=1.0).text("pixels per pixel"));
+    ui.add(
+        egui::Slider::new(&mut viewer.settings.resolution, 0.25..=1.0)
+            // Less may be set by hand, for devices that are slower still.
+            .clamping(egui::SliderClamping::Edits)
+            .text("pixels per pixel"),
+    );
     for (pane, name) in names.iter().enumerate() {
         let Some(picture) = &viewer.pictures[pane] else {
             continue;

@@ -335,11 +335,15 @@ fn bake_stage(
     is_last: bool,
     context: &Context,
 ) -> anyhow::Result<()> {
-    let options = match quality {
+    let mut options = match quality {
         Quality::Draft => scene::Options::draft(),
         Quality::Standard => scene::Options::standard(),
         Quality::High => scene::Options::high(),
     };
+    if quality > Quality::Draft {
+        // As `bake scene` does.
+        options.transfer.bounces = None;
+    }
     let (baked, _) = scene::bake(input.clone(), &options, context.monitor)?;
     let mut warnings = input.warnings.clone();
     // What is wrong with a draft is made good by what follows.

@@ -67,6 +67,10 @@ fn main() -> ExitCode {
             Ok(())
         }),
         Trial::test("twin_ignores_thread_count", twin_ignores_thread_count),
+        Trial::test(
+            "prepared_scenes_draw_the_same",
+            prepared_scenes_draw_the_same,
+        ),
         with_gpu("empty_scenes_are_background", empty_scenes_are_background),
         with_gpu("any_valid_assets_are_drawn", any_valid_assets_are_drawn),
         with_gpu(
@@ -296,6 +300,43 @@ fn twin_visibility_matches_rays() {
     let pixels = 2 * width * height;
     println!("{different} of {pixels} pixels differ from rays");
     assert!(different as f32 <= SNAPPED_PIXELS * pixels as f32);
+}
+
+/// What a prepared scene keeps from frame to frame is in no picture: whatever was drawn before, other
+/// cameras, lights and materials, and frames that were given up.
+fn prepared_scenes_draw_the_same() -> Outcome {
+    let scene = scenes::sphere_over_plane();
+    let prepared = twin::Prepared::new(&scene);
+    let lights = lights();
+    let mut edited = scene.clone();
+    edited.materials[0].emission = [0.5, 0.25, 0.125];
+    let plain = frame(&lights, POLAR);
+    let turned = Frame {
+        rotation: Quat::from_rotation_y(0.7),
+        ..plain.clone()
+    };
+    let ambient = frame(&lights, Method::Ambient);
+    let asked = std::sync::atomic::AtomicU32::new(0);
+    let soon = || asked.fetch_add(1, std::sync::atomic::Ordering::Relaxed) < 200;
+    for (scene, frame, size) in [
+        (&scene, &plain, [20, 15]),
+        (&scene, &plain, [80, 60]),
+        (&edited, &turned, [40, 30]),
+        (&edited, &ambient, [40, 30]),
+        (&scene, &plain, [60, 80]),
+        (&scene, &turned, [80, 60]),
+    ] {
+        let [width, height] = size;
+        // Given up half-way.
+        twin::render_prepared(scene, &prepared, frame, width, height, &soon)?;
+        let found = twin::render_prepared(scene, &prepared, frame, width, height, &|| true)?;
+        assert!(
+            found == twin::render(scene, frame, width, height)?,
+            "{size:?}"
+        );
+        asked.store(0, std::sync::atomic::Ordering::Relaxed);
+    }
+    Ok(())
 }
 
 fn twin_ignores_thread_count() -> Outcome {

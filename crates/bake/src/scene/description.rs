@@ -230,7 +230,7 @@ pub enum MaterialOverride {
     },
 }
 
-/// One layer. Textures are PNG or JPEG files.
+/// One layer. Textures are PNG, JPEG or WebP files.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LayerFile {

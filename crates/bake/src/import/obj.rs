@@ -551,7 +551,11 @@ fn load_materials(
     let undefined = |name: &&String| !library.contains_key(*name) && *name != DEFAULT_MATERIAL;
     let undefined: Vec<_> = obj.materials.iter().filter(undefined).cloned().collect();
     if !undefined.is_empty() {
-        let names = undefined.join(", ");
+        const NAMED: usize = 8;
+        let mut names = undefined[..undefined.len().min(NAMED)].join(", ");
+        if undefined.len() > NAMED {
+            names += &format!(" and {} more", undefined.len() - NAMED);
+        }
         builder.warn(format!(
             "materials are not defined and become grey: {names}"
         ));

@@ -32,6 +32,8 @@ const RELATIVE_EDGE: f32 = 0.02;
 /// Distance of a visibility sample from its surface, in diagonals of the scene: far above
 /// the rounding of coordinates, far below anything that casts a visible shadow.
 const RELATIVE_RAY_OFFSET: f32 = 1e-4;
+/// The least of that distance, in steps of the largest coordinate.
+const ROUNDINGS: f32 = 4.0;
 /// Triangles in which interpolation is checked, about, but for small scenes one of so many.
 const PROBES: usize = 2048;
 const LEAST_PROBE_STEP: usize = 4;
@@ -89,7 +91,7 @@ impl<'a> Bake<'a> {
         let contours = ContourMesh::new(&input.mesh.soup());
         stages.push(("build bvh", clock.elapsed()));
 
-        let ray_offset = RELATIVE_RAY_OFFSET * input.mesh.diagonal();
+        let (ray_offset, far_off) = ray_offset(&input.mesh);
         monitor.step("bounces", 0.0)?;
         let radiosity = Radiosity::new(
             Surfaces::new(&input.mesh),
@@ -112,6 +114,7 @@ impl<'a> Bake<'a> {
         };
         let (name, camera) = (input.name.clone(), input.camera);
         let mut warnings = input.warnings.clone();
+        warnings.extend(far_off);
         let mut mesh = refined(input, options, &contours, ray_offset, monitor)?;
         for warning in mesh.warnings.drain(..) {
             if !warnings.contains(&warning) {
@@ -287,6 +290,25 @@ impl<'a> Bake<'a> {
         };
         (self.head, statistics)
     }
+}
+
+/// Distance of samples from their surface, metres, and a warning if coordinates are so large that
+/// their rounding, not the size of the scene, tells it.
+fn ray_offset(mesh: &Mesh) -> (f32, Option<String>) {
+    let (low, high) = mesh.bounds().unwrap_or_default();
+    let largest = low.abs().max(high.abs()).max_element();
+    let usual = RELATIVE_RAY_OFFSET * mesh.diagonal();
+    let rounding = largest * f32::EPSILON;
+    let least = ROUNDINGS * rounding;
+    if usual >= least {
+        return (usual, None);
+    }
+    let warning = format!(
+        "coordinates of up to {largest} m round to {rounding} m, which blurs a scene of {} m; move it to \
+         the origin in the program that made it",
+        mesh.diagonal()
+    );
+    (least, Some(warning))
 }
 
 /// A warning if the distance is seen from nearly nowhere.

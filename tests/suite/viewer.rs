@@ -184,6 +184,12 @@ fn settle(window: &mut Window) -> Outcome {
     until(window, "pictures are finished", Viewer::is_settled)
 }
 
+/// The scene that a window shows.
+fn scene_of(window: &Window) -> Result<Arc<Scene>, libtest_mimic::Failed> {
+    let document = window.state().document.as_ref().ok_or("a scene")?;
+    Ok(document.scene.clone())
+}
+
 /// The window with the built-in scene drawn.
 fn settled_window() -> Result<Window, libtest_mimic::Failed> {
     let mut window = window(&start_prepared());
@@ -554,13 +560,7 @@ fn cancelling() -> Outcome {
     }
     std::fs::write(&mesh, text)?;
     let mut window = settled_window()?;
-    let before = window
-        .state()
-        .document
-        .as_ref()
-        .ok_or("a scene")?
-        .scene
-        .clone();
+    let before = scene_of(&window)?;
     window.state_mut().settings.quality = Quality::High;
     window.state_mut().open(&mesh);
     window.step();
@@ -577,13 +577,7 @@ fn cancelling() -> Outcome {
     window.run_steps(3);
     assert!(window.state().jobs.running().is_empty());
     assert!(window.query_by_label("Cancel").is_none());
-    let after = window
-        .state()
-        .document
-        .as_ref()
-        .ok_or("a scene")?
-        .scene
-        .clone();
+    let after = scene_of(&window)?;
     assert!(
         Arc::ptr_eq(&before, &after),
         "what was shown is still shown"
@@ -956,13 +950,7 @@ fn expect_error(window: &mut Window, file: &Path) -> Outcome {
 fn broken_files() -> Outcome {
     let folder = tempfile::tempdir()?;
     let mut window = settled_window()?;
-    let before = window
-        .state()
-        .document
-        .as_ref()
-        .ok_or("a scene")?
-        .scene
-        .clone();
+    let before = scene_of(&window)?;
     let asset = relight_format::write_scene(&before)?;
     let mut flipped = asset.clone();
     flipped[asset.len() / 2] ^= 0x20;

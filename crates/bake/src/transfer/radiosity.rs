@@ -361,29 +361,26 @@ impl Radiosity {
     /// What a sender sends, per channel `columns` numbers: its radiance, times its weight,
     /// without what it emits itself.
     pub(super) fn radiance(&self, sender: &Sender, values: &mut [f32]) {
-        match sender.end {
+        let factors = match sender.end {
             End::Point(point) => {
                 let length = 3 * self.columns;
-                let from = &self.irradiance[point as usize * length..][..length];
-                for (value, from) in values.iter_mut().zip(from) {
-                    *value = from / PI;
-                }
+                values.copy_from_slice(&self.irradiance[point as usize * length..][..length]);
+                sender.weight / PI
             }
             End::Sky(direction) => {
-                for channel in values.chunks_exact_mut(self.columns) {
-                    channel.fill(0.0);
-                    self.harmonics.evaluate(direction, channel);
-                    for (value, blur) in channel.iter_mut().zip(&self.blurs) {
-                        *value *= blur;
-                    }
+                values.fill(0.0);
+                self.harmonics.evaluate(direction, values);
+                for (value, blur) in values.iter_mut().zip(&self.blurs) {
+                    *value *= blur;
                 }
+                values.copy_within(..self.columns, self.columns);
+                values.copy_within(..self.columns, 2 * self.columns);
+                sender.weight
             }
-        }
-        for (values, weight) in
-            (values.chunks_exact_mut(self.columns)).zip(sender.weight.to_array())
-        {
+        };
+        for (values, factor) in (values.chunks_exact_mut(self.columns)).zip(factors.to_array()) {
             for value in values {
-                *value *= weight;
+                *value *= factor;
             }
         }
         self.add_emitted(values, sender.beyond);

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
@@ -74,7 +74,7 @@ impl Case {
     }
 
     /// The same under strace, which looks at calls that concern `paths`.
-    fn traced(&self, paths: &[&Path], options: &[String]) -> Command {
+    fn traced(&self, paths: &[PathBuf], options: &[String]) -> Command {
         let bake = self.bake();
         let mut traced = Command::new("strace");
         traced
@@ -84,8 +84,8 @@ impl Case {
         for path in paths {
             traced.arg("-P").arg(path);
         }
-        // One thread: calls are then counted in one order.
         traced.arg(bake.get_program()).args(bake.get_args());
+        // Calls are then counted in one order.
         traced.args(["--threads", "1"]);
         traced.stdin(Stdio::null());
         traced
@@ -110,7 +110,6 @@ impl Case {
     fn expected(&self) -> Result<(Vec<u8>, BTreeMap<&'static str, usize>), Failed> {
         let calls = FAULTS.map(|(call, _)| call);
         let outputs = self.outputs();
-        let outputs: Vec<&Path> = outputs.iter().map(PathBuf::as_path).collect();
         let options = ["-e".to_owned(), format!("trace={}", calls.join(","))];
         expect_success(&mut self.traced(&outputs, &options));
         let trace = std::fs::read_to_string(self.folder.at("trace"))?;
@@ -192,7 +191,6 @@ fn of_outputs() -> Result<Completion, Failed> {
         let (expected, counts) = case.expected()?;
         assert!(counts["write"] > 0 && counts["rename"] == 1, "{counts:?}");
         let outputs = case.outputs();
-        let outputs: Vec<&Path> = outputs.iter().map(PathBuf::as_path).collect();
         for (call, errors) in FAULTS {
             for (when, error) in
                 (1..=counts[call]).flat_map(|when| errors.iter().map(move |error| (when, error)))
@@ -233,7 +231,9 @@ fn of_inputs() -> Result<Completion, Failed> {
             let what = format!("{}: {fault}", case.name);
             std::fs::write(&case.output, OLD)?;
             let fault = ["-e".to_owned(), format!("inject={fault}:when=1")];
-            let output = case.traced(&[&case.input], &fault).output()?;
+            let output = case
+                .traced(std::slice::from_ref(&case.input), &fault)
+                .output()?;
             assert_eq!(
                 output.status.code(),
                 Some(INPUT_OUTPUT),
@@ -256,7 +256,6 @@ fn killed_at_every_call() -> Result<Completion, Failed> {
     for case in Case::all()? {
         let (expected, counts) = case.expected()?;
         let outputs = case.outputs();
-        let outputs: Vec<&Path> = outputs.iter().map(PathBuf::as_path).collect();
         for (call, count) in counts {
             for when in 1..=count {
                 let what = format!("{}: killed at {call} {when}", case.name);
@@ -280,7 +279,10 @@ fn changed_input() -> Result<Completion, Failed> {
     std::fs::write(&case.output, OLD)?;
     let slowly = "inject=read:delay_exit=1500000:when=1";
     let child = case
-        .traced(&[&case.input], &["-e".to_owned(), slowly.to_owned()])
+        .traced(
+            std::slice::from_ref(&case.input),
+            &["-e".to_owned(), slowly.to_owned()],
+        )
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
         .spawn()?;

@@ -10,6 +10,7 @@ use relight_runtime::{
 };
 use relight_shading::camera::View as Projection;
 
+use crate::support::attachment;
 use crate::{
     DIFFERENT_PIXELS, DISPLAY_CODES, FRAME_RELATIVE_RMSE, Outcome, POLAR, frame, lights,
     relative_rmse, render, scenes, target, with_options,
@@ -532,33 +533,6 @@ fn app_group(
             binding: 0,
             resource: buffer.as_entire_binding(),
         }],
-    })
-}
-
-/// A texture to draw into.
-pub fn attachment(
-    device: &wgpu::Device,
-    size: [u32; 2],
-    format: wgpu::TextureFormat,
-    samples: u32,
-) -> wgpu::Texture {
-    let read = match samples {
-        1 => wgpu::TextureUsages::COPY_SRC,
-        _ => wgpu::TextureUsages::empty(),
-    };
-    device.create_texture(&wgpu::TextureDescriptor {
-        label: None,
-        size: wgpu::Extent3d {
-            width: size[0],
-            height: size[1],
-            depth_or_array_layers: 1,
-        },
-        mip_level_count: 1,
-        sample_count: samples,
-        dimension: wgpu::TextureDimension::D2,
-        format,
-        usage: wgpu::TextureUsages::RENDER_ATTACHMENT | read,
-        view_formats: &[],
     })
 }
 

@@ -9,6 +9,9 @@ mod generate;
 mod probe;
 mod reflection;
 mod scenes;
+#[path = "../../examples/support/mod.rs"]
+#[allow(clippy::duplicate_mod, reason = "every example has it as well")]
+mod support;
 
 use std::process::ExitCode;
 use std::sync::{Mutex, PoisonError};

@@ -120,9 +120,27 @@ struct Flight {
     asked: Instant,
     /// Whether a picture of it is on the screen.
     answered: bool,
-    /// Panes of which a picture has come.
-    seen: [bool; 2],
+    /// The first picture that came of each pane.
+    seen: [Option<First>; 2],
     panes: usize,
+}
+
+/// The first picture of a pane that a request brought.
+#[derive(Clone, Copy, Debug)]
+pub struct First {
+    /// Columns and rows.
+    pub size: [u32; 2],
+    /// By the cheapest means, whatever was asked for.
+    pub draft: bool,
+}
+
+/// How a request was answered.
+#[derive(Clone, Copy, Debug)]
+pub struct Answer {
+    /// From asking to a picture on the screen.
+    pub after: Duration,
+    /// The first picture of each pane that had come by then.
+    pub first: [Option<First>; 2],
 }
 
 /// What to compose.
@@ -196,8 +214,8 @@ pub struct Viewer {
     pub path: String,
     /// Name of the device that draws.
     pub device_name: String,
-    /// From asking for pictures to the first of them on the screen, the last few times.
-    pub answers: Vec<Duration>,
+    /// How the last requests were answered.
+    pub answers: Vec<Answer>,
     /// Asks for files: the system's own dialogs.
     pub dialog: Dialog,
     pub(crate) texture: Option<egui::TextureHandle>,
@@ -578,7 +596,10 @@ impl Viewer {
                 && !flight.answered
             {
                 flight.answered = true;
-                self.answers.push(flight.asked.elapsed());
+                self.answers.push(Answer {
+                    after: flight.asked.elapsed(),
+                    first: flight.seen,
+                });
                 let surplus = self.answers.len().saturating_sub(100);
                 self.answers.drain(..surplus);
             }
@@ -597,7 +618,10 @@ impl Viewer {
         if let Some(flight) = &mut self.flight
             && flight.number == picture.request
         {
-            flight.seen[picture.pane] = true;
+            flight.seen[picture.pane].get_or_insert(First {
+                size: [picture.image.width, picture.image.height],
+                draft: picture.draft,
+            });
         }
         let pane = picture.pane;
         self.pictures[pane] = Some(picture);
@@ -740,7 +764,7 @@ impl Viewer {
         };
         // Whoever drags sees the coarse pictures of a request before the next one replaces it.
         let waiting = (self.flight.as_ref())
-            .is_some_and(|flight| flight.seen[..flight.panes].contains(&false));
+            .is_some_and(|flight| flight.seen[..flight.panes].iter().any(Option::is_none));
         if waiting || self.wanted.as_ref() == Some(&wanted) {
             return;
         }
@@ -755,7 +779,7 @@ impl Viewer {
             number,
             asked: Instant::now(),
             answered: false,
-            seen: [false; 2],
+            seen: [None; 2],
             panes,
         });
         self.wanted = Some(wanted);

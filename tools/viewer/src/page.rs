@@ -171,7 +171,7 @@ impl Page {
             .map(|message| message.text.as_str())
             .collect();
         let answers: Vec<_> = (viewer.answers.iter())
-            .map(|answer| answer.as_secs_f64() * 1e3)
+            .map(|answer| answer.after.as_secs_f64() * 1e3)
             .collect();
         let document = viewer.document.as_ref();
         let state = json!({

@@ -2,27 +2,25 @@
 
     asset = relight_reader.read("statue.relight")
     asset.kind                      # "scene", "environment" or "material"
-    asset.metadata["materials"]     # dicts, lists, numbers, strings; variants are names, or (name, fields)
+    asset.metadata["materials"]     # dicts, lists, numbers, strings, as FORMAT.md lists them
     asset.arrays["vertices"]["position"]
 
 Bytes are untrusted: whatever is wrong raises `Invalid`, before memory is asked for that the
 file does not justify. Values are as stored: radians, metres, linear Rec.709.
 """
 
+import json
 import struct
 import zlib
-from dataclasses import dataclass
+from collections import namedtuple
 
 import numpy as np
 import zstandard
 
-MAGIC = b"RELIGHT\n"
-VERSIONS = (4,)
 KINDS = {1: "scene", 2: "environment", 3: "material"}
 SECTIONS = dict(enumerate("metadata vertices triangles clusters coefficients basis texels lobes prefiltered"
                           " sources source_texels transfer".split(), 1))
 NEEDED = {"scene": {1, 2, 3, 4, 5, 6, 7}, "environment": {1, 8, 9, 10, 11}, "material": {1, 7}}
-OPTIONAL = {"scene": {12}, "environment": set(), "material": set()}
 
 VERTEX = np.dtype([("position", "<f4", 3), ("normal", "<f4", 3), ("tangent", "<f4", 4), ("uv", "<f4", 2)])
 TRIANGLE = np.dtype([("vertices", "<u4", 3), ("material", "<u2"), ("cluster", "<u2")])
@@ -39,81 +37,23 @@ def _require(holds, message):
     if not holds:
         raise Invalid(message)
 
-@dataclass
-class Asset:
-    """An asset: `kind`, `version`, `metadata` (a dict) and `arrays` (by section)."""
+Asset = namedtuple("Asset", "kind version metadata arrays")
 
-    kind: str
-    version: int
-    metadata: dict
-    arrays: dict
+def _metadata(data):
+    """One JSON object; what readers of arrays need of it is checked where they do."""
+    try:
+        value = json.loads(data.decode(), parse_constant=lambda name: _require(False, name))
+    except (UnicodeDecodeError, ValueError, RecursionError) as error:
+        raise Invalid(f"metadata: {error}") from error
+    _require(isinstance(value, dict), "metadata: not an object")
+    return value
 
-# The fields of metadata, in order: struct codes, "string", names of this table, or (how, ...).
-SLOT = ("optional", "slot")
-TYPES = {
-    "slot": [("texture", "I"), ("transform", "6f")],
-    "lobe": [("f0", "3f"), ("f90", "3f"), ("roughness", "f")],
-    "specular": ("variant", ("None",), ("BlinnPhong", ("specular", "3f"), ("exponent", "f")),
-                 ("Ward", ("specular", "3f"), ("alpha", "2f")), ("CookTorrance", ("f0", "3f"), ("roughness", "f")),
-                 ("Ggx", ("f0", "3f"), ("alpha", "2f")), ("AshikhminShirley", ("f0", "3f"), ("exponents", "2f")),
-                 ("Lobes", ("path", "string"), ("lobes", ("list", "lobe")), ("ratio", SLOT))),
-    "layer": [("diffuse", "3f"), ("specular", "specular"), ("weight", "f"), ("blend", ("variant", ("Over",), ("Coat",))),
-              ("diffuse_texture", SLOT), ("specular_texture", SLOT), ("roughness_texture", SLOT), ("weight_texture", SLOT)],
-    "surface": ("variant", ("MetallicRoughness", ("base_color", "3f"), ("metallic", "f"), ("roughness", "f"),
-                            ("anisotropy_strength", "f"), ("anisotropy_rotation", "f")),
-                ("Layered", ("diffuse", "3f"), ("specular", "specular")), ("Layers", ("layers", ("list", "layer")))),
-    "plain material": [("name", "string"), ("surface", "surface"), ("base_color_texture", SLOT),
-                       ("metallic_roughness_texture", SLOT), ("normal_texture", SLOT), ("normal_scale", "f"),
-                       ("anisotropy_texture", SLOT), ("emission", "3f"), ("emission_texture", SLOT)],
-    "texture": [("width", "I"), ("height", "I"), ("encoding", ("variant", ("Srgb",), ("Linear",), ("Rgbe",)))],
-    "camera": [("position", "3f"), ("target", "3f"), ("up", "3f"),
-               ("field_of_view", ("variant", ("X", ("radians", "f")), ("Y", ("radians", "f"))))],
-    "visibility": [("representation", ("variant", ("ClusteredPca",), ("GlobalPca",))), ("sample_resolution", "I"),
-                   ("basis_resolution", "I"), ("distance_clamp", "f"), ("ray_offset", "f")],
-    "report": [("source_vertices", "Q"), ("source_triangles", "Q"), ("errors", "4f"), ("warnings", ("list", "string"))],
-    "scene": [("name", "string"), ("visibility", "visibility"), ("camera", ("optional", "camera")),
-              ("materials", ("list", "plain material")), ("textures", ("list", "texture")), ("report", "report")],
-    "environment": [("source", "string"), ("source_size", "2I"), ("repaired_pixels", "Q"), ("relative_l2", "f"),
-                    ("energy_error", "3f")],
-    "material": [("source", "string"), ("relative_l2", "f"), ("corrected_relative_l2", "f"), ("shaded_relative_l2", "f"), ("albedo_error", "f"),
-                 ("material", "plain material"), ("textures", ("list", "texture"))],
-}
-
-class _Metadata:
-    def __init__(self, data):
-        self.data, self.at = data, 0
-
-    def bytes(self, size):
-        _require(size <= len(self.data) - self.at, "metadata ends early")
-        self.at += size
-        return self.data[self.at - size:self.at]
-
-    def read(self, kind):
-        """A value of a type of TYPES."""
-        kind = TYPES.get(kind, kind) if isinstance(kind, str) else kind
-        if isinstance(kind, list):
-            return {name: self.read(field) for name, field in kind}
-        if kind == "string":
-            try:
-                return self.bytes(self.read("Q")).decode()
-            except UnicodeDecodeError as error:
-                raise Invalid("metadata: a string that is not UTF-8") from error
-        if isinstance(kind, str):
-            value = struct.unpack("<" + kind, self.bytes(struct.calcsize("<" + kind)))
-            _require(all(np.isfinite(v) for v in value), "metadata: a number that is not finite")
-            return value[0] if len(value) == 1 else list(value)
-        if kind[0] == "list":
-            count = self.read("Q")
-            _require(count <= len(self.data) - self.at, "metadata: a list beyond the end")
-            return [self.read(kind[1]) for _ in range(count)]
-        if kind[0] == "optional":
-            flag = self.read("B")
-            _require(flag <= 1, "metadata: an optional field that is neither 0 nor 1")
-            return self.read(kind[1]) if flag else None
-        index = self.read("I")
-        _require(index < len(kind) - 1, f"metadata: variant {index} of {len(kind) - 1}")
-        name, *fields = kind[index + 1]
-        return (name, self.read(fields)) if fields else name
+def _whole(fields, *path):
+    """A whole number of metadata, 1 to 2^32 - 1."""
+    for name in path:
+        fields = fields.get(name) if isinstance(fields, dict) else None
+    _require(type(fields) is int and 0 < fields < 1 << 32, f"metadata: {'.'.join(path)}")
+    return fields
 
 def _planes(data, width):
     """Little-endian numbers whose bytes lie in planes, the lowest first."""
@@ -128,15 +68,12 @@ def _signed(held):
 def _triangles(data):
     _require(len(data) % 16 == 0, "triangles of a fraction")
     held = _planes(data, 4).reshape(4, -1)
-    corners = np.empty((held.shape[1], 3), np.int64)
-    following = 0
-    for index, differences in enumerate(held[:3].T.tolist()):
-        for corner, difference in enumerate(differences):
-            vertex = (following - difference) & 0xFFFFFFFF
-            corners[index, corner] = vertex
-            following = max(following, vertex + 1)
-    triangles = np.zeros(len(corners), TRIANGLE)
-    triangles["vertices"] = corners
+    corners, following = [], 0
+    for difference in held[:3].T.ravel().tolist():
+        corners.append((following - difference) & 0xFFFFFFFF)
+        following = max(following, corners[-1] + 1)
+    triangles = np.zeros(held.shape[1], TRIANGLE)
+    triangles["vertices"] = np.reshape(corners, (-1, 3))
     triangles["material"] = np.cumsum(held[3] & 0xFFFF, dtype=np.uint64) & 0xFFFF
     triangles["cluster"] = np.cumsum(held[3] >> 16, dtype=np.uint64) & 0xFFFF
     return triangles
@@ -180,9 +117,9 @@ def _column(differences, exponent, parents, exact):
         integers = _add_up(differences, parents, 1 << 32)
     else:
         exact = np.where(np.isnan(exact), 0.0, exact)
-        rounded = (_ordered(exact.astype("<f4")).view("<i4").astype(np.int64) if exponent == -128
-                   else np.rint(np.ldexp(exact, -exponent)).astype(np.int64))
-        integers = (rounded + differences) % (1 << 32)
+        bits = _ordered(exact.astype("<f4")).view("<i4")
+        expected = bits if exponent == -128 else np.rint(np.ldexp(exact, -exponent))
+        integers = (expected.astype(np.int64) + differences) % (1 << 32)
     words = integers.astype("<u4")
     if exponent == -128:
         return _ordered(words).view("<f4")
@@ -205,26 +142,21 @@ def _vertices(data, triangles, count):
     numbers = np.zeros((count, 12), "<f4")
     for column in range(3):
         numbers[:, column] = _column(at_places[column], exponents[column], of_places, None)[places]
+    exact = [None] * 9
     with np.errstate(all="ignore"):
+        if mode & 1:
+            first = np.full(count, -1)
+            first[corners[::-1].ravel()] = np.repeat(np.arange(len(corners))[::-1], 3)
+            a, b, c = np.moveaxis(numbers[:, :3].astype(np.float64)[corners], 1, 0)
+            n = np.cross(b - a, c - a)
+            length = np.sqrt(n[:, 0] * n[:, 0] + n[:, 1] * n[:, 1] + n[:, 2] * n[:, 2])
+            exact[:3] = np.append(n / length[:, None], np.zeros((1, 3)), axis=0)[first].T
         for column in range(9):
-            exact = None
-            if column == 0 and mode & 1:
-                first = np.full(count, -1)
-                first[corners[::-1].ravel()] = np.repeat(np.arange(len(corners))[::-1], 3)
-                a, b, c = np.moveaxis(numbers[:, :3].astype(np.float64)[corners], 1, 0)
-                u, v = b - a, c - a
-                n = u[:, [1, 2, 0]] * v[:, [2, 0, 1]] - u[:, [2, 0, 1]] * v[:, [1, 2, 0]]
-                square = n[:, 0] * n[:, 0] + n[:, 1] * n[:, 1] + n[:, 2] * n[:, 2]
-                normals = np.append(n / np.sqrt(square)[:, None], np.zeros((1, 3)), axis=0)[first]
             if column == 3 and mode & 2:
                 x, z = numbers[:, 3].astype(np.float64), numbers[:, 5].astype(np.float64)
                 l = np.sqrt(x * x + z * z)
-                around = np.where(l[:, None] > 0, np.stack([z / l, 0 * l, -x / l], axis=1), [1.0, 0.0, 0.0])
-            if column < 3 and mode & 1:
-                exact = normals[:, column]
-            if 3 <= column < 6 and mode & 2:
-                exact = around[:, column - 3]
-            numbers[:, 3 + column] = _column(others[column], exponents[3 + column], of_vertices, exact)
+                exact[3:6] = np.where(l > 0, [z / l, 0 * l, -x / l], [[1.0], [0.0], [0.0]])
+            numbers[:, 3 + column] = _column(others[column], exponents[3 + column], of_vertices, exact[column])
     return numbers.view(VERTEX).ravel(), places, of_places
 
 def _coefficients(data, clusters, places, parents):
@@ -252,16 +184,15 @@ def _basis(data, n):
     _require(2 <= n <= 1024 and len(data) % (4 * n * n) == 0, "basis: a fraction of a tile")
     left = np.frombuffer(data, np.int8).reshape(-1, n, n).astype(np.int32)
     image = np.zeros_like(left)
-    for y in range(n):
-        for x in range(n):
-            l = image[:, y, x - 1] if x else image[:, y - 1, 0]  # the first texel's is 0 still
-            a = image[:, y - 1, x] if y else l
-            c = l if not y else image[:, y - 1, x - 1] if x else a
-            r = image[:, y - 1, x + 1] if y and x + 1 < n else a
-            ll = image[:, y, x - 2] if x > 1 else l
-            aa = image[:, y - 2, x] if y > 1 else a
-            predicted = np.clip((12 * l + 6 * a + 6 * r - c - 2 * ll - 5 * aa + 8) >> 4, -127, 127)
-            image[:, y, x] = (left[:, y, x] + predicted + 128) % 256 - 128
+    for y, x in np.ndindex(n, n):
+        l = image[:, y, x - 1] if x else image[:, y - 1, 0]  # the first texel's is 0 still
+        a = image[:, y - 1, x] if y else l
+        c = l if not y else image[:, y - 1, x - 1] if x else a
+        r = image[:, y - 1, x + 1] if y and x + 1 < n else a
+        ll = image[:, y, x - 2] if x > 1 else l
+        aa = image[:, y - 2, x] if y > 1 else a
+        predicted = np.clip((12 * l + 6 * a + 6 * r - c - 2 * ll - 5 * aa + 8) >> 4, -127, 127)
+        image[:, y, x] = (left[:, y, x] + predicted + 128) % 256 - 128
     _require(not (image == -128).any(), "a basis texel of -128")
     return np.ascontiguousarray(image.astype(np.int8).reshape(-1, 4, n, n).transpose(0, 2, 3, 1))
 
@@ -280,12 +211,11 @@ def _decompressed(content, length, name):
     return b"".join(parts)
 
 def _sections(data, max_bytes):
-    _require(len(data) >= 24 and data[:8] == MAGIC, "no .relight file")
+    _require(len(data) >= 24 and data[:8] == b"RELIGHT\n", "no .relight file")
     version, kind, count, reserved = struct.unpack_from("<4I", data, 8)
-    _require(version in VERSIONS, f"version {version}, this reads {VERSIONS}")
-    _require(kind in KINDS and count <= 64 and reserved == 0, "header")
+    _require(version == 4 and kind in KINDS and reserved == 0, f"version {version} of kind {kind}; this reads 4")
+    _require(count <= 64 and len(data) >= 24 + 32 * count, "the section table ends early")
     offset, last, total, raw = 24 + 32 * count, 0, 0, {}
-    _require(len(data) >= offset, "the section table ends early")
     for index in range(count):
         number, checksum, start, stored, length = struct.unpack_from("<2I3Q", data, 24 + 32 * index)
         _require(number in SECTIONS and number > last, f"section {number} out of order")
@@ -294,9 +224,9 @@ def _sections(data, max_bytes):
         _require(total <= max_bytes, f"more than {max_bytes} bytes")
         _require(zlib.crc32(content) == checksum, f"checksum of {SECTIONS[number]}")
         raw[number] = _decompressed(content, length, SECTIONS[number])
-    kind = KINDS[kind]
-    _require(offset == len(data) and set(raw) - OPTIONAL[kind] == NEEDED[kind], "missing sections or trailing bytes")
-    return kind, version, {SECTIONS[number]: content for number, content in raw.items()}
+    _require(offset == len(data), "bytes after the last section")
+    _require(set(raw) - ({12} if kind == 1 else set()) == NEEDED[KINDS[kind]], "other sections than this kind has")
+    return KINDS[kind], version, {SECTIONS[number]: content for number, content in raw.items()}
 
 def _array(data, dtype):
     _require(len(data) % np.dtype(dtype).itemsize == 0, f"a fraction of {dtype}")
@@ -305,30 +235,29 @@ def _array(data, dtype):
 def decode(data, max_bytes=4 << 30):
     """The asset that `data` (bytes) holds; its sections may have `max_bytes` in all."""
     kind, version, raw = _sections(data, max_bytes)
-    fields = _Metadata(raw["metadata"])
-    metadata = fields.read(kind)
-    _require(fields.at == len(fields.data), "metadata goes on after its end")
-    arrays = {}
+    metadata, arrays = _metadata(raw["metadata"]), {}
     if kind == "scene":
         arrays["triangles"] = triangles = _triangles(raw["triangles"])
         arrays["clusters"] = clusters = _array(raw["clusters"], CLUSTER)
         count = int(clusters["vertices"].sum(dtype=np.uint64))
         arrays["vertices"], places, parents = _vertices(raw["vertices"], triangles, count)
         arrays["coefficients"] = _coefficients(raw["coefficients"], clusters, places, parents)
-        arrays["basis"] = _basis(raw["basis"], metadata["visibility"]["basis_resolution"])
+        arrays["basis"] = _basis(raw["basis"], _whole(metadata, "visibility", "basis_resolution"))
         if "transfer" in raw:
             arrays.update(_transfer(raw["transfer"], clusters))
     if kind == "environment":
         arrays.update(lobes=_array(raw["lobes"], LOBE), prefiltered=_prefiltered(_array(raw["prefiltered"], "<u4")))
         arrays.update(sources=_array(raw["sources"], SOURCE), source_texels=_array(raw["source_texels"], "<f4"))
-        texels = 3 * (arrays["sources"]["rows"].astype(np.uint64) * arrays["sources"]["columns"]).sum()
-        _require(texels == len(arrays["source_texels"]), "texels of other sources")
+        texels = (arrays["sources"]["rows"].astype(np.uint64) * arrays["sources"]["columns"]).sum()
+        _require(3 * texels == len(arrays["source_texels"]), "texels of other sources")
     if "texels" in raw:
         arrays["textures"], texels = [], _array(raw["texels"], np.uint8)
+        _require(isinstance(metadata.get("textures"), list), "metadata: textures")
         for texture in metadata["textures"]:
-            size = texture["height"] * texture["width"] * 4
+            width, height = _whole(texture, "width"), _whole(texture, "height")
+            size = 4 * width * height
             _require(size <= len(texels), "texels of a fraction of the textures")
-            arrays["textures"].append(texels[:size].reshape(texture["height"], texture["width"], 4))
+            arrays["textures"].append(texels[:size].reshape(height, width, 4))
             texels = texels[size:]
         _require(len(texels) == 0, "texels of no texture")
     return Asset(kind, version, metadata, arrays)
@@ -336,7 +265,7 @@ def decode(data, max_bytes=4 << 30):
 def _transfer(data, clusters):
     """Groups, scales, basis numbers, and weights of each group by vertex and component."""
     _require(len(data) >= 24, "transfer ends early")
-    order, emitted, bounces, count = struct.unpack_from("<4I", data)
+    order, emitted, _, count = struct.unpack_from("<4I", data)
     _require(order <= 9 and emitted <= 1 and count <= len(clusters), "header of transfer")
     _require(24 + 16 * count <= len(data), "transfer ends early")
     groups = np.frombuffer(data[24:24 + 16 * count], "<u4").reshape(count, 4).astype(np.int64)
@@ -349,21 +278,17 @@ def _transfer(data, clusters):
     ends = 24 + 16 * count + np.append(0, np.cumsum(sizes))
     _require(len(data) == int(ends[-1]), "length of transfer")
     scales, basis, held = (data[a:b] for a, b in zip(ends, ends[1:]))
-    weights, at, held = [], 0, np.frombuffer(held, np.uint8)
-    for rank, vertices in zip(groups[:, 1].tolist(), np.diff(edges).tolist()):
-        part = held[at:at + rank * vertices].reshape(rank, vertices)
-        weights.append(np.cumsum(part, axis=1, dtype=np.uint64).astype(np.uint8).view(np.int8).T)
-        at += rank * vertices
+    parts = np.split(np.frombuffer(held, np.uint8), np.cumsum(groups[:, 1] * np.diff(edges))[:-1])
+    weights = [np.cumsum(part.reshape(rank, vertices), axis=1, dtype=np.uint64).astype(np.uint8).view(np.int8).T
+               for part, rank, vertices in zip(parts, groups[:, 1], np.diff(edges))]
     return {"transfer_groups": groups, "transfer_scales": np.frombuffer(scales, "<f4"),
             "transfer_basis": np.frombuffer(basis, np.int8), "transfer_weights": weights}
 
 def _prefiltered(packed):
     """Levels of N x N RGB, sharpest first."""
-    levels, count = [], 0
-    while len(packed) > sum(4 ** level for level in range(1, count + 1)):
-        count += 1
+    levels, count = [], (3 * len(packed) + 4).bit_length() // 2 - 1
+    _require(3 * len(packed) + 4 == 4 ** (count + 1), "prefiltered: a fraction of a level")
     for n in (2 ** level for level in range(count, 0, -1)):
-        _require(len(packed) >= n * n, "prefiltered: a fraction of a level")
         texels, packed = packed[:n * n].reshape(n, n), packed[n * n:]
         mantissas = np.stack([texels >> shift & 0x1FF for shift in (0, 9, 18)], axis=-1)
         levels.append(np.ldexp(mantissas.astype(np.float32), (texels >> 27).astype(int)[..., None] - 24))

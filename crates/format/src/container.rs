@@ -49,7 +49,7 @@ impl Kind {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum SectionKind {
-    /// bincode metadata.
+    /// Metadata, as JSON.
     Metadata = 1,
     /// [`crate::Vertex`] array, as differences from what neighbours predict.
     Vertices = 2,
@@ -395,24 +395,14 @@ impl<'a> Reader<'a> {
             ));
         }
         let raw: Vec<u8> = self.pod(SectionKind::Metadata)?;
-        let (value, used) =
-            bincode::serde::decode_from_slice(&raw, metadata_encoding()).map_err(|error| {
-                Error::section(
-                    Issue::BadMetadata,
-                    SectionKind::Metadata,
-                    "bincode metadata",
-                    error,
-                )
-            })?;
-        if used != raw.len() {
-            return Err(Error::section(
+        serde_json::from_slice(&raw).map_err(|error| {
+            Error::section(
                 Issue::BadMetadata,
                 SectionKind::Metadata,
-                format_args!("{used} bytes"),
-                format_args!("{} bytes", raw.len()),
-            ));
-        }
-        Ok(value)
+                "JSON metadata of this kind of asset",
+                error,
+            )
+        })
     }
 
     /// Whether the next section is of `kind`.
@@ -491,7 +481,7 @@ impl Writer {
     }
 
     pub(crate) fn metadata<T: Serialize>(&mut self, value: &T) -> Result<(), Error> {
-        let raw = bincode::serde::encode_to_vec(value, metadata_encoding()).map_err(|error| {
+        let raw = serde_json::to_vec(value).map_err(|error| {
             Error::section(
                 Issue::BadMetadata,
                 SectionKind::Metadata,
@@ -531,15 +521,6 @@ impl Writer {
         }
         bytes
     }
-}
-
-/// Fixed-width little-endian integers, bounded: a length field cannot make the decoder
-/// allocate more than a section may hold.
-fn metadata_encoding() -> impl bincode::config::Config {
-    bincode::config::standard()
-        .with_little_endian()
-        .with_fixed_int_encoding()
-        .with_limit::<MAX_METADATA_BYTES>()
 }
 
 /// Writes a file whole or not at all: to `PATH.partial` beside it first, which is then renamed.

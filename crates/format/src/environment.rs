@@ -29,6 +29,7 @@ const AXIS_TOLERANCE: f32 = 1e-3;
 
 /// How well the lobes fit the image they came from.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct EnvironmentReport {
     /// Source file name, without folders.
     pub source: String,

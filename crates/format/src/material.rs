@@ -7,6 +7,7 @@ use crate::{Error, Issue};
 
 /// How a texture's bytes encode numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub enum TextureEncoding {
     /// RGB is sRGB-encoded colour, alpha is linear.
     Srgb,
@@ -31,17 +32,31 @@ pub struct Texture {
 }
 
 /// Width, height and encoding of a texture.
-pub type TextureShape = (u32, u32, TextureEncoding);
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TextureShape {
+    /// Texels per row, at least 1.
+    pub width: u32,
+    /// Rows, at least 1.
+    pub height: u32,
+    /// Meaning of the bytes.
+    pub encoding: TextureEncoding,
+}
 
 impl Texture {
     /// Width, height and encoding.
     pub fn shape(&self) -> TextureShape {
-        (self.width, self.height, self.encoding)
+        TextureShape {
+            width: self.width,
+            height: self.height,
+            encoding: self.encoding,
+        }
     }
 }
 
 /// A reference from a material to a texture.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct TextureSlot {
     /// Index into [`crate::Scene::textures`].
     pub texture: u32,
@@ -63,6 +78,7 @@ impl TextureSlot {
 /// A specular reflection model. Every roughness is the model's own parameter, not its
 /// perceptual square root.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub enum Specular {
     /// No specular reflection.
     None,
@@ -113,6 +129,7 @@ pub enum Specular {
         /// What the sum of the lobes is multiplied by to be the table less the diffuse base, by the
         /// directions of light and view: [`TextureEncoding::Rgbe`], [`RATIO_SIZE`] texels. Its
         /// transform is not used.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
         ratio: Option<TextureSlot>,
     },
 }
@@ -124,6 +141,12 @@ pub enum Specular {
 pub const RATIO_NODES: [u32; 3] = [64, 24, 8];
 /// Width and height of a texture of them: the first runs along rows, the last changes last.
 pub const RATIO_SIZE: [u32; 2] = [RATIO_NODES[0], RATIO_NODES[1] * RATIO_NODES[2]];
+/// Such a texture.
+pub const RATIO_SHAPE: TextureShape = TextureShape {
+    width: RATIO_SIZE[0],
+    height: RATIO_SIZE[1],
+    encoding: TextureEncoding::Rgbe,
+};
 
 /// Most lobes of [`Specular::Lobes`].
 pub const MAX_FITTED_LOBES: usize = 7;
@@ -137,6 +160,7 @@ pub const MAX_REFLECTIONS: usize = 8;
 /// spherical Gaussian of the half vector, whose colour goes from `f0` to `f90` as
 /// Schlick's Fresnel goes from normal to grazing incidence.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct FittedLobe {
     /// Linear Rec.709 colour at normal incidence, at least 0.
     pub f0: [f32; 3],
@@ -148,6 +172,7 @@ pub struct FittedLobe {
 
 /// How a layer covers what lies below it, with w its weight times its texture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub enum Blend {
     /// A stain: w of this layer and 1 − w of what is below.
     Over,
@@ -159,6 +184,7 @@ pub enum Blend {
 
 /// One layer of a surface.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Layer {
     /// Linear Rec.709 diffuse albedo.
     pub diffuse: [f32; 3],
@@ -169,18 +195,23 @@ pub struct Layer {
     /// How it covers the layers before it.
     pub blend: Blend,
     /// Multiplies `diffuse`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub diffuse_texture: Option<TextureSlot>,
     /// Multiplies the specular colour; at normal incidence, for models with Fresnel.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub specular_texture: Option<TextureSlot>,
     /// R multiplies the roughness along the tangent, G that along the bitangent. The
     /// exponents of Blinn-Phong (R) and Ashikhmin-Shirley are divided by their squares.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub roughness_texture: Option<TextureSlot>,
     /// R multiplies `weight`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub weight_texture: Option<TextureSlot>,
 }
 
 /// The parameters of a surface, before textures.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub enum Surface {
     /// glTF 2.0 metallic-roughness: diffuse albedo `base_color * (1 - metallic)`, GGX with
     /// `f0 = mix(0.04, base_color, metallic)` and `alpha = roughness²`, stretched by
@@ -216,25 +247,31 @@ pub enum Surface {
 /// One material. Surfaces are one-sided: black from behind. A double-sided surface is two
 /// one-sided ones, because each side has its own visibility.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Material {
     /// Name, for messages and editing; need not be unique.
     pub name: String,
     /// Parameters before textures.
     pub surface: Surface,
     /// Multiplies `base_color` (or `diffuse`); not of layers, which have their own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub base_color_texture: Option<TextureSlot>,
     /// G multiplies `roughness`, B multiplies `metallic`; metallic-roughness surfaces only.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub metallic_roughness_texture: Option<TextureSlot>,
     /// Tangent-space normal map, +Y up.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub normal_texture: Option<TextureSlot>,
     /// Scale of the normal map's x and y.
     pub normal_scale: f32,
     /// `KHR_materials_anisotropy`: RG is the direction in [-1, 1], B the strength. Of layers
     /// RG alone: it turns the tangent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub anisotropy_texture: Option<TextureSlot>,
     /// Linear Rec.709 radiance that the surface emits, the same in all directions.
     pub emission: [f32; 3],
     /// Multiplies `emission`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub emission_texture: Option<TextureSlot>,
 }
 
@@ -412,12 +449,11 @@ impl Material {
             }
         }
         for slot in self.ratios() {
-            let [width, height] = RATIO_SIZE;
             let found = textures[slot.texture as usize];
-            if found != (width, height, TextureEncoding::Rgbe) {
+            if found != RATIO_SHAPE {
                 return metadata(
                     Issue::ValueOutOfRange,
-                    &format!("{width}x{height} texels with exponents for lobes' ratio"),
+                    &format!("{RATIO_SHAPE:?} for lobes' ratio"),
                     format_args!("{found:?} of material {:?}", self.name),
                 );
             }
@@ -444,6 +480,7 @@ fn is_roughness(value: f32) -> bool {
 
 /// Which image axis a field of view spans.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub enum FieldOfView {
     /// Full horizontal angle, radians.
     X(f32),
@@ -453,6 +490,7 @@ pub enum FieldOfView {
 
 /// A pinhole camera.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Camera {
     /// Centre of projection, world space.
     pub position: [f32; 3],

@@ -9,6 +9,7 @@ use crate::{Error, Issue, Material, Texture};
 
 /// How well the lobes fit what they came from. Zero where nothing was fitted.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct MaterialReport {
     /// Source file name, without folders.
     pub source: String,
@@ -34,6 +35,7 @@ pub struct MaterialAsset {
 }
 
 #[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 struct Metadata {
     report: MaterialReport,
     material: Material,

@@ -69,6 +69,7 @@ pub struct Cluster {
 
 /// How visibility is represented.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub enum Representation {
     /// A mean and basis per cluster of vertices (Sloan et al. 2003).
     ClusteredPca,
@@ -78,6 +79,7 @@ pub enum Representation {
 
 /// What visibility was sampled from and how it is stored.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct VisibilityParameters {
     /// How it is represented.
     pub representation: Representation,
@@ -93,6 +95,7 @@ pub struct VisibilityParameters {
 
 /// What the bake measured about itself.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct BakeReport {
     /// Vertices read from the mesh.
     pub source_vertices: u64,
@@ -107,6 +110,7 @@ pub struct BakeReport {
 /// How far visibility boundaries are off: root mean squares, radians. An error counts as much
 /// as that of a vertical wall whose edge is off by this angle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct VisibilityErrors {
     /// All over the surface, of stored distances, interpolated between vertices: what is
     /// shaded.
@@ -150,9 +154,11 @@ pub struct Scene {
 }
 
 #[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 struct Metadata {
     name: String,
     visibility: VisibilityParameters,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     camera: Option<Camera>,
     materials: Vec<Material>,
     textures: Vec<TextureShape>,
@@ -268,7 +274,12 @@ pub(crate) fn split_texels(
 ) -> Result<Vec<Texture>, Error> {
     let total = texels.len();
     let mut textures = Vec::new();
-    for &(width, height, encoding) in sizes {
+    for &TextureShape {
+        width,
+        height,
+        encoding,
+    } in sizes
+    {
         let split = texel_bytes(width, height).and_then(|length| texels.split_at_checked(length));
         let (head, tail) = split.ok_or_else(|| {
             Error::section(

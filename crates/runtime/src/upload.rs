@@ -2,7 +2,7 @@
 
 use bytemuck::Pod;
 use glam::Vec3;
-use relight_format::{Material, Scene, Texture, TextureShape};
+use relight_format::{Material, Scene};
 use relight_shading::gpu::{self, AtlasLayout, LimitError, PackedTexture, pack_scene};
 use relight_shading::spherical_gaussian::SphericalGaussian;
 use relight_shading::transfer::{self, DistantLight, PackedTransfer};
@@ -38,7 +38,6 @@ pub struct GpuScene {
     materials: wgpu::Buffer,
     material_count: usize,
     textures: Vec<PackedTexture>,
-    shapes: Vec<TextureShape>,
     bounced: Option<PackedTransfer>,
     /// Where light does not bounce.
     no_products: wgpu::TextureView,
@@ -187,7 +186,6 @@ impl GpuScene {
             materials,
             material_count: packed.materials.len(),
             textures: packed.textures,
-            shapes: scene.textures.iter().map(Texture::shape).collect(),
             bounced: packed.transfer,
             no_products,
         })
@@ -238,7 +236,8 @@ impl GpuScene {
                 count: self.material_count,
             });
         }
-        material.validate(&self.shapes)?;
+        let shapes: Vec<_> = self.textures.iter().map(|texture| texture.shape).collect();
+        material.validate(&shapes)?;
         let packed = gpu::pack_material(material, &self.textures);
         let offset = (index * size_of::<gpu::Material>()) as u64;
         self.queue

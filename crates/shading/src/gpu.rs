@@ -3,7 +3,9 @@
 //! The structures mirror `wgsl/bindings.wgsl`, member by member and in order.
 
 use bytemuck::{Pod, Zeroable};
-use relight_format::{CHANNELS_PER_TILE, MAX_REFLECTIONS, Scene, Surface, TextureEncoding};
+use relight_format::{
+    CHANNELS_PER_TILE, MAX_REFLECTIONS, Scene, Surface, TextureEncoding, TextureShape,
+};
 
 use crate::camera::View;
 use crate::ssdf::Basis;
@@ -367,12 +369,8 @@ pub struct PackedScene {
 pub struct PackedTexture {
     /// First texel.
     pub offset: u32,
-    /// Texels per row.
-    pub width: u32,
-    /// Rows.
-    pub height: u32,
-    /// Meaning of the bytes.
-    pub encoding: TextureEncoding,
+    /// Its size and the meaning of its bytes.
+    pub shape: TextureShape,
 }
 
 /// A scene needs more of something than the GPU, or this layout, offers.
@@ -423,9 +421,7 @@ pub fn pack_scene(scene: &Scene) -> Result<PackedScene, LimitError> {
     for texture in &scene.textures {
         textures.push(PackedTexture {
             offset: texels.len() as u32,
-            width: texture.width,
-            height: texture.height,
-            encoding: texture.encoding,
+            shape: texture.shape(),
         });
         texels.extend(
             texture
@@ -491,9 +487,9 @@ pub fn pack_material(material: &relight_format::Material, textures: &[PackedText
             let [[a, b, c], [d, e, f]] = slot.transform;
             Some(TextureSlot {
                 offset: texture.offset,
-                width: texture.width,
-                height: texture.height,
-                srgb: u32::from(texture.encoding == TextureEncoding::Srgb),
+                width: texture.shape.width,
+                height: texture.shape.height,
+                srgb: u32::from(texture.shape.encoding == TextureEncoding::Srgb),
                 transform_u: [a, b, c, 0.0],
                 transform_v: [d, e, f, 0.0],
             })
@@ -502,8 +498,7 @@ pub fn pack_material(material: &relight_format::Material, textures: &[PackedText
     };
     let ratio = |slot: &relight_format::TextureSlot| {
         let texture = textures.get(slot.texture as usize);
-        let texture =
-            texture.filter(|t| (t.width, t.height, t.encoding) == crate::surface::RATIO_SHAPE);
+        let texture = texture.filter(|t| t.shape == relight_format::RATIO_SHAPE);
         texture.map_or(0, |texture| texture.offset + 1)
     };
     let mut packed = Material {

@@ -8,8 +8,8 @@ use glam::{Vec2, Vec3, Vec4, Vec4Swizzles as _};
 pub use relight_format::MAX_REFLECTIONS;
 use relight_format::math;
 use relight_format::{
-    Blend, FittedLobe, Layer, Material, RATIO_NODES, RATIO_SIZE, Scene, Specular, Surface, Texture,
-    TextureEncoding, TextureShape, TextureSlot, Vertex,
+    Blend, FittedLobe, Layer, Material, RATIO_NODES, RATIO_SHAPE, Scene, Specular, Surface,
+    Texture, TextureEncoding, TextureSlot, Vertex,
 };
 
 use crate::reference::schlick;
@@ -21,8 +21,6 @@ pub const MIN_ALPHA: f32 = 0.02;
 pub const MAX_EXPONENT: f32 = 2.0 / (MIN_ALPHA * MIN_ALPHA);
 /// Reflectance of a dielectric at normal incidence in glTF 2.0 (index of refraction 1.5).
 pub const DIELECTRIC_F0: f32 = 0.04;
-/// Textures of other shapes are no ratios.
-pub(crate) const RATIO_SHAPE: TextureShape = (RATIO_SIZE[0], RATIO_SIZE[1], TextureEncoding::Rgbe);
 /// Exponent of a ratio's texel that multiplies its bytes by 1.
 const RGBE_BIAS: i32 = 136;
 /// Least product of sines by which the azimuth of a ratio is divided.

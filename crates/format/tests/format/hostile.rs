@@ -327,11 +327,37 @@ fn array_lengths_must_be_whole_elements() {
 }
 
 #[test]
-fn metadata_must_fill_its_section() {
-    let bytes = full().with_raw(METADATA, |raw| raw.push(0));
-    assert_eq!(issue(&bytes), Issue::BadMetadata);
-    let bytes = full().with_raw(METADATA, |raw| raw[..8].fill(0xff));
-    assert_eq!(issue(&bytes), Issue::BadMetadata);
+fn metadata_is_one_value_of_known_fields() {
+    let edits: [(&str, fn(&mut Vec<u8>)); 8] = [
+        ("more after it", |raw| raw.push(b'1')),
+        ("no UTF-8", |raw| raw[2..8].fill(0xff)),
+        ("another field", |raw| {
+            raw.splice(1..1, *b"\"else\":1,");
+        }),
+        ("a field twice", |raw| {
+            raw.splice(1..1, *b"\"name\":\"b\",");
+        }),
+        ("too large a number", |raw| {
+            replace(raw, "\"sample_resolution\":", "1e99")
+        }),
+        ("a number beyond all", |raw| {
+            replace(raw, "\"ray_offset\":", "1e300")
+        }),
+        ("no number", |raw| replace(raw, "\"ray_offset\":", "null")),
+        ("too deep", |raw| *raw = vec![b'['; 100_000]),
+    ];
+    for (what, edit) in edits {
+        let bytes = full().with_raw(METADATA, edit);
+        assert_eq!(issue(&bytes), Issue::BadMetadata, "{what}");
+    }
+}
+
+/// Puts `value` in place of the one after `key`.
+fn replace(raw: &mut Vec<u8>, key: &str, value: &str) {
+    let text = String::from_utf8(raw.clone()).expect("UTF-8");
+    let start = text.find(key).expect("a key") + key.len();
+    let length = text[start..].find([',', '}']).expect("an end");
+    raw.splice(start..start + length, value.bytes());
 }
 
 /// 2147549185 × 2147418113 × 4 is 4 modulo 2⁶⁴: one texel, to careless arithmetic.
@@ -347,16 +373,11 @@ fn texture_sizes_cannot_wrap() {
             slot.texture = 0;
         }
     }
-    scene.report.source_vertices = 0x0123_4567_89ab_cdef;
     let file = File::parse(&write_scene(&scene).unwrap());
     assert_eq!(file.sections[TEXELS].raw(), [1, 2, 3, 4]);
     let bytes = file.with_raw(METADATA, |raw| {
-        // The texture list (count, width, height, encoding) ends where the report begins.
-        let report = 0x0123_4567_89ab_cdef_u64.to_le_bytes();
-        let end = raw.windows(8).position(|window| window == report).unwrap();
-        assert_eq!(raw[end - 12..end - 4], [1, 0, 0, 0, 1, 0, 0, 0]);
-        raw[end - 12..end - 8].copy_from_slice(&2_147_549_185_u32.to_le_bytes());
-        raw[end - 8..end - 4].copy_from_slice(&2_147_418_113_u32.to_le_bytes());
+        replace(raw, "\"textures\":[{\"width\":", "2147549185");
+        replace(raw, "\"width\":2147549185,\"height\":", "2147418113");
     });
     assert_eq!(issue(&bytes), Issue::BadLength);
 }

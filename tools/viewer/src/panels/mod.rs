@@ -160,7 +160,10 @@ fn status(ui: &mut Ui, viewer: &Viewer) {
             ui.weak(format!("{:.0} ms", picture.time.as_secs_f64() * 1e3));
         }
         if let Some(answer) = viewer.answers.last() {
-            ui.weak(format!("answer after {:.0} ms", answer.after.as_secs_f64() * 1e3));
+            ui.weak(format!(
+                "answer after {:.0} ms",
+                answer.after.as_secs_f64() * 1e3
+            ));
         }
     });
 }

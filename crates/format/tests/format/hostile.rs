@@ -328,7 +328,8 @@ fn array_lengths_must_be_whole_elements() {
 
 #[test]
 fn metadata_is_one_value_of_known_fields() {
-    let edits: [(&str, fn(&mut Vec<u8>)); 8] = [
+    type Edit = fn(&mut Vec<u8>);
+    let edits: [(&str, Edit); 8] = [
         ("more after it", |raw| raw.push(b'1')),
         ("no UTF-8", |raw| raw[2..8].fill(0xff)),
         ("another field", |raw| {
@@ -338,12 +339,14 @@ fn metadata_is_one_value_of_known_fields() {
             raw.splice(1..1, *b"\"name\":\"b\",");
         }),
         ("too large a number", |raw| {
-            replace(raw, "\"sample_resolution\":", "1e99")
+            replace(raw, "\"sample_resolution\":", "1e99");
         }),
         ("a number beyond all", |raw| {
-            replace(raw, "\"ray_offset\":", "1e300")
+            replace(raw, "\"ray_offset\":", "1e300");
         }),
-        ("no number", |raw| replace(raw, "\"ray_offset\":", "null")),
+        ("no number", |raw| {
+            replace(raw, "\"ray_offset\":", "null");
+        }),
         ("too deep", |raw| *raw = vec![b'['; 100_000]),
     ];
     for (what, edit) in edits {

@@ -29,7 +29,7 @@ const COARSEST: f64 = 1.0 / 32.0;
 /// Most squares of contours looked at for all triangles of a material, which bounds the time.
 const MAX_WORK: f64 = (1u64 << 24) as f64;
 /// Most pieces of contours in one triangle.
-const MAX_NEAR: usize = 1 << 20;
+const MAX_NEAR: usize = 1 << 18;
 /// Texture coordinates beyond this many texels are no coordinates.
 const MAX_COORDINATE: f64 = 1e9;
 /// Steps along an edge.

@@ -13,7 +13,7 @@ use relight_lab::camera::framing;
 use relight_lab::compare::compare;
 use relight_lab::image_file::Image;
 use relight_runtime::offscreen::Gpu;
-use relight_runtime::{Frame, Method, PolarOptions, SphericalGaussian, twin, wgpu};
+use relight_runtime::{Background, Frame, Method, PolarOptions, SphericalGaussian, twin, wgpu};
 
 use crate::meshes::sphere_over_ground;
 use crate::support::{Outcome, with_data_and_gpu, with_gpu};
@@ -108,6 +108,7 @@ fn matches_twin(mesh: &Path) -> Outcome {
             method,
             antialias: false,
             exposure: 1.0,
+            background: Background::Transparent,
         };
         let drawn = gpu.render(&uploaded, &frame, WIDTH, HEIGHT)?.linear;
         let expected = twin::render(&scene, &frame, WIDTH, HEIGHT)?;

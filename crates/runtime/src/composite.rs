@@ -3,16 +3,18 @@
 use relight_shading::gpu;
 use relight_shading::wgsl::{Entry, source};
 
-use crate::options::Encoding;
 use crate::resources::Slot;
 use crate::view::Images;
-use crate::{Error, Options, Renderer};
+use crate::{Error, Frame, Options, Renderer, background};
 
 /// What drawing a view takes, kept from frame to frame.
 #[derive(Debug, Default)]
 pub(crate) struct Drawing {
     uniform: Slot,
-    group: Option<wgpu::BindGroup>,
+    /// The background's image, and the group that has it.
+    group: Option<(wgpu::TextureView, wgpu::BindGroup)>,
+    /// Whether there is a background.
+    has_background: bool,
 }
 
 impl Drawing {
@@ -26,29 +28,33 @@ impl Drawing {
         renderer: &Renderer,
         layout: &wgpu::BindGroupLayout,
         images: &Images,
+        image: &wgpu::TextureView,
         uniform: gpu::Composite,
     ) -> Result<(), Error> {
         let bytes = bytemuck::bytes_of(&uniform);
         let usage = wgpu::BufferUsages::UNIFORM;
         let new = (self.uniform).fill(renderer, "relight composite", bytes, usage)?;
-        if new || self.group.is_none() {
+        self.has_background = uniform.background != gpu::BACKGROUND_NONE;
+        if new || self.group.as_ref().is_none_or(|(of, _)| of != image) {
             let view = wgpu::BindingResource::TextureView;
             let resources = [
                 self.uniform.buffer().as_entire_binding(),
                 view(&images.radiance_view),
                 view(&images.shown_view),
                 view(&images.depth_view),
+                view(image),
             ];
             let entries: Vec<_> = (0..)
                 .zip(resources)
                 .map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource })
                 .collect();
             let device = renderer.device();
-            self.group = Some(device.create_bind_group(&wgpu::BindGroupDescriptor {
+            let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
                 label: Some("relight composite"),
                 layout,
                 entries: &entries,
-            }));
+            });
+            self.group = Some((image.clone(), group));
         }
         Ok(())
     }
@@ -59,7 +65,11 @@ impl Drawing {
     }
 
     pub(crate) fn group(&self) -> Option<&wgpu::BindGroup> {
-        self.group.as_ref()
+        self.group.as_ref().map(|(_, group)| group)
+    }
+
+    pub(crate) fn has_background(&self) -> bool {
+        self.has_background
     }
 }
 
@@ -88,6 +98,10 @@ pub(crate) fn layout(device: &wgpu::Device, surfaces: bool) -> wgpu::BindGroupLa
             texture(wgpu::TextureSampleType::Depth),
             wgpu::ShaderStages::FRAGMENT,
         ),
+        (
+            texture(wgpu::TextureSampleType::Uint),
+            wgpu::ShaderStages::FRAGMENT,
+        ),
     ];
     let entries: Vec<_> = (0..)
         .zip(bindings)
@@ -104,12 +118,61 @@ pub(crate) fn layout(device: &wgpu::Device, surfaces: bool) -> wgpu::BindGroupLa
     })
 }
 
-/// Draws into passes as `options` describe them.
-pub(crate) fn pipeline(
+/// Pipelines into passes of one kind.
+#[derive(Debug)]
+pub(crate) struct Pipelines {
+    /// What instances cover.
+    pixels: wgpu::RenderPipeline,
+    /// What is behind them.
+    background: wgpu::RenderPipeline,
+}
+
+impl Pipelines {
+    /// Into passes as `options` describe them.
+    pub(crate) fn new(
+        device: &wgpu::Device,
+        layout: &wgpu::BindGroupLayout,
+        options: &Options,
+        surfaces: bool,
+    ) -> Self {
+        Self {
+            pixels: pipeline(device, layout, options, surfaces, false),
+            background: pipeline(device, layout, options, surfaces, true),
+        }
+    }
+
+    /// Draws all that a view was prepared with.
+    pub(crate) fn draw(&self, pass: &mut wgpu::RenderPass, drawing: &Drawing) {
+        pass.set_bind_group(0, drawing.group(), &[]);
+        if drawing.has_background() {
+            pass.set_pipeline(&self.background);
+            pass.draw(0..3, 0..1);
+        }
+        pass.set_pipeline(&self.pixels);
+        pass.draw(0..3, 0..1);
+    }
+}
+
+/// Depth of passes as the background takes part in it: as far away as can be, where nothing else is.
+fn behind(depth: &wgpu::DepthStencilState) -> wgpu::DepthStencilState {
+    use wgpu::CompareFunction as C;
+    wgpu::DepthStencilState {
+        depth_write_enabled: Some(false),
+        depth_compare: depth.depth_compare.map(|compare| match compare {
+            C::Greater => C::GreaterEqual,
+            C::Less => C::LessEqual,
+            other => other,
+        }),
+        ..depth.clone()
+    }
+}
+
+fn pipeline(
     device: &wgpu::Device,
     layout: &wgpu::BindGroupLayout,
     options: &Options,
     surfaces: bool,
+    background: bool,
 ) -> wgpu::RenderPipeline {
     let entry = if surfaces {
         Entry::CompositeSurfaces
@@ -127,27 +190,43 @@ pub(crate) fn pipeline(
     });
     let samples = surfaces && options.multisample.count == 4;
     let fragment = match (&options.depth_stencil, samples) {
+        _ if background => "background_fragment",
         (Some(_), false) => "composite_depth_fragment",
         (None, false) => "composite_fragment",
         (Some(_), true) => "composite_sample_depth_fragment",
         (None, true) => "composite_sample_fragment",
     };
+    let (vertex, depth_stencil) = if background {
+        (
+            "background_vertex",
+            options.depth_stencil.as_ref().map(behind),
+        )
+    } else {
+        ("composite_vertex", options.depth_stencil.clone())
+    };
+    let constants = [(
+        "COMPOSITE_MIXES",
+        f64::from(u8::from(options.blend.is_none())),
+    )];
     device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
         label: Some("relight composite"),
         layout: Some(&layout),
         vertex: wgpu::VertexState {
             module: &module,
-            entry_point: Some("composite_vertex"),
+            entry_point: Some(vertex),
             compilation_options: wgpu::PipelineCompilationOptions::default(),
             buffers: &[],
         },
         primitive: wgpu::PrimitiveState::default(),
-        depth_stencil: options.depth_stencil.clone(),
+        depth_stencil,
         multisample: options.multisample,
         fragment: Some(wgpu::FragmentState {
             module: &module,
             entry_point: Some(fragment),
-            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            compilation_options: wgpu::PipelineCompilationOptions {
+                constants: if background { &[] } else { &constants },
+                ..Default::default()
+            },
             targets: &[Some(wgpu::ColorTargetState {
                 format: options.target_format,
                 blend: options.blend,
@@ -159,18 +238,16 @@ pub(crate) fn pipeline(
     })
 }
 
-/// The uniforms of a frame.
+/// The uniforms of a frame as `options` draw it, the world seen in `world`.
 pub(crate) fn uniform(
     [width, height]: [u32; 2],
-    exposure: f32,
-    encoding: Encoding,
-    flipped_depth: bool,
+    frame: &Frame,
+    world: &relight_shading::camera::View,
+    options: &Options,
 ) -> gpu::Composite {
     gpu::Composite {
         size: [width as f32, height as f32],
-        exposure,
-        encoding: encoding as u32,
-        flipped_depth: u32::from(flipped_depth),
-        reserved: 0,
+        encoding: options.output.encoding(options.target_format) as u32,
+        ..background::uniform(frame, world)
     }
 }

@@ -12,7 +12,7 @@ use relight_shading::sources::Sources;
 use relight_shading::spherical_gaussian::SphericalGaussian;
 
 use crate::placement::check_rotation;
-use crate::{Error, Placement};
+use crate::{Background, Error, Placement};
 
 /// An environment asset in the form that frames take: made once, for any number of frames.
 #[derive(Clone, Debug)]
@@ -77,6 +77,8 @@ pub struct Frame<'a> {
     /// Multiplies radiance on its way into targets; [`crate::View::radiance`] and pictures of the
     /// twin are not exposed.
     pub exposure: f32,
+    /// What is drawn behind the instances, into targets only. Default nothing.
+    pub background: Background<'a>,
 }
 
 impl<'a> Frame<'a> {
@@ -92,6 +94,7 @@ impl<'a> Frame<'a> {
             method: Method::Polar(PolarOptions::STANDARD),
             antialias: false,
             exposure: 1.0,
+            background: Background::Transparent,
         }
     }
 
@@ -244,6 +247,7 @@ mod tests {
             method: Method::Ambient,
             antialias: false,
             exposure: 1.0,
+            background: Background::Transparent,
         };
         let [turned] = frame.rotated_lights()[..] else {
             panic!("one light in, one light out");

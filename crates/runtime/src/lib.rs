@@ -53,6 +53,9 @@
 //! # }
 //! ```
 //!
+//! [`Frame::background`] is drawn behind it all: a colour, or a [`Panorama`] of the environment or of the
+//! app's own image, sharp or blurred, which turns with the light.
+//!
 //! Float targets get linear radiance times [`Frame::exposure`], others display colours ([`Output`]).
 //! What is written is multiplied by its coverage. An app that wants a picture and nothing else calls
 //! [`Renderer::render`], which clears and fills a target.
@@ -84,6 +87,7 @@
 //! Without a GPU, `twin::render` draws the same frame (feature `twin`). `offscreen` opens a device and
 //! waits for pictures, for tools and tests. Both are on by default; an app needs neither.
 
+mod background;
 mod composite;
 mod error;
 mod frame;
@@ -103,12 +107,14 @@ mod upload;
 mod vertex_lights;
 mod view;
 
+pub use background::Background;
 pub use error::Error;
 pub use frame::{EnvironmentLight, Frame};
 pub use image::Image;
 pub use options::{Options, Output};
 pub use pass_times::PassTimes;
 pub use placement::{Instance, Placement};
+pub use relight_shading::background::Panorama;
 pub use relight_shading::camera::Viewpoint;
 pub use relight_shading::cells::CellsOptions;
 pub use relight_shading::gpu::{LimitError, MAX_LOCAL_LIGHTS};

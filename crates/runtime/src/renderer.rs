@@ -19,10 +19,10 @@ use crate::view::{
     DEPTH_FORMAT, ImageLayouts, Images, RADIANCE_FORMAT, Region, SAMPLES_FORMAT, VISIBILITY_FORMAT,
     WORKGROUP, World, shaded_size,
 };
-use crate::{Error, Frame, Instance, Options, Placement, View, composite};
+use crate::{Background, Error, Frame, Instance, Options, Placement, View, composite};
 
-/// Reflected images that are kept on the GPU.
-const KEPT_IMAGES: usize = 4;
+/// Images that are reflected, or behind scenes, that are kept on the GPU.
+const KEPT_IMAGES: usize = 8;
 
 /// Texels and what they are on the GPU.
 type KeptImages = Vec<(Arc<[u32]>, wgpu::TextureView)>;
@@ -54,11 +54,11 @@ pub struct Renderer {
     /// The same with four samples per pixel, and the surfaces among them; made when first needed.
     surface_pipelines: OnceLock<(wgpu::RenderPipeline, wgpu::ComputePipeline)>,
     /// Into passes of the app's, for pixels of one surface and of several; made when first needed.
-    composite_pipelines: [OnceLock<wgpu::RenderPipeline>; 2],
+    composite_pipelines: [OnceLock<composite::Pipelines>; 2],
     /// The same into a target that is cleared.
-    target_pipelines: [OnceLock<wgpu::RenderPipeline>; 2],
+    target_pipelines: [OnceLock<composite::Pipelines>; 2],
     tables: wgpu::Buffer,
-    /// Reflected images, the last one first.
+    /// Images that are reflected or behind scenes, the last one first.
     prefiltered: Arc<Mutex<KeptImages>>,
     /// One texel.
     no_image: wgpu::TextureView,
@@ -237,7 +237,9 @@ impl Renderer {
     }
 
     /// Draws what the view was prepared with into a pass of the app's: over what is there, or
-    /// behind it where the pass has depth that says so. Where no instance is seen, nothing is drawn.
+    /// behind it where the pass has depth that says so. Where no instance is seen there is the
+    /// [`Frame::background`], if any, as far away as depth goes: over all of the viewport in passes without
+    /// depth, else where nothing nearer was drawn before.
     ///
     /// The pass is as [`Options`] describe it, on the device of the renderer; `wgpu` reports
     /// one that is not as an invalid pipeline. The view fills the viewport, which a pass may move by
@@ -245,16 +247,16 @@ impl Renderer {
     /// the pass's state are changed.
     pub fn composite(&self, view: &View, pass: &mut wgpu::RenderPass) -> Result<(), Error> {
         self.check_view(view)?;
-        let group = view.drawing.group().ok_or(Error::NotPrepared)?;
-        pass.set_pipeline(self.composite_pipeline(view.antialias()));
-        pass.set_bind_group(0, group, &[]);
-        pass.draw(0..3, 0..1);
+        if view.drawing.group().is_none() {
+            return Err(Error::NotPrepared);
+        }
+        (self.composite_pipelines(view.antialias())).draw(pass, &view.drawing);
         Ok(())
     }
 
     /// Records one frame into `target`, a view of `width` × `height` pixels in the format
-    /// of [`Options::target_format`], without depth and of one sample. Alpha is coverage; the
-    /// background is transparent black.
+    /// of [`Options::target_format`], without depth and of one sample. Alpha is coverage; without
+    /// a [`Frame::background`] the rest is transparent black.
     pub fn render(
         &mut self,
         encoder: &mut wgpu::CommandEncoder,
@@ -298,9 +300,7 @@ impl Renderer {
                 timestamp_writes: recording.as_ref().map(|times| times.render(Pass::Tonemap)),
                 ..Default::default()
             });
-            pass.set_pipeline(self.target_pipeline(frame.antialias));
-            pass.set_bind_group(0, view.drawing.group(), &[]);
-            pass.draw(0..3, 0..1);
+            (self.target_pipelines(frame.antialias)).draw(&mut pass, &view.drawing);
         }
         if let Some(recording) = recording {
             recording.end(encoder, 3);
@@ -320,7 +320,12 @@ impl Renderer {
     ) -> Result<(), Error> {
         self.check_view(view)?;
         let (drawn, world) = self.place(view.size(), instances, frame)?;
-        let image = self.reflections(frame)?;
+        let image = self.image(frame.reflections)?;
+        let behind = match &frame.background {
+            Background::Panorama { image, .. } => Some(image.levels()),
+            Background::Transparent | Background::Color(_) => None,
+        };
+        let behind = self.image(behind)?;
         view.resources
             .resize_with(instances.len(), Default::default);
         for ((instance, resources), (local, numbered)) in
@@ -332,14 +337,13 @@ impl Renderer {
         }
         self.make_images(view, frame)?;
         // Not in the app's pass.
-        self.composite_pipeline(frame.antialias);
+        self.composite_pipelines(frame.antialias);
         let images = view.images.as_ref().expect("just made");
-        let encoding = (self.options.output).encoding(self.options.target_format);
-        let flipped = (drawn.first()).is_some_and(|(local, _)| local.view.flipped_depth);
-        let uniform = composite::uniform(view.size(), frame.exposure, encoding, flipped);
+        let uniform = composite::uniform(view.size(), frame, &world.view, &self.options);
         let layout = &self.composite_layouts[usize::from(frame.antialias)];
-        (view.drawing).fill(self, layout, images, uniform)?;
+        (view.drawing).fill(self, layout, images, &behind, uniform)?;
         if frame.antialias {
+            let world = gpu::Frame::of_view(&world.view);
             let uniform = bytemuck::bytes_of(&world);
             let usage = wgpu::BufferUsages::UNIFORM;
             if (view.world.slot).fill(self, "relight world", uniform, usage)? {
@@ -423,7 +427,7 @@ impl Renderer {
         size: [u32; 2],
         instances: &[Instance],
         frame: &Frame,
-    ) -> Result<(Vec<PlacedFrame>, gpu::Frame), Error> {
+    ) -> Result<(Vec<PlacedFrame>, LocalFrame), Error> {
         let ids = first_ids(
             instances
                 .iter()
@@ -449,10 +453,7 @@ impl Renderer {
         };
         let world = frame.seen_from(&Placement::IDENTITY, size, near.min(f32::MAX))?;
         let drawn = (0..).zip(instances.iter().zip(ids)).map(place);
-        Ok((
-            drawn.collect::<Result<_, Error>>()?,
-            gpu::Frame::of_view(&world.view),
-        ))
+        Ok((drawn.collect::<Result<_, Error>>()?, world))
     }
 
     /// Makes the images of a view that has none, or others than are needed.
@@ -652,15 +653,15 @@ impl Renderer {
         })
     }
 
-    fn composite_pipeline(&self, surfaces: bool) -> &wgpu::RenderPipeline {
+    fn composite_pipelines(&self, surfaces: bool) -> &composite::Pipelines {
         let index = usize::from(surfaces);
         self.composite_pipelines[index].get_or_init(|| {
             let layout = &self.composite_layouts[index];
-            composite::pipeline(&self.device, layout, &self.options, surfaces)
+            composite::Pipelines::new(&self.device, layout, &self.options, surfaces)
         })
     }
 
-    fn target_pipeline(&self, surfaces: bool) -> &wgpu::RenderPipeline {
+    fn target_pipelines(&self, surfaces: bool) -> &composite::Pipelines {
         let index = usize::from(surfaces);
         self.target_pipelines[index].get_or_init(|| {
             let options = Options {
@@ -670,7 +671,7 @@ impl Renderer {
                 ..self.options.clone()
             };
             let layout = &self.composite_layouts[index];
-            composite::pipeline(&self.device, layout, &options, surfaces)
+            composite::Pipelines::new(&self.device, layout, &options, surfaces)
         })
     }
 
@@ -709,9 +710,9 @@ impl Renderer {
         })
     }
 
-    /// The reflected image on the GPU; one texel without.
-    fn reflections(&self, frame: &Frame) -> Result<wgpu::TextureView, Error> {
-        let Some(image) = frame.reflections else {
+    /// An image on the GPU; one texel without.
+    fn image(&self, image: Option<&Prefiltered>) -> Result<wgpu::TextureView, Error> {
+        let Some(image) = image else {
             return Ok(self.no_image.clone());
         };
         let mut kept = (self.prefiltered.lock()).unwrap_or_else(PoisonError::into_inner);
@@ -720,7 +721,7 @@ impl Renderer {
             .position(|(texels, _)| Arc::ptr_eq(texels, image.texels()));
         let entry = match found {
             Some(index) => kept.remove(index),
-            None => (image.texels().clone(), self.upload_reflections(image)?),
+            None => (image.texels().clone(), self.upload_image(image)?),
         };
         let view = entry.1.clone();
         kept.insert(0, entry);
@@ -728,7 +729,7 @@ impl Renderer {
         Ok(view)
     }
 
-    fn upload_reflections(&self, image: &Prefiltered) -> Result<wgpu::TextureView, Error> {
+    fn upload_image(&self, image: &Prefiltered) -> Result<wgpu::TextureView, Error> {
         let width = prefiltered::TEXTURE_WIDTH as usize;
         let rows = image.texels().len().div_ceil(width);
         let allowed = self.device.limits().max_texture_dimension_2d;

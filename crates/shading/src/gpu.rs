@@ -308,7 +308,7 @@ pub struct Material {
     pub layers: [Layer; MAX_REFLECTIONS],
 }
 
-/// How radiance becomes what a target holds (uniform, 24 bytes).
+/// How radiance becomes what a target holds, and what is behind it (uniform, 160 bytes).
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct Composite {
@@ -320,9 +320,42 @@ pub struct Composite {
     pub encoding: u32,
     /// 1 where the target's depth grows with distance.
     pub flipped_depth: u32,
+    /// [`BACKGROUND_NONE`], [`BACKGROUND_COLOR`] or [`BACKGROUND_IMAGE`].
+    pub background: u32,
+    /// Of an image: levels of its texture.
+    pub levels: u32,
+    /// Of an image: that of the lobe that it is seen through.
+    pub sharpness: f32,
+    /// [`View::corner`].
+    pub corner: [f32; 3],
+    /// 1.0; 0.0 where all rays have one direction.
+    pub perspective: f32,
+    /// [`View::right`].
+    pub right: [f32; 3],
     /// Zero.
-    pub reserved: u32,
+    pub reserved_0: u32,
+    /// [`View::down`].
+    pub down: [f32; 3],
+    /// Zero.
+    pub reserved_1: u32,
+    /// [`View::eye`].
+    pub eye: [f32; 3],
+    /// Zero.
+    pub reserved_2: u32,
+    /// Of a colour: linear radiance.
+    pub color: [f32; 3],
+    /// Zero.
+    pub reserved_3: u32,
+    /// World directions to those of the image, column after column.
+    pub rotation: [[f32; 4]; 3],
 }
+
+/// Nothing behind the scene.
+pub const BACKGROUND_NONE: u32 = 0;
+/// One colour.
+pub const BACKGROUND_COLOR: u32 = 1;
+/// The texture `prefiltered`.
+pub const BACKGROUND_IMAGE: u32 = 2;
 
 /// What a packed scene looks like to [`Frame`].
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -756,7 +789,20 @@ mod tests {
                 exposure,
                 encoding,
                 flipped_depth,
-                reserved,
+                background,
+                levels,
+                sharpness,
+                corner,
+                perspective,
+                right,
+                reserved_0,
+                down,
+                reserved_1,
+                eye,
+                reserved_2,
+                color,
+                reserved_3,
+                rotation,
             }
         );
         let module = naga::front::wgsl::parse_str(&source(Entry::Library)).expect("valid WGSL");

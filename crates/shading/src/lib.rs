@@ -3,6 +3,7 @@
 
 pub mod accuracy;
 pub mod ambient;
+pub mod background;
 pub mod brdf;
 pub mod camera;
 pub mod cells;

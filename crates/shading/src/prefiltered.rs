@@ -29,33 +29,48 @@ impl Prefiltered {
         lights: &[SphericalGaussian],
     ) -> Option<Self> {
         let levels = prefiltered.levels().filter(|levels| *levels > 0)?;
-        let mut texels = prefiltered.texels.iter();
-        let mut rest = Vec::with_capacity(texels.len());
-        for level in 0..levels {
+        let texel = |((axis, sharpness), texel): ((Vec3, f32), &u32)| {
+            let lobe = SphericalGaussian {
+                axis,
+                sharpness,
+                amplitude: Vec3::ONE,
+            };
+            let lights: Vec3 = lights
+                .iter()
+                .map(|light| light.product(&lobe).integral())
+                .sum();
+            encode_signed(decode(*texel) - lights / energy(sharpness))
+        };
+        let texels = Self::lobes(levels).zip(&prefiltered.texels).map(texel);
+        Some(Self::of_texels(levels, texels.collect()))
+    }
+
+    /// Texels of so many levels, each [`encode_signed`].
+    pub(crate) fn of_texels(levels: u32, texels: Arc<[u32]>) -> Self {
+        debug_assert_eq!(
+            texels.len(),
+            relight_format::Prefiltered::texel_count(levels)
+        );
+        Self { levels, texels }
+    }
+
+    /// Axis and sharpness of the lobe that every texel of so many levels sees, before texels are
+    /// interpolated.
+    pub(crate) fn lobes(levels: u32) -> impl Iterator<Item = (Vec3, f32)> {
+        (0..levels).flat_map(move |level| {
             let n = 1u32 << (levels - level);
             let variance = 1.0 / (relight_format::Prefiltered::SHARPNESS * (n * n) as f32);
-            for (y, x) in (0..n).flat_map(|y| (0..n).map(move |x| (y, x))) {
+            let lobe = move |(y, x): (u32, u32)| {
                 let axis = octahedral::texel_direction(x, y, n).normalize();
                 // Interpolation between texels blurs as well, by a sixth of a texel's area; the
                 // octahedral map shrinks by the third power of the distance to the face
                 // (Engelhardt & Dachsbacher 2008).
                 let area = 4.0 / (n * n) as f32 * axis.abs().element_sum().powi(3);
-                let lobe = SphericalGaussian {
-                    axis,
-                    sharpness: 1.0 / (variance - area / 6.0),
-                    amplitude: Vec3::ONE,
-                };
-                let lights: Vec3 = lights
-                    .iter()
-                    .map(|light| light.product(&lobe).integral())
-                    .sum();
-                let image = decode(*texels.next()?);
-                rest.push(encode_signed(image - lights / energy(lobe.sharpness)));
-            }
-        }
-        Some(Self {
-            levels,
-            texels: rest.into(),
+                (axis, 1.0 / (variance - area / 6.0))
+            };
+            (0..n)
+                .flat_map(move |y| (0..n).map(move |x| (y, x)))
+                .map(lobe)
         })
     }
 

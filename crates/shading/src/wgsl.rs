@@ -30,7 +30,8 @@ pub enum Entry {
     /// pixels.
     Sources,
     /// Linear radiance into a target: `composite_vertex`; `composite_fragment` or, where the target
-    /// has depth, `composite_depth_fragment`.
+    /// has depth, `composite_depth_fragment`. What is behind it: `background_vertex`,
+    /// `background_fragment`.
     Composite,
     /// The same for pixels of several surfaces: `composite_vertex`; `composite_fragment` and
     /// `composite_depth_fragment` for targets of one sample, `composite_sample_fragment` and
@@ -183,6 +184,15 @@ const LIBRARY: &[&str] = &[
     include_str!("wgsl/light.wgsl"),
 ];
 
+/// What draws pixels and what is behind them.
+const COMPOSITE: &[&str] = &[
+    include_str!("wgsl/octahedral.wgsl"),
+    include_str!("wgsl/prefiltered.wgsl"),
+    include_str!("wgsl/tonemap.wgsl"),
+    include_str!("wgsl/background.wgsl"),
+    include_str!("wgsl/composite.wgsl"),
+];
+
 /// The complete WGSL of one module.
 pub fn source(entry: Entry) -> String {
     let mut source = constants();
@@ -229,13 +239,11 @@ pub fn source(entry: Entry) -> String {
             source += include_str!("wgsl/sources.wgsl");
         }
         Entry::Composite => {
-            source += include_str!("wgsl/tonemap.wgsl");
-            source += include_str!("wgsl/composite.wgsl");
+            source.extend(COMPOSITE.iter().copied());
             source += include_str!("wgsl/composite_pixels.wgsl");
         }
         Entry::CompositeSurfaces => {
-            source += include_str!("wgsl/tonemap.wgsl");
-            source += include_str!("wgsl/composite.wgsl");
+            source.extend(COMPOSITE.iter().copied());
             source += include_str!("wgsl/composite_surfaces.wgsl");
         }
         Entry::Library => source.extend(LIBRARY.iter().copied()),
@@ -262,6 +270,8 @@ fn constants() -> String {
         ("JOIN_OVER", Join::Over as u32),
         ("JOIN_COAT", Join::Coat as u32),
         ("METHOD_AMBIENT", gpu::METHOD_AMBIENT),
+        ("BACKGROUND_NONE", gpu::BACKGROUND_NONE),
+        ("BACKGROUND_IMAGE", gpu::BACKGROUND_IMAGE),
         ("MAX_LOCAL_LIGHTS", gpu::MAX_LOCAL_LIGHTS),
         ("MAX_TILES", relight_format::MAX_TILES_PER_CLUSTER),
     ];

@@ -167,7 +167,6 @@ struct Composed {
 struct ComposedKey {
     images: [Option<*const Image>; 2],
     look: Look,
-    sky: Option<*const crate::state::SkyImage>,
     lights: *const SphericalGaussian,
     size: [u32; 2],
 }
@@ -260,8 +259,7 @@ impl Viewer {
         };
         let compose = |task: Composition| {
             let sky = Sky {
-                image: task.light.image.as_deref(),
-                prefiltered: task.light.prefiltered.as_ref(),
+                panorama: task.light.panorama.as_ref(),
                 rotation: task.rotation,
             };
             let images = [0, 1].map(|i: usize| task.images[i].as_deref());
@@ -804,7 +802,6 @@ impl Viewer {
         let key = ComposedKey {
             images: [0, 1].map(|pane: usize| images[pane].as_ref().map(Arc::as_ptr)),
             look,
-            sky: self.light.image.as_ref().map(Arc::as_ptr),
             lights: self.light.lobes.as_ptr(),
             size,
         };

@@ -3,18 +3,14 @@
 use glam::{Mat3, Quat, Vec3};
 use rayon::prelude::*;
 use relight_format::Camera;
-use relight_runtime::{Image, Prefiltered};
+use relight_runtime::{Image, Panorama};
 use relight_shading::camera::View;
 use relight_shading::tonemap;
 
-use crate::state::{Background, Curve, Layout, Settings, SkyImage};
+use crate::state::{Background, Curve, Layout, Settings};
 
 /// Linear grey where there is neither scene nor image.
 const GREY: f32 = 0.035;
-/// Sharpness of the lobe that a blurred background is seen through.
-const BLUR: f32 = 40.0;
-/// Sharper than any level of an environment's image.
-const SHARPEST: f32 = 1e9;
 /// Where exposed radiance is cut off: beyond it every curve is white, and infinity is not a colour.
 const BRIGHTEST: f32 = 1e6;
 /// Entries of the table of the sRGB curve: finer than its codes wherever it is steepest.
@@ -53,10 +49,8 @@ impl From<&Settings> for Look {
 /// What is behind the scene and how it is turned.
 #[derive(Clone, Copy, Debug)]
 pub struct Sky<'a> {
-    /// The image itself.
-    pub image: Option<&'a SkyImage>,
-    /// The image as lobes see it.
-    pub prefiltered: Option<&'a Prefiltered>,
+    /// All of it.
+    pub panorama: Option<&'a Panorama>,
     /// Turns it.
     pub rotation: Quat,
 }
@@ -73,6 +67,11 @@ pub fn compose(
     let [width, height] = size;
     let view = View::new(camera, width, height, 1.0);
     let to_sky = Mat3::from_quat(sky.rotation).transpose();
+    let behind = match (look.background, sky.panorama) {
+        (Background::Sharp, Some(image)) => relight_runtime::Background::sharp(image),
+        (Background::Blurred, Some(image)) => relight_runtime::Background::blurred(image),
+        _ => relight_runtime::Background::Transparent,
+    };
     let scale = look.exposure.exp2();
     let codes = code_table();
     let divider = (look.divider * width as f32).round() as u32;
@@ -102,12 +101,8 @@ pub fn compose(
             }
             let mut alpha = coverage;
             if coverage < 1.0 && look.background != Background::Transparent {
-                let direction = || to_sky * view.pixel_direction(x as u32, y as u32).normalize();
-                let behind = match look.background {
-                    Background::Off => None,
-                    Background::Blurred => sky.radiance(direction(), BLUR),
-                    _ => sky.radiance(direction(), SHARPEST),
-                };
+                let direction = view.pixel_direction(x as u32, y as u32).normalize();
+                let behind = behind.radiance(direction, &to_sky);
                 let behind = behind.map_or(Vec3::splat(GREY), |radiance| {
                     curve(look.curve, scale * radiance)
                 });
@@ -129,42 +124,6 @@ pub fn compose(
         .enumerate()
         .for_each(row);
     pixels
-}
-
-impl Sky<'_> {
-    /// Radiance from a direction of the image, as a lobe of the given sharpness sees it.
-    fn radiance(&self, direction: Vec3, sharpness: f32) -> Option<Vec3> {
-        if sharpness >= SHARPEST
-            && let Some(image) = self.image
-        {
-            return Some(image.radiance(direction));
-        }
-        let prefiltered = self.prefiltered?;
-        Some(prefiltered.radiance(direction, sharpness))
-    }
-}
-
-impl SkyImage {
-    /// Radiance from a direction, between the four nearest pixels.
-    pub fn radiance(&self, direction: Vec3) -> Vec3 {
-        let turn = std::f32::consts::TAU;
-        let u = direction.x.atan2(-direction.z).rem_euclid(turn) / turn;
-        let v = direction.y.clamp(-1.0, 1.0).acos() / std::f32::consts::PI;
-        let (width, height) = (self.width.max(1) as i64, self.height.max(1) as i64);
-        let (x, y) = (u * width as f32 - 0.5, v * height as f32 - 0.5);
-        let (left, top) = (x.floor(), y.floor());
-        let at = |column: i64, row: i64| {
-            let row = row.clamp(0, height - 1);
-            let index = row * width + column.rem_euclid(width);
-            self.pixels
-                .get(index as usize)
-                .map_or(Vec3::ZERO, |pixel| Vec3::from(*pixel))
-        };
-        let (column, row) = (left as i64, top as i64);
-        let upper = at(column, row).lerp(at(column + 1, row), x - left);
-        let lower = at(column, row + 1).lerp(at(column + 1, row + 1), x - left);
-        upper.lerp(lower, y - top)
-    }
 }
 
 /// A picture at a pixel of one of another size, between the four nearest pixels.
@@ -250,8 +209,7 @@ mod tests {
         field_of_view: FieldOfView::Y(1.0),
     };
     const SKY: Sky<'static> = Sky {
-        image: None,
-        prefiltered: None,
+        panorama: None,
         rotation: Quat::IDENTITY,
     };
 
@@ -339,21 +297,13 @@ mod tests {
     #[test]
     fn the_background_turns_with_the_light_and_may_be_absent() {
         // White towards −Z, black elsewhere.
-        let mut sky_image = SkyImage {
-            width: 64,
-            height: 32,
-            pixels: vec![[0.0; 3]; 64 * 32],
-        };
-        for (i, pixel) in sky_image.pixels.iter_mut().enumerate() {
-            if !(8..56).contains(&(i % 64)) {
-                *pixel = [1.0; 3];
-            }
-        }
+        let white = |i: usize| f32::from(u8::from(!(8..56).contains(&(i % 64))));
+        let pixels: Vec<_> = (0..64 * 32).map(|i| [white(i); 3]).collect();
+        let panorama = Panorama::from_lat_long([64, 32], &pixels).expect("an image");
         let empty = image(9, 9, [0.0; 4]);
         let show = |background, rotation| {
             let sky = Sky {
-                image: Some(&sky_image),
-                prefiltered: None,
+                panorama: Some(&panorama),
                 rotation,
             };
             let look = Look {

@@ -9,6 +9,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use egui::accesskit::{Node, TreeUpdate};
 use js_sys::{Float32Array, Uint8Array};
+use relight_runtime::Panorama;
 use serde_json::json;
 use wasm_bindgen::prelude::wasm_bindgen;
 use wasm_bindgen::{JsError, JsValue};
@@ -17,7 +18,6 @@ use web_sys::HtmlCanvasElement;
 use crate::app::{Start, Viewer};
 use crate::jobs::{Inbox, Message};
 use crate::settings;
-use crate::state::SkyImage;
 
 #[wasm_bindgen]
 extern "C" {
@@ -117,11 +117,7 @@ impl Page {
     /// A worker fitted an image, which is here as linear RGB, row 0 first.
     pub fn light(&self, number: u32, asset: Vec<u8>, width: u32, height: u32, pixels: &[f32]) {
         let (pixels, _) = pixels.as_chunks();
-        let image = SkyImage {
-            width,
-            height,
-            pixels: pixels.to_vec(),
-        };
+        let image = Panorama::from_lat_long([width, height], pixels);
         self.tell(Message::Light {
             number,
             asset,

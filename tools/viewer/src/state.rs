@@ -10,7 +10,8 @@ use relight_format::{
     TextureSlot,
 };
 use relight_runtime::{
-    CellsOptions, LocalLight, Method, PolarOptions, Prefiltered, Sources, SphericalGaussian,
+    CellsOptions, LocalLight, Method, Panorama, PolarOptions, Prefiltered, Sources,
+    SphericalGaussian,
 };
 use serde::{Deserialize, Serialize};
 
@@ -242,17 +243,6 @@ impl Quality {
     }
 }
 
-/// A lat-long image behind the scene, as in ARCHITECTURE.md.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct SkyImage {
-    /// Columns.
-    pub width: u32,
-    /// Rows.
-    pub height: u32,
-    /// Linear radiance, row 0 is +Y.
-    pub pixels: Vec<[f32; 3]>,
-}
-
 /// Distant light, ready for frames.
 #[derive(Clone, Debug, Default)]
 pub struct Light {
@@ -268,8 +258,8 @@ pub struct Light {
     pub prefiltered: Option<Prefiltered>,
     /// Suns, lamps and windows, apart from the lobes.
     pub sources: Option<Arc<Sources>>,
-    /// The image itself, where one was loaded.
-    pub image: Option<Arc<SkyImage>>,
+    /// All of it, for backgrounds: the image itself, where one was loaded.
+    pub panorama: Option<Panorama>,
 }
 
 impl Light {
@@ -278,7 +268,7 @@ impl Light {
         name: String,
         source: Option<PathBuf>,
         environment: Environment,
-        image: Option<Arc<SkyImage>>,
+        panorama: Option<Panorama>,
     ) -> Self {
         let lobes: Arc<[SphericalGaussian]> = environment.lobes.iter().map(Into::into).collect();
         Self {
@@ -287,8 +277,8 @@ impl Light {
             prefiltered: Prefiltered::new(&environment.prefiltered, &lobes),
             sources: Sources::new(&environment).map(Arc::new),
             lobes,
+            panorama: panorama.or_else(|| Some(Panorama::of_environment(&environment))),
             environment: environment.into(),
-            image,
         }
     }
 }

@@ -124,8 +124,7 @@ pub fn still(
         .finished(shot, size, passes)
         .map_err(anyhow::Error::msg)?;
     let sky = Sky {
-        image: light.image.as_deref(),
-        prefiltered: light.prefiltered.as_ref(),
+        panorama: light.panorama.as_ref(),
         rotation: shot.rotation,
     };
     Ok(compose::compose(

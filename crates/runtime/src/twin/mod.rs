@@ -16,6 +16,7 @@ use relight_shading::sources::Lit;
 use relight_shading::ssdf::{Basis, SignedDistance, Ssdf};
 use relight_shading::surface::{SurfacePoint, emission, surface_seen};
 use relight_shading::surfaces::{self, Item, Sample, Surfaces};
+use relight_shading::tonemap;
 use relight_shading::transfer::{Bounced, PackedTransfer};
 use relight_shading::vertex_visibility::Corners;
 
@@ -480,11 +481,52 @@ fn key(instances: &[Staged], id: u32) -> u32 {
     surfaces::key(normal, surfaces::tag(material, instance as u32))
 }
 
+/// Linear radiance of a frame's background, not exposed, as a picture: alpha is 1, or 0 where there is
+/// none.
+pub fn background(frame: &Frame, [width, height]: [u32; 2]) -> Result<Image, Error> {
+    if width == 0 || height == 0 {
+        return Err(Error::EmptyImage { width, height });
+    }
+    let world = frame.seen_from(&Placement::IDENTITY, [width, height], 1.0)?;
+    let to_image = frame.to_image();
+    let pixel = |index: u32| {
+        let direction = (world.view).pixel_direction(index % width, index / width);
+        let radiance = (frame.background).radiance(direction.normalize(), &to_image);
+        radiance.map_or([0.0; 4], |radiance| radiance.extend(1.0).to_array())
+    };
+    Ok(Image {
+        width,
+        height,
+        pixels: (0..width * height).into_par_iter().map(pixel).collect(),
+    })
+}
+
+/// Tone-mapped sRGB RGBA8 of a linear image over the frame's background, as
+/// [`Renderer::render`](crate::Renderer::render) has it in a target that does not encode: multiplied by
+/// coverage, and pixels that are covered in part are mixed as they are encoded.
+pub fn display(image: &Image, frame: &Frame) -> Result<Vec<u8>, Error> {
+    let behind = background(frame, [image.width, image.height])?;
+    let stored = |[r, g, b, coverage]: [f32; 4]| {
+        let radiance = Vec3::new(r, g, b) / if coverage > 0.0 { coverage } else { 1.0 };
+        let color = tonemap::neutral((radiance * frame.exposure).max(Vec3::ZERO));
+        let encoded = color.to_array().map(tonemap::encode_srgb);
+        (coverage * Vec3::from(encoded)).extend(coverage)
+    };
+    let pixel = |(&above, &below): (&[f32; 4], &[f32; 4])| {
+        let above = stored(above);
+        let mixed = above + (1.0 - above.w) * stored(below);
+        mixed.to_array().map(|value| (value * 255.0).round() as u8)
+    };
+    Ok((image.pixels.iter().zip(&behind.pixels))
+        .flat_map(pixel)
+        .collect())
+}
+
 /// Tone-mapped sRGB RGBA8 of a linear image, row 0 first; colours are not multiplied by coverage.
 pub fn tonemap(image: &Image, exposure: f32) -> Vec<u8> {
     image
         .pixels
         .iter()
-        .flat_map(|&pixel| relight_shading::tonemap::pixel(pixel, exposure))
+        .flat_map(|&pixel| tonemap::pixel(pixel, exposure))
         .collect()
 }

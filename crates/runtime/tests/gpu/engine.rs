@@ -5,8 +5,8 @@ use glam::camera::rh::view::look_at_mat4;
 use glam::{Mat4, Quat, Vec3};
 use relight_runtime::offscreen::Gpu;
 use relight_runtime::{
-    Error, Frame, Image, Instance, Method, Options, Output, Placement, Renderer, View, Viewpoint,
-    twin, wgpu,
+    Background, Error, Frame, Image, Instance, Method, Options, Output, Placement, Renderer, View,
+    Viewpoint, twin, wgpu,
 };
 use relight_shading::camera::View as Projection;
 
@@ -35,7 +35,7 @@ fn reversed(projection: Mat4) -> Mat4 {
     flip * projection
 }
 
-fn matrices(projection: Mat4) -> Viewpoint {
+pub fn matrices(projection: Mat4) -> Viewpoint {
     Viewpoint::Matrices {
         view: look(),
         projection,
@@ -71,14 +71,13 @@ fn compare(name: &str, found: &Image, expected: &Image) {
     assert!(coverage <= DIFFERENT_PIXELS, "{name}: coverage {coverage}");
 }
 
-pub fn matrices_match_twin(gpu: &mut Gpu) -> Outcome {
-    let lights = lights();
-    let scene = scenes::sphere_over_plane();
+/// Every kind of camera, by name.
+pub fn projections() -> [(&'static str, Mat4); 9] {
     let perspective = project::perspective(0.6, aspect(), NEAR_PLANE, 50.0);
     let jitter = Mat4::from_translation(Vec3::new(0.7 / 160.0, -0.4 / 120.0, 0.0));
     let mirror = Mat4::from_scale(Vec3::new(-1.0, 1.0, 1.0));
     let orthographic = project::orthographic(-1.6, 1.6, -1.2, 1.2, NEAR_PLANE, 50.0);
-    for (name, projection) in [
+    [
         ("perspective", perspective),
         ("reversed", reversed(perspective)),
         (
@@ -97,7 +96,13 @@ pub fn matrices_match_twin(gpu: &mut Gpu) -> Outcome {
         ("mirrored", mirror * perspective),
         ("orthographic", orthographic),
         ("orthographic, reversed", reversed(orthographic)),
-    ] {
+    ]
+}
+
+pub fn matrices_match_twin(gpu: &mut Gpu) -> Outcome {
+    let lights = lights();
+    let scene = scenes::sphere_over_plane();
+    for (name, projection) in projections() {
         let frame = Frame {
             camera: matrices(projection),
             ..frame(&lights, POLAR)
@@ -653,8 +658,19 @@ pub fn scenes_stand_among_the_apps_objects(gpu: &mut Gpu) -> Outcome {
                 },
                 ..Options::default()
             };
+            // Where the app draws nothing there is its own picture, or what is behind the scene.
+            let color = Vec3::new(0.3, 0.1, 0.05);
+            let (background, sky) = if reversed {
+                let pixel = color.extend(1.0).to_array();
+                let [r, g, b, _] = relight_shading::tonemap::pixel(pixel, 0.8);
+                (Background::Color(color), [r, g, b])
+            } else {
+                (Background::Transparent, [0, 0, 255])
+            };
             let frame = Frame {
                 camera: matrices(projection),
+                background,
+                exposure: 0.8,
                 ..frame(&lights, Method::Ambient)
             };
             let matrix = projection * look();
@@ -672,7 +688,7 @@ pub fn scenes_stand_among_the_apps_objects(gpu: &mut Gpu) -> Outcome {
             for (index, &id) in ids.iter().enumerate() {
                 let (x, y) = (index as u32 % SIZE[0], index as u32 / SIZE[0]);
                 let ray = camera.pixel_ray(x, y);
-                let mut hits = vec![(f32::INFINITY, 0, [0, 0, 255])];
+                let mut hits = vec![(f32::INFINITY, 0, sky)];
                 if id > 0 {
                     let corners = scene.triangles[id as usize - 1]
                         .vertices

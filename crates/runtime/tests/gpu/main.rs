@@ -1,6 +1,7 @@
 //! The GPU against its twin, stage by stage. Without an adapter these fail, unless
 //! `RELIGHT_NO_GPU=1` says that there is none: then they count as skipped.
 
+mod background;
 mod engine;
 mod examples;
 #[path = "../../../format/tests/format/generate.rs"]
@@ -21,8 +22,9 @@ use libtest_mimic::{Completion, Failed, Trial};
 use relight_format::{Camera, Environment, FieldOfView, Material, Scene, Surface};
 use relight_runtime::offscreen::{Gpu, Picture};
 use relight_runtime::{
-    CellsOptions, EnvironmentLight, Error, Frame, Image, Instance, LocalLight, MAX_LOCAL_LIGHTS,
-    Method, Options, PolarOptions, Prefiltered, Sources, SphericalGaussian, Spot, twin, wgpu,
+    Background, CellsOptions, EnvironmentLight, Error, Frame, Image, Instance, LocalLight,
+    MAX_LOCAL_LIGHTS, Method, Options, PolarOptions, Prefiltered, Sources, SphericalGaussian, Spot,
+    twin, wgpu,
 };
 use relight_shading::camera::View;
 use relight_shading::prefiltered::encode;
@@ -115,6 +117,14 @@ fn main() -> ExitCode {
             materials_change_without_upload,
         ),
         with_gpu("passes_are_timed", passes_are_timed),
+        with_gpu(
+            "background::backgrounds_match_twin",
+            background::backgrounds_match_twin,
+        ),
+        with_gpu(
+            "background::backgrounds_need_no_scene",
+            background::backgrounds_need_no_scene,
+        ),
         with_gpu("engine::matrices_match_twin", engine::matrices_match_twin),
         with_gpu("engine::cameras_agree", engine::cameras_agree),
         with_gpu(
@@ -194,6 +204,7 @@ fn frame(lights: &[SphericalGaussian], method: Method) -> Frame<'_> {
         method,
         antialias: false,
         exposure: 0.8,
+        background: Background::Transparent,
     }
 }
 
@@ -822,12 +833,7 @@ fn any_valid_assets_are_drawn(gpu: &mut Gpu) -> Outcome {
 }
 
 fn empty_scenes_are_background(gpu: &mut Gpu) -> Outcome {
-    let mut scene = scenes::sphere_over_plane();
-    scene.vertices.clear();
-    scene.triangles.clear();
-    scene.clusters.clear();
-    scene.coefficients.clear();
-    scene.basis.clear();
+    let scene = scenes::empty();
     let uploaded = gpu.upload(&scene)?;
     let frame = frame(&[], POLAR);
     let picture = gpu.render(&uploaded, &frame, 5, 3)?;

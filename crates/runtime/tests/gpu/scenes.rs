@@ -106,6 +106,18 @@ pub fn sphere_over_plane() -> Scene {
     scene
 }
 
+/// Nothing to be seen.
+pub fn empty() -> Scene {
+    Scene {
+        vertices: Vec::new(),
+        triangles: Vec::new(),
+        clusters: Vec::new(),
+        coefficients: Vec::new(),
+        basis: Vec::new(),
+        ..sphere_over_plane()
+    }
+}
+
 /// The same geometry with pseudo-random coefficients and basis images, 1 to 8 tiles per
 /// cluster: exercises every decoding path with values that nothing hides.
 pub fn noise(seed: u64) -> Scene {

@@ -9,8 +9,30 @@ struct Composite {
     encoding: u32,
     // 1: the target's depth grows with distance; that of the images falls.
     flipped_depth: u32,
-    reserved: u32,
+    // BACKGROUND_NONE, BACKGROUND_IMAGE or a colour.
+    background: u32,
+    // Levels of the image.
+    levels: u32,
+    // Of the lobe that the image is seen through.
+    sharpness: f32,
+    // Rays as in camera.wgsl.
+    corner: vec3<f32>,
+    perspective: f32,
+    right: vec3<f32>,
+    reserved_0: u32,
+    down: vec3<f32>,
+    reserved_1: u32,
+    eye: vec3<f32>,
+    reserved_2: u32,
+    // Linear radiance.
+    color: vec3<f32>,
+    reserved_3: u32,
+    // World directions to those of the image.
+    rotation: mat3x3<f32>,
 }
+
+// Whether nothing blends what is written: pixels that show the background as well mix it in.
+override COMPOSITE_MIXES: bool = false;
 
 @group(0) @binding(0) var<uniform> composite: Composite;
 @group(0) @binding(1) var linear_radiance: texture_2d<f32>;
@@ -25,12 +47,16 @@ struct Drawn {
     @builtin(frag_depth) depth: f32,
 }
 
-// One triangle that covers the viewport.
+// A corner of one triangle that covers the viewport.
+fn composite_corner(index: u32, depth: f32) -> Place {
+    let corner = vec2(f32(index & 1u), f32(index >> 1u)) * 2.0;
+    let position = vec4(corner.x * 2.0 - 1.0, 1.0 - corner.y * 2.0, depth, 1.0);
+    return Place(position, corner * composite.size);
+}
+
 @vertex
 fn composite_vertex(@builtin(vertex_index) index: u32) -> Place {
-    let corner = vec2(f32(index & 1u), f32(index >> 1u)) * 2.0;
-    let position = vec4(corner.x * 2.0 - 1.0, 1.0 - corner.y * 2.0, 0.0, 1.0);
-    return Place(position, corner * composite.size);
+    return composite_corner(index, 0.0);
 }
 
 fn composite_pixel(place: Place) -> vec2<u32> {
@@ -57,6 +83,14 @@ fn composite_store(color: vec3<f32>, coverage: f32) -> vec4<f32> {
         tonemap_encode_srgb(color.b),
     );
     return vec4(encoded * coverage, coverage);
+}
+
+// What a pixel writes, over what is behind it where nothing blends.
+fn composite_written(place: Place, stored: vec4<f32>) -> vec4<f32> {
+    if COMPOSITE_MIXES && stored.w < 1.0 && composite.background != BACKGROUND_NONE {
+        return stored + (1.0 - stored.w) * background_stored(place.pixel);
+    }
+    return stored;
 }
 
 fn composite_depth(depth: f32) -> f32 {

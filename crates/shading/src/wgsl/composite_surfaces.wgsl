@@ -36,7 +36,7 @@ fn composite_fragment(place: Place) -> @location(0) vec4<f32> {
     if (shown & 0xfffu) == 0u {
         discard;
     }
-    return composite_mean(pixel, shown);
+    return composite_written(place, composite_mean(pixel, shown));
 }
 
 // The depth of the nearest sample.
@@ -51,7 +51,8 @@ fn composite_depth_fragment(place: Place) -> Drawn {
     for (var i = 0; i < 4; i++) {
         nearest = max(nearest, textureLoad(sampled_depth, pixel, i));
     }
-    return Drawn(composite_mean(pixel, shown), composite_depth(nearest));
+    let color = composite_written(place, composite_mean(pixel, shown));
+    return Drawn(color, composite_depth(nearest));
 }
 
 @fragment

@@ -24,3 +24,8 @@ fn shade_share(whole: vec3<f32>, gathered: vec3<f32>) -> f32 {
 fn shade_negligible(whole: vec3<f32>, gathered: vec3<f32>) -> bool {
     return all(whole <= SHADE_NEGLIGIBLE * gathered);
 }
+
+// The frame's reflected image through a lobe.
+fn prefiltered_radiance(axis: vec3<f32>, sharpness: f32) -> vec3<f32> {
+    return prefiltered_levels_radiance(frame.prefiltered_levels, axis, sharpness);
+}

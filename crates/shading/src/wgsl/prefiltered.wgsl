@@ -1,22 +1,23 @@
 // Twin of prefiltered.rs.
 
-fn prefiltered_radiance(axis: vec3<f32>, sharpness: f32) -> vec3<f32> {
+// Of the texture `prefiltered`, which has so many levels.
+fn prefiltered_levels_radiance(levels: u32, axis: vec3<f32>, sharpness: f32) -> vec3<f32> {
     let rows = max(sharpness / PREFILTERED_SHARPNESS, 1.0);
-    let widest = f32(frame.prefiltered_levels - 1u);
-    let level = clamp(f32(frame.prefiltered_levels) - 0.5 * log2(rows), 0.0, widest);
+    let widest = f32(levels - 1u);
+    let level = clamp(f32(levels) - 0.5 * log2(rows), 0.0, widest);
     let sharper = min(floor(level), max(widest - 1.0, 0.0));
     let number = u32(sharper);
-    let a = prefiltered_bilinear(number, axis);
-    let b = prefiltered_bilinear(min(number + 1u, frame.prefiltered_levels - 1u), axis);
+    let a = prefiltered_bilinear(levels, number, axis);
+    let b = prefiltered_bilinear(levels, min(number + 1u, levels - 1u), axis);
     // Linear in the root of the sharpness: between small lights, of which lobes see as much
     // as they are sharp, and large ones.
     return mix(a, b, 2.0 * (1.0 - exp2(sharper - level)));
 }
 
-fn prefiltered_bilinear(level: u32, direction: vec3<f32>) -> vec3<f32> {
-    let n = 1u << (frame.prefiltered_levels - level);
+fn prefiltered_bilinear(levels: u32, level: u32, direction: vec3<f32>) -> vec3<f32> {
+    let n = 1u << (levels - level);
     // Levels of 4ᵏ texels, from 4 ^ levels down: those from here on are (4 n² − 4) / 3.
-    let count = ((4u << (2u * frame.prefiltered_levels)) - 4u) / 3u;
+    let count = ((4u << (2u * levels)) - 4u) / 3u;
     let start = count - (4u * n * n - 4u) / 3u;
     let p = octahedral_encode(direction) * f32(n) - 0.5;
     let low = floor(p);

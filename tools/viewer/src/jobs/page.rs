@@ -7,13 +7,14 @@ use std::sync::Arc;
 
 use anyhow::Context as _;
 use relight_format::{self as format, Limits};
+use relight_runtime::Panorama;
 use web_time::Instant;
 
 use super::{
     Event, FileKind, Kind, Loaded, Plan, Status, Tracker, fit_plan, fit_stages_to, surface_of,
 };
 use crate::page::Hooks;
-use crate::state::{Light, SkyImage};
+use crate::state::Light;
 
 /// What the page tells the application.
 pub enum Message {
@@ -46,8 +47,8 @@ pub enum Message {
         number: u32,
         /// An environment asset.
         asset: Vec<u8>,
-        /// The image.
-        image: SkyImage,
+        /// The image, as it is shown.
+        image: Option<Panorama>,
     },
     /// A worker fitted a table.
     Material {
@@ -256,7 +257,7 @@ impl Jobs {
                 let name = self.running[index].name.clone();
                 match format::read_environment(&asset, &Limits::default()) {
                     Ok(environment) => {
-                        let light = Light::new(name, None, environment, Some(Arc::new(image)));
+                        let light = Light::new(name, None, environment, image);
                         self.events
                             .push(Event::Loaded(Box::new(Loaded::Light(light))));
                     }

@@ -16,12 +16,13 @@ use relight_bake::scene;
 use relight_bake::scene::load::{self, SceneInput};
 use relight_format::{self as format, Limits};
 use relight_lab::demo;
+use relight_runtime::Panorama;
 
 use super::{
     Event, FileKind, Kind, Loaded, Plan, Status, Tracker, bake_plan, file_name, fit_plan,
     surface_of,
 };
-use crate::state::{Light, Quality, SkyImage};
+use crate::state::{Light, Quality};
 
 /// How much the threads of a bake yield to the rest, on Unix.
 #[cfg(unix)]
@@ -388,11 +389,7 @@ fn fit_stages(
     stages: &[usize],
     context: &Context,
 ) -> anyhow::Result<()> {
-    let sky = Arc::new(SkyImage {
-        width: image.width,
-        height: image.height,
-        pixels: image.pixels.clone(),
-    });
+    let panorama = Panorama::from_lat_long([image.width, image.height], &image.pixels);
     (context.plan)(fit_plan(stages));
     for lobes in stages.iter().copied() {
         let options = FitOptions {
@@ -402,7 +399,7 @@ fn fit_stages(
         let mut fitted = environment::fit(image, &options, context.monitor)?.environment;
         name.clone_into(&mut fitted.report.source);
         let source = source.map(Path::to_owned);
-        let light = Light::new(name.to_owned(), source, fitted, Some(sky.clone()));
+        let light = Light::new(name.to_owned(), source, fitted, panorama.clone());
         (context.deliver)(Loaded::Light(light));
     }
     Ok(())

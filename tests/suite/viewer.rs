@@ -500,7 +500,9 @@ fn answers() -> Outcome {
     assert_eq!(preparations(&window), 1);
     // As on a device that takes long, whatever this one is.
     window.state_mut().settings.resolution = 1.0;
-    let inputs: [fn(&mut Viewer); 5] = [
+    let inputs: [fn(&mut Viewer); 7] = [
+        |viewer| viewer.settings.integrators[0] = Integrator::Truth,
+        |viewer| viewer.orbit = viewer.orbit.turned(0.05, 0.0),
         |viewer| viewer.settings.integrators[0] = Integrator::Cells,
         |viewer| viewer.orbit = viewer.orbit.turned(0.05, 0.0),
         |viewer| viewer.turn.yaw += 0.1,

@@ -17,6 +17,8 @@ pub mod path;
 mod random;
 mod sources;
 
+use std::sync::Arc;
+
 use glam::Vec3;
 use rayon::prelude::*;
 use relight_bake::visibility::ray::RayCaster;
@@ -84,8 +86,13 @@ impl Options {
 pub struct Geometry<'a> {
     scene: &'a Scene,
     view: View,
+    trees: Arc<Trees>,
+}
+
+/// What rays are traced through: worth keeping for as long as triangles and eye stay.
+pub struct Trees {
     /// Everything, from both sides: what blocks light.
-    occluders: RayCaster,
+    occluders: Arc<RayCaster>,
     /// The triangles whose front the eye is on: what a rasteriser that culls backs draws.
     facing: RayCaster,
     /// Their indices in the scene.
@@ -100,34 +107,56 @@ struct Seen<'a> {
     barycentrics: Vec3,
 }
 
-impl<'a> Geometry<'a> {
-    /// Builds the trees for `scene` as `view` sees it.
-    pub fn new(scene: &'a Scene, view: View) -> Self {
-        let corners = |index: usize| {
-            scene.triangles[index]
-                .vertices
-                .map(|vertex| Vec3::from(scene.vertices[vertex as usize].position))
-        };
-        let all: Vec<_> = (0..scene.triangles.len()).map(corners).collect();
-        let faces_eye = |[a, b, c]: [Vec3; 3]| (b - a).cross(c - a).dot(view.eye - a) > 0.0;
+impl Trees {
+    /// Those of `scene` for pictures of this eye.
+    pub fn new(scene: &Scene, eye: Vec3) -> Self {
+        let occluders = Arc::new(RayCaster::new(&corners(scene)));
+        Self::with(occluders, scene, eye)
+    }
+
+    /// Those of the same scene for another eye.
+    #[must_use]
+    pub fn moved(&self, scene: &Scene, eye: Vec3) -> Self {
+        Self::with(self.occluders.clone(), scene, eye)
+    }
+
+    fn with(occluders: Arc<RayCaster>, scene: &Scene, eye: Vec3) -> Self {
+        let all = corners(scene);
+        let faces_eye = |[a, b, c]: [Vec3; 3]| (b - a).cross(c - a).dot(eye - a) > 0.0;
         let facing_triangles: Vec<_> = (0..all.len())
             .filter(|&index| faces_eye(all[index]))
             .collect();
         let facing: Vec<_> = facing_triangles.iter().map(|&index| all[index]).collect();
         Self {
-            scene,
-            view,
-            occluders: RayCaster::new(&all),
+            occluders,
             facing: RayCaster::new(&facing),
             facing_triangles,
         }
+    }
+}
+
+fn corners(scene: &Scene) -> Vec<[Vec3; 3]> {
+    let place = |vertex: u32| Vec3::from(scene.vertices[vertex as usize].position);
+    let triangles = scene.triangles.iter();
+    (triangles.map(|triangle| triangle.vertices.map(place))).collect()
+}
+
+impl<'a> Geometry<'a> {
+    /// Builds the trees for `scene` as `view` sees it.
+    pub fn new(scene: &'a Scene, view: View) -> Self {
+        Self::of(scene, view, Trees::new(scene, view.eye).into())
+    }
+
+    /// With trees of a scene of the same triangles for the same eye.
+    pub fn of(scene: &'a Scene, view: View, trees: Arc<Trees>) -> Self {
+        Self { scene, view, trees }
     }
 
     /// The surface seen through a point of the image, in pixels from its upper left corner.
     fn seen(&self, x: f32, y: f32) -> Option<Seen<'_>> {
         let direction = self.view.corner + x * self.view.right + y * self.view.down;
-        let hit = self.facing.closest_hit(self.view.eye, direction)?;
-        let triangle = self.facing_triangles[hit.triangle];
+        let hit = self.trees.facing.closest_hit(self.view.eye, direction)?;
+        let triangle = self.trees.facing_triangles[hit.triangle];
         let point = surface_point(self.scene, triangle, hit.barycentrics, self.view.eye);
         Some(Seen {
             point,
@@ -138,12 +167,12 @@ impl<'a> Geometry<'a> {
 
     /// Whether distant light from `direction` reaches `point`.
     fn visible(&self, point: &SurfacePoint, direction: Vec3) -> bool {
-        !self.occluders.any_hit(self.origin(point), direction)
+        !self.trees.occluders.any_hit(self.origin(point), direction)
     }
 
     /// Whether light from `direction` reaches `point` from the given distance.
     fn visible_at(&self, point: &SurfacePoint, direction: Vec3, distance: f32) -> bool {
-        self.occluders
+        (self.trees.occluders)
             .closest_hit(self.origin(point), direction)
             .is_none_or(|hit| hit.distance >= distance)
     }
@@ -158,16 +187,25 @@ impl<'a> Geometry<'a> {
 type Estimate = (Vec3, f32);
 
 /// Runs `estimate(x, y, replica)` for every replica of every pixel and sums up. `row_done`
-/// is called once per finished row, from any thread.
+/// is called once per finished row, from any thread. What is not `wanted` any more, which is asked at
+/// every pixel, stays black.
 fn estimate_image(
     [width, height]: [u32; 2],
     row_done: &(dyn Fn() + Sync),
+    wanted: &(dyn Fn() -> bool + Sync),
     estimate: impl Fn(u32, u32) -> [Estimate; REPLICAS as usize] + Sync,
 ) -> Image {
     let rows: Vec<Vec<([f32; 4], [f32; 3])>> = (0..height)
         .into_par_iter()
         .map(|y| {
-            let row = (0..width).map(|x| summarise(&estimate(x, y))).collect();
+            let pixel = |x| {
+                if wanted() {
+                    summarise(&estimate(x, y))
+                } else {
+                    Default::default()
+                }
+            };
+            let row = (0..width).map(pixel).collect();
             row_done();
             row
         })

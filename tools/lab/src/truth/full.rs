@@ -86,7 +86,7 @@ pub fn render(
         local,
         bounces: options.bounces,
     };
-    estimate_image(size, row_done, |x, y| {
+    estimate_image(size, row_done, &|| true, |x, y| {
         let seed = hash(hash(options.seed, x), y);
         let at = |[u, v]: [f32; 2]| -> Option<Reflector> {
             let seen = geometry.seen(x as f32 + u, y as f32 + v)?;

@@ -3,10 +3,12 @@
 //! the exact reflection models, there and everywhere.
 
 use std::f32::consts::TAU;
+use std::sync::Arc;
 
 use glam::{Vec2, Vec3};
 use relight_format::Scene;
 use relight_runtime::Frame;
+use relight_shading::camera::View;
 use relight_shading::gpu;
 use relight_shading::occluders::Occluders;
 use relight_shading::octahedral;
@@ -18,7 +20,7 @@ use relight_shading::surface::SurfacePoint;
 
 use super::path::{DistantLight, Draws, Part, Paths, Reflector};
 use super::random::{hash, kronecker_pair, sobol_pair, unit};
-use super::{Estimate, Filter, Geometry, Options, REPLICAS, estimate_image, sources};
+use super::{Estimate, Filter, Geometry, Options, REPLICAS, Trees, estimate_image, sources};
 use crate::display::luminance;
 use crate::image_file::Image;
 
@@ -36,18 +38,54 @@ pub enum Visibility {
 pub fn of_frame(
     scene: &Scene,
     frame: &Frame,
-    [width, height]: [u32; 2],
+    size: [u32; 2],
     options: &Options,
     visibility: Visibility,
     row_done: &(dyn Fn() + Sync),
 ) -> Image {
-    let geometry = Geometry::new(
-        scene,
-        frame
-            .camera
-            .view(width, height, 1.0)
-            .expect("a camera with rays"),
-    );
+    let geometry = Geometry::new(scene, view_of(frame, size));
+    of_geometry(
+        &geometry,
+        frame,
+        size,
+        options,
+        visibility,
+        (row_done, &|| true),
+    )
+}
+
+/// [`of_frame`] with exact visibility and trees that were built before, for as long as it is `wanted`,
+/// which is asked at every pixel: `None` once it is not.
+pub fn of_frame_while(
+    scene: &Scene,
+    trees: &Arc<Trees>,
+    frame: &Frame,
+    size: [u32; 2],
+    options: &Options,
+    wanted: &(dyn Fn() -> bool + Sync),
+) -> Option<Image> {
+    let geometry = Geometry::of(scene, view_of(frame, size), trees.clone());
+    let exact = Visibility::Exact;
+    let image = of_geometry(&geometry, frame, size, options, exact, (&|| (), wanted));
+    wanted().then_some(image)
+}
+
+fn view_of(frame: &Frame, [width, height]: [u32; 2]) -> View {
+    let view = frame.camera.view(width, height, 1.0);
+    view.expect("a camera with rays")
+}
+
+/// Called with every row, and asked at every pixel.
+type Watch<'a> = (&'a (dyn Fn() + Sync), &'a (dyn Fn() -> bool + Sync));
+
+fn of_geometry(
+    geometry: &Geometry,
+    frame: &Frame,
+    size: [u32; 2],
+    options: &Options,
+    visibility: Visibility,
+    watch: Watch,
+) -> Image {
     let local: Vec<gpu::LocalLight> = frame.local_lights.iter().map(Into::into).collect();
     let sources = frame.rotated_sources();
     // Rays are cast by `geometry`.
@@ -62,8 +100,7 @@ pub fn of_frame(
         }),
         ..Lighting::default()
     };
-    let size = [width, height];
-    render(&geometry, &lighting, visibility, size, options, row_done)
+    estimate(geometry, &lighting, visibility, size, options, watch)
 }
 
 /// Estimates the image. Rays shadow sources, whatever `visibility` says, and the exact models reflect
@@ -77,6 +114,18 @@ pub fn render(
     size: [u32; 2],
     options: &Options,
     row_done: &(dyn Fn() + Sync),
+) -> Image {
+    let watch: Watch = (row_done, &|| true);
+    estimate(geometry, lighting, visibility, size, options, watch)
+}
+
+fn estimate(
+    geometry: &Geometry,
+    lighting: &Lighting,
+    visibility: Visibility,
+    size: [u32; 2],
+    options: &Options,
+    (row_done, wanted): Watch,
 ) -> Image {
     let rays = options.samples.div_ceil(REPLICAS);
     let basis = (visibility == Visibility::Baked).then(|| Basis::new(geometry.scene));
@@ -96,7 +145,7 @@ pub fn render(
         let path = |sample| paths.radiance(reflector, Part::Bounced, Draws { sample, seed });
         (0..rays).map(path).sum::<Vec3>() / rays as f32
     };
-    estimate_image(size, row_done, |x, y| {
+    estimate_image(size, row_done, wanted, |x, y| {
         let seed = hash(hash(options.seed, x), y);
         let at = |[u, v]: [f32; 2]| -> Option<(Mixture, Option<Ssdf>, Reflector)> {
             let seen = geometry.seen(x as f32 + u, y as f32 + v)?;

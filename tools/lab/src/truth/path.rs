@@ -171,7 +171,7 @@ impl<'a, L: DistantLight> Paths<'a, L> {
     fn next(&self, from: &SurfacePoint, direction: Vec3) -> Option<Reflector<'a>> {
         let geometry = self.geometry;
         let origin = geometry.origin(from);
-        let hit = geometry.occluders.closest_hit(origin, direction)?;
+        let hit = geometry.trees.occluders.closest_hit(origin, direction)?;
         let mut point = surface_point(geometry.scene, hit.triangle, hit.barycentrics, origin);
         let behind = point.geometric_normal.dot(direction) > 0.0;
         if behind {

@@ -8,8 +8,9 @@ use std::sync::{Arc, Condvar, Mutex, PoisonError, mpsc};
 use std::thread::JoinHandle;
 use std::time::Instant;
 
+use glam::Vec3;
 use relight_format::{Material, Scene};
-use relight_lab::truth::{self, lobes};
+use relight_lab::truth::{self, Trees, lobes};
 use relight_runtime::offscreen::Gpu;
 use relight_runtime::{
     Image, Instance, Method, Options, PassTimes, View, twin, twin::Prepared, wgpu,
@@ -145,6 +146,8 @@ pub struct Artist {
     edited: Option<Edited>,
     /// For the processor, those used last, the newest one last.
     prepared: Vec<(Arc<Scene>, Prepared)>,
+    /// What rays are traced through, for one scene and eye.
+    trees: Option<(Arc<Scene>, Vec3, Arc<Trees>)>,
     /// How many scenes were prepared or uploaded.
     preparations: u32,
     pace: Pace,
@@ -186,6 +189,7 @@ impl Artist {
             view: None,
             edited: None,
             prepared: Vec::new(),
+            trees: None,
             preparations: 0,
             pace: Pace::default(),
         }
@@ -456,35 +460,38 @@ impl Artist {
         wanted: &(dyn Fn() -> bool + Sync),
     ) -> Option<Image> {
         let scene = self.edited(shot);
+        let trees = self.trees(shot);
         let frame = shot.frame(Method::Ambient);
         let options = truth::Options {
             seed: pass,
             ..truth::Options::centers(PASS_SAMPLES).of(&scene)
         };
-        // The tracer knows no other way to be stopped than that the end of a row unwinds.
-        let row_done = || {
-            if !wanted() {
-                std::panic::resume_unwind(Box::new(Unwanted));
+        let image = lobes::of_frame_while(&scene, &trees, &frame, size, &options, wanted)?;
+        Some(Image {
+            width: image.width,
+            height: image.height,
+            pixels: image.pixels,
+        })
+    }
+
+    /// What rays of a shot are traced through.
+    fn trees(&mut self, shot: &Shot) -> Arc<Trees> {
+        let eye = Vec3::from(shot.camera.position);
+        match &self.trees {
+            Some((scene, of, trees)) if Arc::ptr_eq(scene, &shot.scene) && *of == eye => {
+                trees.clone()
             }
-        };
-        let traced = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
-            lobes::of_frame(
-                &scene,
-                &frame,
-                size,
-                &options,
-                lobes::Visibility::Exact,
-                &row_done,
-            )
-        }));
-        match traced {
-            Ok(image) => Some(Image {
-                width: image.width,
-                height: image.height,
-                pixels: image.pixels,
-            }),
-            Err(payload) if payload.is::<Unwanted>() => None,
-            Err(payload) => std::panic::resume_unwind(payload),
+            known => {
+                let known = known
+                    .as_ref()
+                    .filter(|(of, ..)| Arc::ptr_eq(of, &shot.scene));
+                let trees = Arc::new(match known {
+                    Some((_, _, trees)) => trees.moved(&shot.scene, eye),
+                    None => Trees::new(&shot.scene, eye),
+                });
+                self.trees = Some((shot.scene.clone(), eye, trees.clone()));
+                trees
+            }
         }
     }
 
@@ -520,6 +527,3 @@ impl Artist {
         edited
     }
 }
-
-/// What unwinds a picture that nobody wants.
-struct Unwanted;

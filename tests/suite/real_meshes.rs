@@ -52,7 +52,7 @@ const GOOD: [(&str, u64); 73] = [
     ("awkward/gltf/box_sparse.glb", 12),
     ("awkward/gltf/box_sparse/box_sparse.gltf", 12),
     ("awkward/gltf/cube_att/cube_att.gltf", 48),
-    ("awkward/gltf/duplicate_meshes/duplicate_meshes.gltf", 1568),
+    ("awkward/gltf/duplicate_meshes/duplicate_meshes.gltf", 224),
     (
         "awkward/gltf/one_face_123_cesium_rtc/one_face_123_cesium_rtc.gltf",
         1,

@@ -290,21 +290,32 @@ impl<'a> Builder<'a> {
         Ok(())
     }
 
+    /// Drops triangles that lie where one of an earlier part does and face the same way: which of
+    /// them is seen would be chance. Gives their number.
+    fn drop_hidden(&mut self) -> usize {
+        let mut seen = HashSet::with_capacity(self.triangles.len());
+        let before = self.triangles.len();
+        let vertices = &self.vertices;
+        self.triangles.retain(|(triangle, _)| {
+            let corners = triangle.map(|vertex| vertices[vertex as usize].position);
+            seen.insert(winding(corners))
+        });
+        let hidden = before - self.triangles.len();
+        if hidden > 0 {
+            let mut triangles: Vec<_> = self.triangles.iter().map(|(t, _)| *t).collect();
+            drop_unused(&mut self.vertices, &mut triangles);
+            for ((triangle, _), moved) in self.triangles.iter_mut().zip(triangles) {
+                *triangle = moved;
+            }
+        }
+        hidden
+    }
+
     /// Drops triangles that repeat another. Where two lie back to back on the same vertices,
     /// gives each its own: the mean of their normals is neither's.
     fn merge_coincident(&mut self, part: &mut Part) {
         let positions: Vec<Vec3> = part.vertices.iter().map(|vertex| vertex.position).collect();
-        let key = |triangle: &[u32; 3]| {
-            // Adding zero turns −0 into +0. Turned so that the least corner comes first.
-            let mut corners = triangle.map(|vertex| {
-                (positions[vertex as usize] + Vec3::ZERO)
-                    .to_array()
-                    .map(f32::to_bits)
-            });
-            let first = (0..3).min_by_key(|&k| corners[k]).unwrap_or(0);
-            corners.rotate_left(first);
-            corners
-        };
+        let key = |triangle: &[u32; 3]| winding(triangle.map(|vertex| positions[vertex as usize]));
         let mut seen = HashSet::with_capacity(part.triangles.len());
         let before = part.triangles.len();
         part.triangles.retain(|triangle| seen.insert(key(triangle)));
@@ -414,8 +425,9 @@ impl<'a> Builder<'a> {
                 found,
             ));
         }
+        let hidden = self.drop_hidden();
         let mut mesh = Mesh {
-            vertices: self.vertices,
+            vertices: std::mem::take(&mut self.vertices),
             ..Mesh::default()
         };
         // Places in the texture of colours are texels so far.
@@ -423,7 +435,7 @@ impl<'a> Builder<'a> {
         let sides = Vec2::new(palette.width as f32, palette.height as f32);
         let mut divided = vec![false; mesh.vertices.len()];
         let mut used = HashMap::new();
-        for (vertices, number) in self.triangles {
+        for (vertices, number) in std::mem::take(&mut self.triangles) {
             let painted = number & PAINTED != 0;
             for vertex in vertices.into_iter().filter(|_| painted) {
                 if !std::mem::replace(&mut divided[vertex as usize], true) {
@@ -461,6 +473,11 @@ impl<'a> Builder<'a> {
             (self.degenerate, "triangles of zero area are dropped"),
             (self.repeated, "triangles repeat another and are dropped"),
             (
+                hidden,
+                "triangles lie exactly on one that came before, of another material or primitive, \
+                 and are dropped",
+            ),
+            (
                 self.back_to_back,
                 "pairs of triangles lie back to back: each becomes the two sides of one sheet",
             ),
@@ -486,6 +503,16 @@ impl<'a> Builder<'a> {
         mesh.warnings = self.warnings;
         Ok(mesh)
     }
+}
+
+/// Positions of corners bit by bit, turned so that the least comes first: the same for triangles
+/// that lie on each other and face the same way.
+fn winding(corners: [Vec3; 3]) -> [[u32; 3]; 3] {
+    // Adding zero turns −0 into +0.
+    let mut corners = corners.map(|corner| (corner + Vec3::ZERO).to_array().map(f32::to_bits));
+    let first = (0..3).min_by_key(|&k| corners[k]).unwrap_or(0);
+    corners.rotate_left(first);
+    corners
 }
 
 /// Unit normal of the side from which the corners run counter-clockwise, or `None` for a

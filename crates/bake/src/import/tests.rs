@@ -802,13 +802,15 @@ fn material_libraries_are_read() {
     let write = |name: &str, text: &str| {
         std::fs::write(folder.path().join(name), text).expect("a writable folder");
     };
-    let square = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\n";
-    let faces = ["matte", "shiny", "metal", "absent", "textured"]
-        .map(|name| format!("usemtl {name}\nf 1/1 2/2 3/3\n"));
+    let mut z = 0;
+    let faces = ["matte", "shiny", "metal", "absent", "textured"].map(|name| {
+        z += 1;
+        format!("v 0 0 {z}\nv 1 0 {z}\nv 1 1 {z}\nusemtl {name}\nf -3/1 -2/2 -1/3\n")
+    });
     write(
         "a b.obj",
         &format!(
-            "mtllib a b.mtl\nmtllib none.mtl\n{square}{}",
+            "mtllib a b.mtl\nmtllib none.mtl\nvt 0 0\nvt 1 0\nvt 1 1\n{}",
             faces.concat()
         ),
     );
@@ -873,7 +875,7 @@ fn material_libraries_are_read() {
     write("bad.mtl", "newmtl x\nKd 1 2\n");
     write(
         "bad.obj",
-        &format!("mtllib bad.mtl\n{square}usemtl x\nf 1 2 3\n"),
+        "mtllib bad.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nusemtl x\nf 1 2 3\n",
     );
     let message = super::mesh(&folder.path().join("bad.obj"))
         .expect_err("bad Kd")
@@ -1330,4 +1332,25 @@ fn vertex_colours_of_obj_files_are_encoded() {
     let mesh = import_obj("v 0 0 0\nv 1 0 0 0 0 0\nv 0 1 0\nf 1 2 3\n").expect("a triangle");
     let found: Vec<_> = (0..3).map(|vertex| painted(&mesh, vertex)).collect();
     assert_eq!(found, [[255; 3], [0; 3], [255; 3]]);
+}
+
+#[test]
+fn of_primitives_on_each_other_the_first_is_kept() {
+    let (mut json, blob) = square();
+    let again = json["meshes"][0]["primitives"][0].clone();
+    let primitives = json["meshes"][0]["primitives"]
+        .as_array_mut()
+        .expect("an array");
+    primitives.push(again);
+    primitives[1]["material"] = json!(1);
+    json["materials"] = json!([{"name": "first"}, {"name": "second"}]);
+    let mesh = import_good(&json, &blob);
+    assert_eq!((mesh.vertices.len(), mesh.triangles.len()), (4, 2));
+    assert_eq!(mesh.materials.len(), 1);
+    assert_eq!(mesh.materials[0].name, "first");
+    assert!(
+        mesh.warnings[0].starts_with("2 triangles lie exactly"),
+        "{:?}",
+        mesh.warnings
+    );
 }

@@ -1,6 +1,6 @@
 //! Points spread evenly over a scene's surface, and which of them is nearest.
 
-use glam::Vec3;
+use glam::{IVec3, Vec3};
 
 use super::surfaces::Surfaces;
 
@@ -19,6 +19,12 @@ pub struct Point {
 /// distance between neighbours.
 const NORMAL_DISTANCE: f32 = 2.0;
 
+/// Hashes per point, about.
+const HASHES: usize = 16;
+/// What a normal has along the face that one within a spacing of it looks through, at least:
+/// 1/√3 less a half, which [`NORMAL_DISTANCE`] makes a spacing.
+const LEAST_ALONG: f32 = 0.07;
+
 /// Points and a tree of them over position and normal.
 pub struct Points {
     /// The points, in the order of the tree.
@@ -29,6 +35,13 @@ pub struct Points {
     /// `axes`, left half before the median, right half after it.
     keys: Vec<[f32; 6]>,
     axes: Vec<u8>,
+    /// By the hash of a cube of one spacing and of a face that its normals look through, the
+    /// points in it and in its neighbours, among which the nearest one nearly always is; those of
+    /// others with this hash do no harm (Teschner et al. 2003, "Optimized spatial hashing for
+    /// collision detection").
+    near: Vec<u32>,
+    /// Where those of each hash begin, and the end.
+    starts: Vec<u32>,
 }
 
 impl Points {
@@ -86,12 +99,37 @@ impl Points {
             axes: vec![0; points.len()],
             all: points,
             spacing,
+            near: Vec::new(),
+            starts: Vec::new(),
         };
         let mut order: Vec<u32> = (0..tree.all.len() as u32).collect();
         tree.arrange(&mut order, 0);
         tree.all = order.iter().map(|&i| tree.all[i as usize]).collect();
         tree.keys = order.iter().map(|&i| tree.keys[i as usize]).collect();
+        tree.spread_hashes();
         tree
+    }
+
+    /// Fills `near` and `starts`.
+    fn spread_hashes(&mut self) {
+        let buckets = (HASHES * self.all.len()).next_power_of_two();
+        let mut pairs: Vec<(u32, u32)> = Vec::with_capacity(27 * self.all.len());
+        for (index, point) in self.all.iter().enumerate() {
+            let cube = cube(point.position, self.spacing);
+            for (face, along) in faces(point.geometric_normal).into_iter().enumerate() {
+                for offset in (0..27).filter(|_| along > LEAST_ALONG) {
+                    let beside = IVec3::new(offset % 3, offset / 3 % 3, offset / 9) - 1;
+                    let bucket = bucket(cube.wrapping_add(beside), face as u32, buckets);
+                    pairs.push((bucket, index as u32));
+                }
+            }
+        }
+        pairs.sort_unstable();
+        pairs.dedup();
+        self.starts = (0..=buckets as u32)
+            .map(|bucket| pairs.partition_point(|pair| pair.0 < bucket) as u32)
+            .collect();
+        self.near = pairs.into_iter().map(|(_, index)| index).collect();
     }
 
     /// The points.
@@ -133,13 +171,49 @@ impl Points {
     /// The point nearest to a position on a side with the given normal; `None` only where
     /// there are no points.
     pub fn nearest(&self, position: Vec3, normal: Vec3) -> Option<usize> {
-        let normal = normal * (NORMAL_DISTANCE * self.spacing);
+        let scaled = normal * (NORMAL_DISTANCE * self.spacing);
         let key = [
-            position.x, position.y, position.z, normal.x, normal.y, normal.z,
+            position.x, position.y, position.z, scaled.x, scaled.y, scaled.z,
         ];
+        if self.all.is_empty() {
+            return None;
+        }
+        let along = faces(normal);
+        let face = (0..6).fold(0, |best, face| {
+            if along[face] > along[best] {
+                face
+            } else {
+                best
+            }
+        });
+        let cube = cube(position, self.spacing);
+        let bucket = bucket(cube, face as u32, self.starts.len() - 1) as usize;
+        let near = &self.near[self.starts[bucket] as usize..self.starts[bucket + 1] as usize];
+        // Distances are not negative, so that their bits are in order: the least without a branch.
+        let packed = (near.iter())
+            .map(|&index| {
+                let distance = self.distance(&key, index as usize);
+                u64::from(distance.to_bits()) << 32 | u64::from(index)
+            })
+            .fold(u64::MAX, u64::min);
         let mut best = (f32::INFINITY, None);
-        self.search(&key, 0, self.keys.len(), &mut best);
+        if packed != u64::MAX {
+            best = (
+                f32::from_bits((packed >> 32) as u32),
+                Some(packed as u32 as usize),
+            );
+        }
+        // What lies in no neighbouring cube is farther than this.
+        if best.0 > self.spacing * self.spacing {
+            self.search(&key, 0, self.keys.len(), &mut best);
+        }
         best.1
+    }
+
+    /// Squared, of a key and a point.
+    fn distance(&self, key: &[f32; 6], index: usize) -> f32 {
+        let pairs = key.iter().zip(&self.keys[index]);
+        pairs.map(|(a, b)| (a - b) * (a - b)).sum()
     }
 
     fn search(&self, key: &[f32; 6], start: usize, end: usize, best: &mut (f32, Option<usize>)) {
@@ -147,9 +221,7 @@ impl Points {
             return;
         }
         let middle = start + (end - start) / 2;
-        let distance: f32 = (key.iter().zip(&self.keys[middle]))
-            .map(|(a, b)| (a - b) * (a - b))
-            .sum();
+        let distance = self.distance(key, middle);
         if distance < best.0 {
             *best = (distance, Some(middle));
         }
@@ -165,6 +237,26 @@ impl Points {
             self.search(key, far.0, far.1, best);
         }
     }
+}
+
+/// Which cube with sides of this length a place is in.
+fn cube(position: Vec3, side: f32) -> IVec3 {
+    (position / side.max(f32::MIN_POSITIVE)).floor().as_ivec3()
+}
+
+/// How far a normal points along each of the six axes.
+fn faces(normal: Vec3) -> [f32; 6] {
+    let [x, y, z] = normal.to_array();
+    [x, -x, y, -y, z, -z]
+}
+
+/// The hash of a cube and a face.
+fn bucket(cube: IVec3, face: u32, buckets: usize) -> u32 {
+    let [x, y, z] = cube.to_array().map(|x| x as u32);
+    let mixed =
+        x.wrapping_mul(73_856_093) ^ y.wrapping_mul(19_349_663) ^ z.wrapping_mul(83_492_791);
+    let mixed = mixed ^ face.wrapping_mul(0x9e37_79b9);
+    (mixed ^ mixed >> 15) & (buckets as u32 - 1)
 }
 
 /// Triangles by the place of their middles on the Z-order curve (Morton 1966).
@@ -210,4 +302,47 @@ fn spread(number: u32) -> Vec3 {
         (u, v)
     };
     Vec3::new((1.0 - u - v) as f32, u as f32, v as f32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::radiosity::{hash, tests::squares};
+    use super::*;
+
+    #[test]
+    fn the_nearest_point_is_the_nearest_of_all() {
+        // A floor, a wall, a board that hangs close above the floor, and one far away.
+        let mesh = squares(
+            &[
+                [Vec3::ZERO, Vec3::Z, Vec3::X],
+                [Vec3::ZERO, Vec3::Y, Vec3::Z],
+                [Vec3::new(0.2, 0.03, 0.2), Vec3::Z, Vec3::new(0.3, 0.1, 0.0)],
+                [Vec3::splat(40.0), Vec3::X, Vec3::Y],
+            ],
+            0.5,
+            0.0,
+        );
+        let points = Points::new(&Surfaces::new(&mesh), 800, true);
+        let number = |seed: u32| (hash(seed, 9) >> 8) as f32 / 16_777_216.0;
+        for query in 0..4000 {
+            let [x, y, z, u, v] = [0, 1, 2, 3, 4].map(|k| number(8 * query + k));
+            // Near the floor, anywhere, and far from all.
+            let position = Vec3::new(x, y, z)
+                * [Vec3::new(1.0, 0.1, 1.0), Vec3::ONE, Vec3::splat(90.0)][query as usize % 3];
+            let normal = if query % 2 == 0 {
+                Vec3::Y
+            } else {
+                Vec3::new(u - 0.5, v - 0.4, x - 0.5).normalize()
+            };
+            let found = points.nearest(position, normal).expect("there are points");
+            let normal = normal * (NORMAL_DISTANCE * points.spacing());
+            let key = [
+                position.x, position.y, position.z, normal.x, normal.y, normal.z,
+            ];
+            let least = (0..points.all.len())
+                .map(|index| points.distance(&key, index))
+                .fold(f32::INFINITY, f32::min);
+            assert_eq!(points.distance(&key, found), least, "{query}");
+        }
+    }
 }

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use relight_shading::transfer::Harmonics;
 
 use super::Options;
-use super::points::Points;
+use super::points::{Point, Points};
 use super::surfaces::{Met, Surfaces};
 use crate::monitor::{Interrupted, Monitor};
 use crate::visibility::ray::RayCaster;
@@ -21,6 +21,8 @@ const LAST_BOUNCE: f64 = 0.005;
 const MOST_BOUNCES: u32 = 64;
 /// Part of rays that meet backs from which on backs have points of their own.
 const BACKS: f64 = 0.005;
+/// One of so many rays tells it.
+const FEW: u32 = 16;
 /// Rays from a point to surfaces that emit.
 const EMITTER_RAYS: u32 = 32;
 /// Light from nearer than this, in spacings of points, is taken to be from there: one over the
@@ -83,8 +85,8 @@ enum End {
 /// A point that another sees, and its albedo times what its light counts there.
 type Link = (u32, Vec3);
 
-/// What reaches the points at once, whom each sees, and how many rays met backs.
-type First = (Vec<f32>, Vec<Vec<Link>>, u64);
+/// What reaches the points at once, and whom each sees.
+type First = (Vec<f32>, Vec<Vec<Link>>);
 
 impl Radiosity {
     /// Follows bounces until they end. Nothing where options ask for none or the scene has no
@@ -123,17 +125,28 @@ impl Radiosity {
             rays: 0,
             time: Duration::ZERO,
         };
-        let (mut direct, mut senders, backs) = all.first(caster, options, monitor)?;
-        let rays = all.points.as_slice().len() as f64 * f64::from(options.point_rays);
-        if backs as f64 > BACKS * rays {
+        if all.backs(caster, options.point_rays / FEW) > BACKS {
             all.points = Points::new(&all.surfaces, 2 * options.points, true);
-            (direct, senders, _) = all.first(caster, options, monitor)?;
         }
+        let (direct, senders) = all.first(caster, options, monitor)?;
         all.bounce(direct, &senders, options.bounces, monitor)?;
         Ok(Some(all))
     }
 
-    /// What reaches the points at once, whom else they see, and how many rays met backs.
+    /// Part of rays from points, so many from each, that meet backs.
+    fn backs(&self, caster: &RayCaster, count: u32) -> f64 {
+        let points = self.points.as_slice();
+        let behind = |(index, point): (usize, &Point)| {
+            let origin = point.position + self.ray_offset * point.geometric_normal;
+            let rays = hemisphere(point.normal, count, index as u32);
+            let met = rays.filter_map(|ray| self.meet(caster, origin, ray.direction));
+            met.filter(|met| met.behind).count()
+        };
+        let backs: usize = points.par_iter().enumerate().map(behind).sum();
+        backs as f64 / (points.len() as f64 * f64::from(count.max(1)))
+    }
+
+    /// What reaches the points at once, and whom else they see.
     fn first(
         &mut self,
         caster: &RayCaster,
@@ -153,7 +166,7 @@ impl Radiosity {
                 let count = options.point_rays;
                 let mut values = vec![0.0; this.harmonics.count()];
                 let mut radiance = vec![0.0; length];
-                let (mut senders, mut backs) = (Vec::new(), 0u64);
+                let mut senders = Vec::new();
                 for ray in hemisphere(point.normal, count, index as u32) {
                     let weight = ray.cosine * (2.0 * PI / count as f32);
                     let Some(met) = this.meet(caster, origin, ray.direction) else {
@@ -165,7 +178,6 @@ impl Radiosity {
                         }
                         continue;
                     };
-                    backs += u64::from(met.behind);
                     let sender = this.sender(caster, &met, weight, ray.number);
                     if let End::Point(point) = sender.end {
                         senders.push((point, sender.weight));
@@ -179,15 +191,14 @@ impl Radiosity {
                 }
                 let emitted = this.emitted(caster, origin, point.normal, index as u32);
                 this.add_emitted(direct, emitted.dot_normal(point.normal));
-                Ok((senders, backs, start.elapsed()))
+                Ok((senders, start.elapsed()))
             })
             .collect();
         let gathered = gathered?;
         self.rays += (self.points.as_slice().len() * options.point_rays as usize) as u64;
-        let backs = gathered.iter().map(|(_, backs, _)| backs).sum();
-        self.time += gathered.iter().map(|(_, _, time)| *time).sum::<Duration>();
-        let senders = gathered.into_iter().map(|(senders, ..)| senders).collect();
-        Ok((direct, senders, backs))
+        self.time += gathered.iter().map(|(_, time)| *time).sum::<Duration>();
+        let senders = gathered.into_iter().map(|(senders, _)| senders).collect();
+        Ok((direct, senders))
     }
 
     /// Adds up bounces. Gathering at vertices is one more.
@@ -468,7 +479,7 @@ fn unit(bits: u32) -> f32 {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::import::plain_material;
     use crate::mesh::{Mesh, Triangle, Vertex};
@@ -477,7 +488,7 @@ mod tests {
     use relight_format::{Specular, Surface};
 
     /// Squares by corner and two edges, front towards their cross product.
-    fn squares(squares: &[[Vec3; 3]], albedo: f32, emission: f32) -> Mesh {
+    pub fn squares(squares: &[[Vec3; 3]], albedo: f32, emission: f32) -> Mesh {
         let mut mesh = Mesh::default();
         for [corner, u, v] in squares {
             let normal = u.cross(*v).normalize();

@@ -17,7 +17,11 @@ use std::path::{Path, PathBuf};
 use cap_std::ambient_authority;
 use cap_std::fs::{Dir, OpenOptions};
 
-use crate::import::Error;
+use crate::error::Error;
+
+/// Most vertices, and most triangles, that an imported mesh may have; [`Access::max_vertices`]
+/// is less unless it is raised.
+pub const MAX_VERTICES: usize = 1 << 25;
 
 /// What may be read, and how much of it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -29,7 +33,7 @@ pub struct Access {
     /// Most texels of all textures together; a texel takes 4 bytes, while it is decoded 8.
     pub max_texels: u64,
     /// Most vertices, and most triangles, of the mesh as the file has it. At most
-    /// [`crate::import::MAX_VERTICES`] counts.
+    /// [`MAX_VERTICES`] counts.
     pub max_vertices: usize,
 }
 
@@ -154,7 +158,7 @@ impl Files {
 
     /// Most vertices and triangles of a mesh.
     pub fn max_vertices(&self) -> usize {
-        self.access.max_vertices.min(crate::import::MAX_VERTICES)
+        self.access.max_vertices.min(MAX_VERTICES)
     }
 
     /// Whether this is one of the files that were read; gives its path as it was read.

@@ -6,6 +6,8 @@
 pub mod compress;
 pub mod environment;
 #[cfg(not(target_family = "wasm"))]
+pub mod error;
+#[cfg(not(target_family = "wasm"))]
 pub mod files;
 #[cfg(not(target_family = "wasm"))]
 pub mod import;

@@ -16,10 +16,11 @@ mod obj;
 mod tests;
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use relight_format as format;
 
+pub use crate::error::Error;
 use crate::files::{Access, Files};
 use crate::mesh::Mesh;
 
@@ -37,9 +38,6 @@ pub struct Options {
 /// Boxes are flat and scans smooth.
 pub const DEFAULT_CREASE_DEGREES: f32 = 80.0;
 
-/// Most vertices, and most triangles, that an imported mesh may have; [`Access::max_vertices`]
-/// is less unless it is raised.
-pub const MAX_VERTICES: usize = 1 << 25;
 /// Most texels per side of a texture.
 pub const MAX_IMAGE_SIZE: u32 = 16384;
 
@@ -72,74 +70,6 @@ pub(crate) fn texture(
         .sum();
     let most = files.access().max_texels;
     image::decode(path, "file", &bytes, encoding, &mut texels, most)
-}
-
-/// Why a scene file, mesh, material library or texture could not be read.
-#[derive(Debug, thiserror::Error)]
-pub enum Error {
-    /// The file system refused.
-    #[error("{}: cannot read: {source}", file.display())]
-    Read {
-        /// The file.
-        file: PathBuf,
-        /// The reason.
-        source: std::io::Error,
-    },
-    /// The text does not parse.
-    #[error("{}: {message}", file.display())]
-    Syntax {
-        /// The file.
-        file: PathBuf,
-        /// The parser's message, with line and column.
-        message: String,
-    },
-    /// A value is wrong.
-    #[error("{}: {place}: expected {expected}, found {found}", file.display())]
-    Invalid {
-        /// The file.
-        file: PathBuf,
-        /// The line, key or element.
-        place: String,
-        /// What would have been right.
-        expected: String,
-        /// What is there.
-        found: String,
-    },
-    /// The file requires a glTF extension that is not supported.
-    #[error(
-        "{}: requires the glTF extension {extension}, which is not supported{hint}", file.display()
-    )]
-    UnsupportedExtension {
-        /// The file.
-        file: PathBuf,
-        /// Its registered name.
-        extension: String,
-        /// What to do about it, or nothing.
-        hint: &'static str,
-    },
-}
-
-impl Error {
-    pub(crate) fn read(file: &Path, source: std::io::Error) -> Self {
-        Self::Read {
-            file: file.into(),
-            source,
-        }
-    }
-
-    pub(crate) fn invalid(
-        file: &Path,
-        place: impl std::fmt::Display,
-        expected: impl std::fmt::Display,
-        found: impl std::fmt::Display,
-    ) -> Self {
-        Self::Invalid {
-            file: file.into(),
-            place: place.to_string(),
-            expected: expected.to_string(),
-            found: found.to_string(),
-        }
-    }
 }
 
 /// Imports a `.gltf`, `.glb` or `.obj` file that the command line names, and what it refers to

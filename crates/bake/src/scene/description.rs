@@ -13,7 +13,7 @@ use relight_shading::gpu::MAX_LOCAL_LIGHTS;
 use relight_shading::local_light::{LocalLight, Spot};
 use serde::{Deserialize, Serialize};
 
-pub use crate::import::Error;
+pub use crate::error::Error;
 use crate::mesh::ground;
 
 use crate::files::{Access, Files};

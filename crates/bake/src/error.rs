@@ -1,0 +1,72 @@
+//! Why an input cannot be read: one error that names the file, the place, what was expected and what
+//! was found.
+
+use std::path::{Path, PathBuf};
+
+/// Why a scene file, mesh, material library or texture could not be read.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// The file system refused.
+    #[error("{}: cannot read: {source}", file.display())]
+    Read {
+        /// The file.
+        file: PathBuf,
+        /// The reason.
+        source: std::io::Error,
+    },
+    /// The text does not parse.
+    #[error("{}: {message}", file.display())]
+    Syntax {
+        /// The file.
+        file: PathBuf,
+        /// The parser's message, with line and column.
+        message: String,
+    },
+    /// A value is wrong.
+    #[error("{}: {place}: expected {expected}, found {found}", file.display())]
+    Invalid {
+        /// The file.
+        file: PathBuf,
+        /// The line, key or element.
+        place: String,
+        /// What would have been right.
+        expected: String,
+        /// What is there.
+        found: String,
+    },
+    /// The file requires a glTF extension that is not supported.
+    #[error(
+        "{}: requires the glTF extension {extension}, which is not supported{hint}", file.display()
+    )]
+    UnsupportedExtension {
+        /// The file.
+        file: PathBuf,
+        /// Its registered name.
+        extension: String,
+        /// What to do about it, or nothing.
+        hint: &'static str,
+    },
+}
+
+impl Error {
+    pub(crate) fn read(file: &Path, source: std::io::Error) -> Self {
+        Self::Read {
+            file: file.into(),
+            source,
+        }
+    }
+
+    pub(crate) fn invalid(
+        file: &Path,
+        place: impl std::fmt::Display,
+        expected: impl std::fmt::Display,
+        found: impl std::fmt::Display,
+    ) -> Self {
+        Self::Invalid {
+            file: file.into(),
+            place: place.to_string(),
+            expected: expected.to_string(),
+            found: found.to_string(),
+        }
+    }
+}

@@ -92,6 +92,7 @@ mod composite;
 mod error;
 mod frame;
 mod image;
+mod lobes;
 mod occluders;
 #[cfg(feature = "offscreen")]
 pub mod offscreen;

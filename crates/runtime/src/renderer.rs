@@ -11,6 +11,7 @@ use relight_shading::wgsl::{self, Entry, Kernel, source};
 use wgpu::util::DeviceExt as _;
 
 use crate::frame::LocalFrame;
+use crate::lobes::{self, LobePasses, Slots};
 use crate::pass_times::{Pass, PassTimes, Recording, Timestamps};
 use crate::resources::{Numbered, Resources, first_ids};
 use crate::transfer::filled_buffer;
@@ -51,6 +52,7 @@ pub struct Renderer {
     /// Groups 0, 1 and 2 of the kernels of vertices.
     vertex_layouts: [wgpu::BindGroupLayout; 3],
     kernels: Arc<Kernels>,
+    lobes: Arc<LobePasses>,
     /// The same with four samples per pixel, and the surfaces among them; made when first needed.
     surface_pipelines: OnceLock<(wgpu::RenderPipeline, wgpu::ComputePipeline)>,
     /// Into passes of the app's, for pixels of one surface and of several; made when first needed.
@@ -76,7 +78,6 @@ struct Kernels {
     vertices_mark: OnceLock<wgpu::ComputePipeline>,
     vertices: OnceLock<wgpu::ComputePipeline>,
     diffuse: OnceLock<wgpu::ComputePipeline>,
-    shade: [OnceLock<wgpu::ComputePipeline>; 4],
     cells: OnceLock<wgpu::ComputePipeline>,
     sources: OnceLock<wgpu::ComputePipeline>,
 }
@@ -113,6 +114,7 @@ impl Renderer {
         Ok(Self {
             visibility_pipeline: visibility_pipeline(device, [&frame_layout, &scene_layout], false),
             kernels: Arc::default(),
+            lobes: Arc::new(LobePasses::new(device, &frame_layout)),
             vertex_layouts: [
                 vertex_frame_layout(device),
                 vertex_scene_layout(device),
@@ -162,6 +164,7 @@ impl Renderer {
             visibility_pipeline: self.visibility_pipeline.clone(),
             vertex_layouts: self.vertex_layouts.clone(),
             kernels: self.kernels.clone(),
+            lobes: self.lobes.clone(),
             no_fractions: self.no_fractions.clone(),
             surface_pipelines: self.surface_pipelines.clone(),
             composite_pipelines: Default::default(),
@@ -179,10 +182,13 @@ impl Renderer {
     /// Copies a scene to the GPU, on any thread. The error names the limit that it exceeds, or what
     /// is out of its range in a scene that was not read from an asset.
     pub fn upload(&self, scene: &Scene) -> Result<GpuScene, Error> {
+        let [materials, visibility] = &self.lobes.scenes;
         let layouts = [
             &self.scene_layout,
             &self.source_layouts[1],
             &self.vertex_layouts[1],
+            materials,
+            visibility,
         ];
         GpuScene::new(&self.device, &self.queue, layouts, &self.owner, scene)
     }
@@ -413,9 +419,20 @@ impl Renderer {
             };
             let diffuse = [frame_group, &scene.bind_group, &images.diffuse];
             dispatch(self.diffuse_pipeline(), diffuse);
-            let prefiltered = usize::from(frame.reflections.is_some());
-            let bounced = usize::from(scene.is_bounced());
-            dispatch(self.shade_pipeline(2 * prefiltered + bounced), groups);
+            let groups = lobes::Groups {
+                frame: frame_group,
+                scenes: &scene.lobe_groups,
+            };
+            let work = lobes::Work {
+                reflections: scene.reflections(),
+                distant_lights: frame.lights.len(),
+                local_lights: frame.local_lights.len(),
+                ambient: matches!(frame.method, Method::Ambient),
+                image: frame.reflections.is_some(),
+                bounced: scene.is_bounced(),
+            };
+            let dispatches = resources.dispatches(&rows);
+            (self.lobes).record(&mut pass, groups, &images.slots, work, dispatches);
         }
         Ok(())
     }
@@ -447,6 +464,7 @@ impl Renderer {
                 first_id,
                 index,
                 region,
+                band: self.band(size[0]),
                 extras: frame.antialias.then(|| region.extras(size[1])),
             });
             Ok((local, numbered))
@@ -460,18 +478,24 @@ impl Renderer {
     fn make_images(&self, view: &mut View, frame: &Frame) -> Result<(), Error> {
         let sources = frame.sources.as_ref();
         let sources = sources.map_or(0, |sources| sources.count() as u32);
+        let shaded = shaded_size(view.size(), frame.antialias);
+        let slots = Slots::needed(shaded, self.band(shaded[0]));
         if view.images.as_ref().is_some_and(|images| {
-            images.antialias() == frame.antialias && images.source_layers >= sources
+            images.antialias() == frame.antialias
+                && images.source_layers >= sources
+                && images.slots.count() >= slots
         }) {
             return Ok(());
         }
-        let [width, height] = shaded_size(view.size(), frame.antialias);
+        let [width, height] = shaded;
         self.check_size(width, height)?;
         let layouts = ImageLayouts {
             shade: &self.image_layout,
             sources: &self.source_layouts[2],
             diffuse: &self.diffuse_image_layout,
             surfaces: &self.surface_layouts[1],
+            lobes: &self.lobes,
+            slots,
         };
         let size = view.size();
         let images = Images::new(&self.device, &layouts, size, sources, frame.antialias);
@@ -566,21 +590,17 @@ impl Renderer {
         })
     }
 
-    /// Rows per dispatch.
-    pub(crate) fn band(&self) -> u32 {
+    /// Rows per dispatch of images so wide.
+    pub(crate) fn band(&self, width: u32) -> u32 {
         let rows = self.options.rows_per_dispatch.max(1);
-        rows.checked_next_multiple_of(WORKGROUP)
-            .unwrap_or(u32::MAX - (WORKGROUP - 1))
+        let rows = rows
+            .checked_next_multiple_of(WORKGROUP)
+            .unwrap_or(u32::MAX - (WORKGROUP - 1));
+        lobes::band(rows, width)
     }
 
     fn shading_layouts(&self) -> [&wgpu::BindGroupLayout; 3] {
         [&self.frame_layout, &self.scene_layout, &self.image_layout]
-    }
-
-    fn shade_pipeline(&self, options: usize) -> &wgpu::ComputePipeline {
-        let layouts = self.shading_layouts();
-        self.kernels.shade[options]
-            .get_or_init(|| compute_pipeline(&self.device, &layouts, &wgsl::SHADE[options]))
     }
 
     fn cells_pipeline(&self) -> &wgpu::ComputePipeline {
@@ -861,7 +881,7 @@ fn check_device(device: &wgpu::Device) -> Result<(), Error> {
 
 const BOTH: wgpu::ShaderStages = wgpu::ShaderStages::VERTEX.union(wgpu::ShaderStages::COMPUTE);
 
-fn layout_entry(
+pub(crate) fn layout_entry(
     binding: u32,
     visibility: wgpu::ShaderStages,
     ty: wgpu::BindingType,
@@ -874,7 +894,7 @@ fn layout_entry(
     }
 }
 
-const STORAGE: wgpu::BindingType = wgpu::BindingType::Buffer {
+pub(crate) const STORAGE: wgpu::BindingType = wgpu::BindingType::Buffer {
     ty: wgpu::BufferBindingType::Storage { read_only: true },
     has_dynamic_offset: false,
     min_binding_size: None,
@@ -973,7 +993,7 @@ fn scene_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
     })
 }
 
-fn scene_entries() -> [wgpu::BindGroupLayoutEntry; 9] {
+pub(crate) fn scene_entries() -> [wgpu::BindGroupLayoutEntry; 9] {
     let compute = wgpu::ShaderStages::COMPUTE;
     let atlas = wgpu::BindingType::Texture {
         sample_type: wgpu::TextureSampleType::Float { filterable: true },
@@ -1170,7 +1190,7 @@ fn image_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
     })
 }
 
-fn image_entries() -> [wgpu::BindGroupLayoutEntry; 4] {
+pub(crate) fn image_entries() -> [wgpu::BindGroupLayoutEntry; 4] {
     let texture = |sample_type| wgpu::BindingType::Texture {
         sample_type,
         view_dimension: wgpu::TextureViewDimension::D2,
@@ -1265,7 +1285,7 @@ fn visibility_pipeline(
     })
 }
 
-fn compute_pipeline(
+pub(crate) fn compute_pipeline(
     device: &wgpu::Device,
     groups: &[&wgpu::BindGroupLayout],
     kernel: &Kernel,

@@ -81,6 +81,8 @@ pub(crate) struct Numbered {
     pub(crate) index: u32,
     /// Where it may be seen.
     pub(crate) region: Region,
+    /// Rows of a dispatch.
+    pub(crate) band: u32,
     /// Where further surfaces of its pixels are, with antialiasing.
     pub(crate) extras: Option<Region>,
 }
@@ -119,7 +121,7 @@ impl Resources {
         };
         uniform.vertex_stamp = (self.vertex_lights.as_ref()).map_or(0, VertexLights::stamp);
         uniform.instance = numbered.index;
-        let bands = |region: Region| region.bands(renderer.band());
+        let bands = |region: Region| region.bands(numbered.band);
         self.bands = (bands(numbered.region).map(|band| (band.row, band))).collect();
         if let Some(extras) = numbered.extras {
             // Half as many rows for as many pixels.

@@ -1,5 +1,7 @@
 //! Asset to GPU buffers and atlas.
 
+use std::sync::atomic::{AtomicU32, Ordering};
+
 use bytemuck::Pod;
 use glam::Vec3;
 use relight_format::{Material, Scene};
@@ -9,6 +11,7 @@ use relight_shading::transfer::{self, DistantLight, PackedTransfer};
 use wgpu::util::{DeviceExt as _, TextureDataOrder};
 
 use crate::frame::{bounds, near_plane};
+use crate::lobes::SCENE_BINDINGS;
 use crate::renderer::{Owner, buffer_entry, texture_entry};
 use crate::transfer::filled_buffer;
 use crate::{Error, occluders};
@@ -25,6 +28,10 @@ pub struct GpuScene {
     pub(crate) sources: Result<wgpu::BindGroup, LimitError>,
     /// Group 1 of kernels of vertices.
     pub(crate) vertex_group: wgpu::BindGroup,
+    /// Groups 1 of kernels that shade by lobes.
+    pub(crate) lobe_groups: [wgpu::BindGroup; 2],
+    /// How many a material has.
+    reflections: Vec<AtomicU32>,
     pub(crate) vertex_count: usize,
     pub(crate) ray_offset: f32,
     pub(crate) triangle_count: u32,
@@ -36,7 +43,6 @@ pub struct GpuScene {
     pub(crate) owner: Owner,
     queue: wgpu::Queue,
     materials: wgpu::Buffer,
-    material_count: usize,
     textures: Vec<PackedTexture>,
     bounced: Option<PackedTransfer>,
     /// Where light does not bounce.
@@ -60,7 +66,7 @@ impl GpuScene {
     pub(crate) fn new(
         device: &wgpu::Device,
         queue: &wgpu::Queue,
-        [layout, source_layout, vertex_layout]: [&wgpu::BindGroupLayout; 3],
+        [layout, source_layout, vertex_layout, material_layout, visibility_layout]: [&wgpu::BindGroupLayout; 5],
         owner: &Owner,
         scene: &Scene,
     ) -> Result<Self, Error> {
@@ -158,22 +164,30 @@ impl GpuScene {
             layout,
             entries: &entries,
         });
-        let vertex_entries: Vec<_> = entries
-            .iter()
-            .filter(|entry| VERTEX_BINDINGS.contains(&entry.binding))
-            .cloned()
-            .collect();
-        let vertex_group = device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some("relight vertices"),
-            layout: vertex_layout,
-            entries: &vertex_entries,
-        });
+        let part = |label, layout, bindings: &[u32]| {
+            let entries = entries.iter();
+            let entries = entries.filter(|entry| bindings.contains(&entry.binding));
+            device.create_bind_group(&wgpu::BindGroupDescriptor {
+                label: Some(label),
+                layout,
+                entries: &entries.cloned().collect::<Vec<_>>(),
+            })
+        };
+        let vertex_group = part("relight vertices", vertex_layout, &VERTEX_BINDINGS);
+        let lobe_groups = [
+            part("relight materials", material_layout, SCENE_BINDINGS[0]),
+            part("relight visibility", visibility_layout, SCENE_BINDINGS[1]),
+        ];
         let shared = [&vertices, &triangles, &materials, &texels];
         let sources = source_group(device, source_layout, shared, scene)?;
         Ok(Self {
             bind_group,
             sources,
             vertex_group,
+            lobe_groups,
+            reflections: (packed.materials.iter())
+                .map(|material| AtomicU32::new(material.reflections()))
+                .collect(),
             vertex_count: scene.vertices.len(),
             ray_offset: scene.visibility.ray_offset,
             triangle_count: packed.triangles.len() as u32,
@@ -184,11 +198,17 @@ impl GpuScene {
             owner: owner.clone(),
             queue: queue.clone(),
             materials,
-            material_count: packed.materials.len(),
             textures: packed.textures,
             bounced: packed.transfer,
             no_products,
         })
+    }
+
+    /// Reflections of a material, at most.
+    pub(crate) fn reflections(&self) -> u32 {
+        let counts = self.reflections.iter();
+        let most = counts.map(|count| count.load(Ordering::Relaxed)).max();
+        most.unwrap_or(0)
     }
 
     /// Whether light bounces.
@@ -227,18 +247,19 @@ impl GpuScene {
         Ok(view)
     }
 
-    /// Replaces material `index`; takes effect at the next submission. Textures are those
+    /// Replaces material `index`, of the frame that is prepared next. Textures are those
     /// that the scene was uploaded with.
     pub fn set_material(&self, index: usize, material: &Material) -> Result<(), Error> {
-        if index >= self.material_count {
+        let Some(reflections) = self.reflections.get(index) else {
             return Err(Error::NoSuchMaterial {
                 index,
-                count: self.material_count,
+                count: self.reflections.len(),
             });
-        }
+        };
         let shapes: Vec<_> = self.textures.iter().map(|texture| texture.shape).collect();
         material.validate(&shapes)?;
         let packed = gpu::pack_material(material, &self.textures);
+        reflections.store(packed.reflections(), Ordering::Relaxed);
         let offset = (index * size_of::<gpu::Material>()) as u64;
         self.queue
             .write_buffer(&self.materials, offset, bytemuck::bytes_of(&packed));

@@ -4,6 +4,7 @@ use relight_shading::gpu;
 use relight_shading::surfaces::TILE;
 
 use crate::composite::Drawing;
+use crate::lobes::{LobePasses, Slots};
 use crate::renderer::Owner;
 use crate::resources::{Resources, Slot};
 use crate::{Error, Renderer};
@@ -20,7 +21,8 @@ pub(crate) const RADIANCE_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgb
 /// Images of one size, and what else is kept from frame to frame:
 /// [`Renderer::prepare`] fills it, [`Renderer::composite`] draws it.
 ///
-/// It holds 44 bytes per pixel, 16 more per source, 116 and 24 more per source with antialiasing. An app
+/// It holds 44 bytes per pixel, 16 more per source, 116 and 24 more per source with antialiasing; and
+/// 512 for each of at most 131,072 pixels that are shaded at a time. An app
 /// has one per camera, and another, or [`Self::resize`], for another size.
 #[derive(Debug)]
 pub struct View {
@@ -125,6 +127,8 @@ pub(crate) struct Images {
     pub(crate) bind_group: wgpu::BindGroup,
     /// Group 2 of the pass for irradiance.
     pub(crate) diffuse: wgpu::BindGroup,
+    /// What the passes that shade by lobes hand on.
+    pub(crate) slots: Slots,
     /// Group 2 of the pass for sources, if there was one.
     pub(crate) sources: Option<wgpu::BindGroup>,
     /// Sources that there is room for.
@@ -139,6 +143,9 @@ pub(crate) struct ImageLayouts<'a> {
     pub(crate) sources: &'a wgpu::BindGroupLayout,
     pub(crate) diffuse: &'a wgpu::BindGroupLayout,
     pub(crate) surfaces: &'a wgpu::BindGroupLayout,
+    pub(crate) lobes: &'a LobePasses,
+    /// Slots that there is to be room for.
+    pub(crate) slots: u32,
 }
 
 /// Columns and rows of what is shaded: a place for each pixel; with antialiasing, whole tiles of them,
@@ -259,6 +266,7 @@ impl Images {
         };
         let views = [&seen_view, &radiance_view, &source_view, &irradiance_view];
         Self {
+            slots: layouts.lobes.slots(layouts.slots, views),
             diffuse: writing(&irradiance_view),
             sources: (source_layers > 0).then(|| {
                 let views = [&seen_view, &source_view];

@@ -98,26 +98,31 @@ impl SpecularLobes {
 /// One specular reflection of `point` towards its `view` as lobes in world space. None
 /// where the view is below the shading horizon or the reflection is black.
 pub fn specular_lobes(point: &SurfacePoint, reflection: &Reflection) -> SpecularLobes {
-    let wo = point.to_local(point.view);
-    let black = reflection.specular.max(reflection.grazing).max_element() <= 0.0;
-    if reflection.model == Model::None || black || wo.z <= 0.0 {
-        return SpecularLobes::EMPTY;
-    }
-    let values = table_values();
-    let mut lobes = shape(values, reflection, wo);
-    let used = &mut lobes.lobes[..lobes.count];
-    let mut unscaled = 0.0;
-    for lobe in used.iter() {
-        unscaled += lobe.amplitude.x * Tables::get().cosine_integral(lobe.sharpness, lobe.axis.z);
-    }
-    let albedo = albedo(values, reflection, wo);
-    let color = (reflection.specular * albedo.x + reflection.grazing * albedo.y)
-        / unscaled.max(f32::MIN_POSITIVE);
-    for lobe in used {
+    let (mut lobes, color) = local_lobes(reflection, point.to_local(point.view));
+    let count = lobes.count;
+    for lobe in &mut lobes.lobes[..count] {
         lobe.axis = point.to_world(lobe.axis);
         lobe.amplitude *= color;
     }
     lobes
+}
+
+/// The same towards `wo` in the surface's frame: the lobes there, grey, and the colour that their
+/// amplitudes are multiplied by.
+pub(crate) fn local_lobes(reflection: &Reflection, wo: Vec3) -> (SpecularLobes, Vec3) {
+    let black = reflection.specular.max(reflection.grazing).max_element() <= 0.0;
+    if reflection.model == Model::None || black || wo.z <= 0.0 {
+        return (SpecularLobes::EMPTY, Vec3::ZERO);
+    }
+    let values = table_values();
+    let lobes = shape(values, reflection, wo);
+    let mut unscaled = 0.0;
+    for lobe in lobes.as_slice() {
+        unscaled += lobe.amplitude.x * Tables::get().cosine_integral(lobe.sharpness, lobe.axis.z);
+    }
+    let albedo = albedo(values, reflection, wo);
+    let color = reflection.specular * albedo.x + reflection.grazing * albedo.y;
+    (lobes, color / unscaled.max(f32::MIN_POSITIVE))
 }
 
 /// The lobes in the local frame, grey and correct up to a common factor.

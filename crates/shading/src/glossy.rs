@@ -10,7 +10,7 @@
 use glam::Vec3;
 use relight_format::math;
 
-use crate::brdf::{MAX_SPECULAR_LOBES, SpecularLobes, specular_lobes};
+use crate::brdf::{MAX_SPECULAR_LOBES, SpecularLobes, local_lobes};
 use crate::reference;
 use crate::shade::negligible;
 use crate::spherical_gaussian::{SphericalGaussian, energy};
@@ -47,31 +47,44 @@ const EXCESS: f32 = 8.0;
 pub struct Glossy<'a> {
     point: &'a SurfacePoint<'a>,
     reflection: &'a Reflection<'a>,
+    /// In the point's frame.
     view: Vec3,
-    lobes: SpecularLobes,
+    /// In the point's frame, grey.
+    shapes: SpecularLobes,
+    /// What their amplitudes are multiplied by.
+    color: Vec3,
 }
 
 impl<'a> Glossy<'a> {
     /// The reflection `reflection` of `point`.
     pub fn new(point: &'a SurfacePoint<'a>, reflection: &'a Reflection) -> Self {
+        let view = point.to_local(point.view);
+        let (shapes, color) = local_lobes(reflection, view);
         Self {
             point,
             reflection,
-            view: point.to_local(point.view),
-            lobes: specular_lobes(point, reflection),
+            view,
+            shapes,
+            color,
         }
     }
 
-    /// The lobes.
-    pub fn lobes(&self) -> &[SphericalGaussian] {
-        self.lobes.as_slice()
+    /// The lobes in world space.
+    pub fn lobes(&self) -> impl Iterator<Item = SphericalGaussian> {
+        let shapes = self.shapes.as_slice().iter();
+        shapes.map(|shape| SphericalGaussian {
+            axis: self.point.to_world(shape.axis),
+            amplitude: shape.amplitude.x * self.color,
+            ..*shape
+        })
     }
 
-    /// What each lobe reflects of a radiance of 1 from everywhere.
-    pub fn whites(&self) -> impl Iterator<Item = Vec3> {
-        self.lobes().iter().map(|lobe| {
+    /// The same, and what each reflects of a radiance of 1 from everywhere.
+    pub fn whites(&self) -> impl Iterator<Item = (SphericalGaussian, Vec3)> {
+        self.lobes().map(|lobe| {
             let cosine = self.point.normal.dot(lobe.axis);
-            lobe.amplitude * Tables::get().cosine_integral(lobe.sharpness, cosine)
+            let integral = Tables::get().cosine_integral(lobe.sharpness, cosine);
+            (lobe, lobe.amplitude * integral)
         })
     }
 
@@ -83,26 +96,33 @@ impl<'a> Glossy<'a> {
         light: &SphericalGaussian,
         gathered: Vec3,
     ) -> Option<SphericalGaussian> {
-        let first = self.lobes.as_slice().first()?;
+        if self.shapes.count == 0 {
+            return None;
+        }
         let white = SphericalGaussian {
+            axis: self.point.to_local(light.axis),
             amplitude: Vec3::ONE,
             ..*light
         };
+        let scale = self.color.element_sum();
         let mut products = [(white, 0.0); MAX_SPECULAR_LOBES];
-        let products = &mut products[..self.lobes().len()];
+        let products = &mut products[..self.shapes.count];
         let mut all = 0.0;
-        for (lobe, (product, part)) in self.lobes().iter().zip(&mut *products) {
+        for (shape, (product, part)) in self.shapes.as_slice().iter().zip(&mut *products) {
             *product = white.product(&SphericalGaussian {
-                amplitude: Vec3::splat(grey(lobe)),
-                ..*lobe
+                amplitude: shape.amplitude * scale,
+                ..*shape
             });
             *part = product.amplitude.x * energy(product.sharpness);
             all += *part;
         }
-        let color = light.amplitude * (first.amplitude / grey(first));
+        let color = light.amplitude * (self.color / scale);
         if all < LEAST_MASS || negligible(TAIL * all * color, gathered) {
             return None;
         }
+        // The part of the light up to which a product is faint.
+        let faint = FAINT * gathered / color.max(Vec3::splat(f32::MIN_POSITIVE));
+        let faint = faint.min_element();
         // Directions are differences to one among them, which keeps the digits of narrow
         // lobes.
         let mut origin = None;
@@ -113,8 +133,7 @@ impl<'a> Glossy<'a> {
                 continue;
             }
             used += part;
-            let faint = (part * color).cmple(FAINT * gathered).all();
-            let points = if faint || part < MINOR_PART * all {
+            let points = if part <= faint || part < MINOR_PART * all {
                 1
             } else {
                 5
@@ -140,8 +159,9 @@ impl<'a> Glossy<'a> {
         let spread = rest * (2.0 - rest) + (1.0 - rest) * squares - mean.length_squared();
         let spread = spread.clamp(LEAST_SPREAD, 1.0);
         let sharpness = (1.0 - spread).sqrt() * (2.0 + spread) / spread;
+        let axis = unit_or((1.0 - rest) * origin + mean, origin);
         Some(SphericalGaussian {
-            axis: unit_or((1.0 - rest) * origin + mean, origin),
+            axis: self.point.to_world(axis),
             sharpness,
             amplitude: light.amplitude * total * (all / (used * energy(sharpness))),
         })
@@ -152,32 +172,32 @@ impl<'a> Glossy<'a> {
     fn scaled(&self, product: &SphericalGaussian, part: f32, most: f32, points: usize) -> Vec3 {
         let reach = (POINT_DEVIATIONS / (product.sharpness + 0.5).sqrt()).min(FARTHEST_POINT);
         let (u, v) = frame(product.axis);
-        let offsets = [Vec3::ZERO, reach * u, -reach * u, reach * v, -reach * v];
+        let aside = |offset: Vec3| (product.axis + reach * offset).normalize();
+        let scale = self.color.element_sum();
         let (mut sum, mut whole) = (Vec3::ZERO, 0.0);
-        for (index, offset) in offsets.into_iter().enumerate().take(points) {
-            let direction = (product.axis + offset).normalize();
-            let local = self.point.to_local(direction);
-            if local.z > 0.0 {
-                let values = self.lobes().iter().map(|lobe| lobe.evaluate(direction));
-                let lobes = values.sum::<Vec3>().element_sum();
-                let model = reference::evaluate_specular(self.reflection, local, self.view);
+        for index in 0..points {
+            let direction = [Vec3::ZERO, u, -u, v, -v][index];
+            let direction = if index == 0 {
+                product.axis
+            } else {
+                aside(direction)
+            };
+            if direction.z > 0.0 {
+                let shapes = self.shapes.as_slice().iter();
+                let lobes: f32 = shapes.map(|shape| shape.evaluate(direction).x).sum();
+                let model = reference::evaluate_specular(self.reflection, direction, self.view);
                 let weight = if index == 0 {
                     CENTER_WEIGHT
                 } else {
                     POINT_WEIGHT
                 };
-                let times = (part / lobes.max(f32::MIN_POSITIVE)).min(most);
-                sum += weight * local.z * times * model;
-                whole += weight * local.z;
+                let times = (part / (lobes * scale).max(f32::MIN_POSITIVE)).min(most);
+                sum += weight * direction.z * times * model;
+                whole += weight * direction.z;
             }
         }
         sum / whole.max(LEAST_COSINE)
     }
-}
-
-/// A lobe's weight without its colour, which all lobes of a reflection share.
-fn grey(lobe: &SphericalGaussian) -> f32 {
-    lobe.amplitude.element_sum()
 }
 
 /// By how much a lobe's mean vector is shorter than 1: 1 − coth λ + 1/λ.

@@ -9,7 +9,7 @@ use relight_format::{
 
 use crate::camera::View;
 use crate::ssdf::Basis;
-use crate::surface::{LayerParameters, visit_layers};
+use crate::surface::{LayerParameters, Model, visit_layers};
 use crate::transfer::PackedTransfer;
 
 /// `Material::surface`: base colour, metallic and roughness as in glTF.
@@ -306,6 +306,18 @@ pub struct Material {
     pub emission_texture: TextureSlot,
     /// The reflections of other surfaces than metallic-roughness.
     pub layers: [Layer; MAX_REFLECTIONS],
+}
+
+impl Material {
+    /// How many reflections have to be asked for, in order, until no other is left.
+    pub fn reflections(&self) -> u32 {
+        if self.surface == SURFACE_METALLIC_ROUGHNESS {
+            return 1;
+        }
+        let layers = &self.layers[..self.layer_count as usize];
+        let last = layers.iter().rposition(|layer| layer.model != Model::None as u32);
+        last.map_or(0, |last| last as u32 + 1)
+    }
 }
 
 /// How radiance becomes what a target holds, and what is behind it (uniform, 160 bytes).

@@ -16,6 +16,7 @@ pub mod polar;
 pub mod prefiltered;
 pub mod reference;
 pub mod shade;
+pub mod slots;
 pub mod sources;
 pub mod spherical_gaussian;
 pub mod ssdf;

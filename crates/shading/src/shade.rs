@@ -16,7 +16,7 @@ use crate::ssdf::SignedDistance;
 use crate::surface::SurfacePoint;
 use crate::tables::Tables;
 use crate::vertex_visibility::{self, Corners, LightFractions};
-use crate::{ambient, cells, polar, sources};
+use crate::{ambient, cells, polar, slots, sources};
 
 /// A product lobe whose whole energy is below this fraction of the radiance gathered so
 /// far, in every channel, is not integrated.
@@ -158,24 +158,10 @@ pub fn shade_counting(
         }
         for reflection in point.appearance.reflections() {
             let glossy = Glossy::new(point, reflection);
-            let first = lighting.first_reflected();
-            for (light, index) in lighting.reflected_at(point.position).zip(first..) {
-                let Some(lobe) = glossy.reflected(&light, radiance) else {
-                    continue;
-                };
-                let whole = lobe.integral();
-                if negligible(whole, radiance) {
-                    continue;
-                }
-                let fractions = lighting.fractions(index, point);
-                let share = share(whole, radiance);
-                let mut visible = |share| {
-                    *integrals += 1;
-                    visible(&lobe, share, point.normal, field, *method)
-                };
-                radiance += lobe.amplitude
-                    * about(&fractions, &light, &lobe, point.normal, || visible(share));
-            }
+            radiance = glossy_lights(&glossy, point, lighting, radiance, |lobe, share| {
+                *integrals += 1;
+                visible(lobe, share, point.normal, field, *method)
+            });
         }
     }
     if let Some(reflections) = &lighting.reflections
@@ -192,6 +178,48 @@ pub fn shade_counting(
         }
     }
     radiance.max(Vec3::ZERO)
+}
+
+/// `radiance` and what a reflection shows of the lights, in rounds: lobes are made of the lights until
+/// [`slots::WAITING`] of them wait, then they are integrated.
+fn glossy_lights(
+    glossy: &Glossy,
+    point: &SurfacePoint,
+    lighting: &Lighting,
+    mut radiance: Vec3,
+    mut visible: impl FnMut(&SphericalGaussian, f32) -> f32,
+) -> Vec3 {
+    let mut waiting: Vec<SphericalGaussian> = Vec::with_capacity(slots::WAITING as usize);
+    let mut integrate = |waiting: &mut Vec<SphericalGaussian>, mut sum: Vec3| {
+        for lobe in waiting.drain(..) {
+            let whole = lobe.integral();
+            if !negligible(whole, sum) {
+                sum += lobe.amplitude * visible(&lobe, share(whole, sum));
+            }
+        }
+        sum
+    };
+    let first = lighting.first_reflected();
+    for (light, index) in lighting.reflected_at(point.position).zip(first..) {
+        let Some(lobe) = glossy.reflected(&light, radiance) else {
+            continue;
+        };
+        if negligible(lobe.integral(), radiance) {
+            continue;
+        }
+        match lighting.fractions(index, point).whole(&light, &lobe) {
+            Some(fraction) => {
+                let cosine = point.normal.dot(lobe.axis);
+                let integral = Tables::get().cosine_integral(lobe.sharpness, cosine);
+                radiance += lobe.amplitude * (fraction * integral);
+            }
+            None => waiting.push(lobe),
+        }
+        if waiting.len() == slots::WAITING as usize {
+            radiance = integrate(&mut waiting, radiance);
+        }
+    }
+    integrate(&mut waiting, radiance)
 }
 
 /// Irradiance by all lights, where the corners of the triangle agree on it interpolated from them.
@@ -293,7 +321,8 @@ pub fn cell_groups(
                 wide.push(product);
             }
         }
-        add(cells::around(glossy.lobes()), &wide);
+        let lobes: Vec<_> = glossy.lobes().collect();
+        add(cells::around(&lobes), &wide);
         for lobe in narrow {
             if !negligible(lobe.integral(), carried) {
                 add((lobe.axis, polar::support_radius(lobe.sharpness)), &[lobe]);
@@ -355,7 +384,7 @@ fn reflected(
 ) -> Vec3 {
     let normal = point.normal;
     let mut image = Vec3::ZERO;
-    for (lobe, part) in glossy.lobes().iter().zip(glossy.whites()) {
+    for (lobe, part) in glossy.whites() {
         let axis = reflections.rotation * lobe.axis;
         image += part * reflections.image.radiance(axis, lobe.sharpness);
     }

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use crate::surface::{Join, Model};
 use crate::{
     brdf, cells, glossy, gpu, local_light, occluders, polar, prefiltered, shade, sources,
-    spherical_gaussian, surface, surfaces, tables, tonemap, transfer, vertex_visibility,
+    slots, spherical_gaussian, surface, surfaces, tables, tonemap, transfer, vertex_visibility,
 };
 
 /// What a shader module is for.
@@ -22,9 +22,21 @@ pub enum Entry {
     Vertices,
     /// Visibility buffer to irradiance: `diffuse_main`, workgroups of 8 × 8 pixels.
     Diffuse,
-    /// Visibility buffer and irradiance to linear radiance: `shade_main`, workgroups of 8 × 8 pixels.
+    /// Visibility buffer and irradiance to a reflection and its lobes: `reflections_main`, as the
+    /// following four workgroups of 8 × 8 pixels.
+    Reflections,
+    /// Reflection and lights to lobes that wait: `products_main`.
+    Products,
+    /// Lobes that wait to what is visible of them: `integrals_main`.
+    Integrals,
+    /// Reflection to what it shows of other surfaces and, of the Lambertian base, of a prefiltered
+    /// image: `around_main`.
+    Around,
+    /// Reflection to what it shows of a prefiltered image: `images_main`.
+    Images,
+    /// What is gathered to linear radiance: `shade_main`.
     Shade,
-    /// The same by cells, without irradiance; a module of its own, so that its registers cost the others nothing.
+    /// Visibility buffer to linear radiance by cells: `cells_main`, workgroups of 8 × 8 pixels.
     ShadeCells,
     /// Visibility buffer to what sources add to the radiance: `sources_main`, workgroups of 8 × 8
     /// pixels.
@@ -43,12 +55,17 @@ pub enum Entry {
 
 impl Entry {
     /// All of them.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 16] = [
         Self::VisibilityBuffer,
         Self::SurfaceSamples,
         Self::Surfaces,
         Self::Vertices,
         Self::Diffuse,
+        Self::Reflections,
+        Self::Products,
+        Self::Integrals,
+        Self::Around,
+        Self::Images,
         Self::Shade,
         Self::ShadeCells,
         Self::Sources,
@@ -76,10 +93,19 @@ pub const KERNELS: &[Kernel] = &[
     VERTICES_MARK,
     VERTICES,
     DIFFUSE,
-    SHADE[0],
-    SHADE[1],
-    SHADE[2],
-    SHADE[3],
+    REFLECTIONS[0],
+    REFLECTIONS[1],
+    PRODUCTS[0],
+    PRODUCTS[1],
+    INTEGRALS[0],
+    INTEGRALS[1],
+    INTEGRALS[2],
+    INTEGRALS[3],
+    AROUND[0],
+    AROUND[1],
+    AROUND[2],
+    IMAGES,
+    SHADE,
     SHADE_CELLS,
     SOURCES,
 ];
@@ -108,32 +134,92 @@ pub const DIFFUSE: Kernel = Kernel {
     constants: &[],
 };
 
-/// Radiance of every pixel, by lobes: with bounced light at 1 and 3, with a prefiltered image at 2
-/// and 3.
-pub const SHADE: [Kernel; 4] = [
-    shade_kernel(
-        "shade",
-        &[("SHADE_PREFILTERED", 0.0), ("SHADE_BOUNCED", 0.0)],
+/// The first reflection of every pixel and its lobes, and the next one.
+pub const REFLECTIONS: [Kernel; 2] = [
+    shading(
+        "reflections",
+        (Entry::Reflections, "reflections_main"),
+        &[("REFLECTIONS_FIRST", 1.0)],
     ),
-    shade_kernel(
-        "shade, bounced light",
-        &[("SHADE_PREFILTERED", 0.0), ("SHADE_BOUNCED", 1.0)],
-    ),
-    shade_kernel(
-        "shade, prefiltered",
-        &[("SHADE_PREFILTERED", 1.0), ("SHADE_BOUNCED", 0.0)],
-    ),
-    shade_kernel(
-        "shade, both",
-        &[("SHADE_PREFILTERED", 1.0), ("SHADE_BOUNCED", 1.0)],
+    shading(
+        "reflections, next",
+        (Entry::Reflections, "reflections_main"),
+        &[("REFLECTIONS_FIRST", 0.0)],
     ),
 ];
 
-const fn shade_kernel(name: &'static str, constants: &'static [(&'static str, f64)]) -> Kernel {
+/// Lobes of lights and a reflection; to say what is visible of a prefiltered image.
+pub const PRODUCTS: [Kernel; 2] = [
+    shading(
+        "products",
+        (Entry::Products, "products_main"),
+        &[("PRODUCTS_OF_IMAGE", 0.0)],
+    ),
+    shading(
+        "products, image",
+        (Entry::Products, "products_main"),
+        &[("PRODUCTS_OF_IMAGE", 1.0)],
+    ),
+];
+
+/// What is visible of them: by spokes, and by one half-space at 1 and 3; for an image at 2 and 3.
+pub const INTEGRALS: [Kernel; 4] = [
+    shading(
+        "integrals",
+        (Entry::Integrals, "integrals_main"),
+        &[("INTEGRALS_OF_IMAGE", 0.0), ("INTEGRALS_AMBIENT", 0.0)],
+    ),
+    shading(
+        "integrals, ambient",
+        (Entry::Integrals, "integrals_main"),
+        &[("INTEGRALS_OF_IMAGE", 0.0), ("INTEGRALS_AMBIENT", 1.0)],
+    ),
+    shading(
+        "integrals, image",
+        (Entry::Integrals, "integrals_main"),
+        &[("INTEGRALS_OF_IMAGE", 1.0), ("INTEGRALS_AMBIENT", 0.0)],
+    ),
+    shading(
+        "integrals, image, ambient",
+        (Entry::Integrals, "integrals_main"),
+        &[("INTEGRALS_OF_IMAGE", 1.0), ("INTEGRALS_AMBIENT", 1.0)],
+    ),
+];
+
+/// What is around beside the lights: other surfaces, an image, both.
+pub const AROUND: [Kernel; 3] = [
+    shading(
+        "around, bounced light",
+        (Entry::Around, "around_main"),
+        &[("AROUND_BOUNCED", 1.0), ("AROUND_IMAGE", 0.0)],
+    ),
+    shading(
+        "around, image",
+        (Entry::Around, "around_main"),
+        &[("AROUND_BOUNCED", 0.0), ("AROUND_IMAGE", 1.0)],
+    ),
+    shading(
+        "around, both",
+        (Entry::Around, "around_main"),
+        &[("AROUND_BOUNCED", 1.0), ("AROUND_IMAGE", 1.0)],
+    ),
+];
+
+/// What a reflection shows of a prefiltered image.
+pub const IMAGES: Kernel = shading("images", (Entry::Images, "images_main"), &[]);
+
+/// Radiance of every pixel.
+pub const SHADE: Kernel = shading("shade", (Entry::Shade, "shade_main"), &[]);
+
+const fn shading(
+    name: &'static str,
+    (entry, entry_point): (Entry, &'static str),
+    constants: &'static [(&'static str, f64)],
+) -> Kernel {
     Kernel {
         name,
-        entry: Entry::Shade,
-        entry_point: "shade_main",
+        entry,
+        entry_point,
         constants,
     }
 }
@@ -142,7 +228,7 @@ const fn shade_kernel(name: &'static str, constants: &'static [(&'static str, f6
 pub const SHADE_CELLS: Kernel = Kernel {
     name: "shade by cells",
     entry: Entry::ShadeCells,
-    entry_point: "shade_main",
+    entry_point: "cells_main",
     constants: &[],
 };
 
@@ -193,6 +279,14 @@ const COMPOSITE: &[&str] = &[
     include_str!("wgsl/composite.wgsl"),
 ];
 
+/// Where a reflection's lobes are: with the invocation, or where passes hand them on.
+const LOBES: &str = include_str!("wgsl/lobes.wgsl");
+const SLOTS: &str = include_str!("wgsl/slots.wgsl");
+
+fn library(lobes: &str) -> String {
+    LIBRARY.concat() + lobes
+}
+
 /// The complete WGSL of one module.
 pub fn source(entry: Entry) -> String {
     let mut source = constants();
@@ -213,28 +307,48 @@ pub fn source(entry: Entry) -> String {
             source += include_str!("wgsl/surfaces.wgsl");
         }
         Entry::Vertices => {
-            source.extend(LIBRARY.iter().copied());
+            source += &library(LOBES);
             source += include_str!("wgsl/vertices.wgsl");
         }
         Entry::Diffuse => {
-            source.extend(LIBRARY.iter().copied());
+            source += &library(LOBES);
             source += include_str!("wgsl/visible.wgsl");
             source += include_str!("wgsl/diffuse.wgsl");
         }
+        Entry::Reflections => {
+            source += &library(SLOTS);
+            source += include_str!("wgsl/reflections.wgsl");
+        }
+        Entry::Products => {
+            source += &library(SLOTS);
+            source += include_str!("wgsl/products.wgsl");
+        }
+        Entry::Integrals => {
+            source += &library(SLOTS);
+            source += include_str!("wgsl/integrals.wgsl");
+        }
+        Entry::Around => {
+            source += &library(SLOTS);
+            source += include_str!("wgsl/image.wgsl");
+            source += include_str!("wgsl/around.wgsl");
+        }
+        Entry::Images => {
+            source += &library(SLOTS);
+            source += include_str!("wgsl/image.wgsl");
+            source += include_str!("wgsl/images.wgsl");
+        }
         Entry::Shade => {
-            source.extend(LIBRARY.iter().copied());
-            source += include_str!("wgsl/visible.wgsl");
+            source += &library(SLOTS);
             source += include_str!("wgsl/shade.wgsl");
-            source += include_str!("wgsl/shade_lobes.wgsl");
         }
         Entry::ShadeCells => {
-            source.extend(LIBRARY.iter().copied());
-            source += include_str!("wgsl/shade.wgsl");
+            source += &library(LOBES);
+            source += include_str!("wgsl/image.wgsl");
             source += include_str!("wgsl/cells.wgsl");
             source += include_str!("wgsl/shade_cells.wgsl");
         }
         Entry::Sources => {
-            source.extend(LIBRARY.iter().copied());
+            source += &library(LOBES);
             source += include_str!("wgsl/occluders.wgsl");
             source += include_str!("wgsl/sources.wgsl");
         }
@@ -246,7 +360,7 @@ pub fn source(entry: Entry) -> String {
             source.extend(COMPOSITE.iter().copied());
             source += include_str!("wgsl/composite_surfaces.wgsl");
         }
-        Entry::Library => source.extend(LIBRARY.iter().copied()),
+        Entry::Library => source += &library(LOBES),
     }
     source
 }
@@ -289,6 +403,7 @@ fn constants() -> String {
     text += &brdf::wgsl_constants();
     text += &glossy::wgsl_constants();
     text += &shade::wgsl_constants();
+    text += &slots::wgsl_constants();
     text += &occluders::wgsl_constants();
     text += &sources::wgsl_constants();
     text += &tonemap::wgsl_constants();

@@ -23,7 +23,7 @@ fn reflection(@builtin(global_invocation_id) id: vec3<u32>) {
     answers[first + 3u] = vec4(point.appearance.diffuse, 0.0);
     for (var k = 0u; k < reflection_count; k++) {
         let reflection = surface_reflection(k);
-        brdf_specular_lobes(point, reflection);
+        lobes_of(point, reflection);
         let start = first + 4u + k * (4u + 2u * MAX_SPECULAR_LOBES);
         answers[start] = vec4(reflection.specular, f32(reflection.model));
         answers[start + 1u] = vec4(reflection.grazing, f32(specular_count));
@@ -34,7 +34,7 @@ fn reflection(@builtin(global_invocation_id) id: vec3<u32>) {
             answers[start + 3u] = vec4(surface_ratio(reflection.ratio, light, view), 0.0);
         }
         for (var i = 0u; i < specular_count; i++) {
-            let lobe = specular_lobes[i];
+            let lobe = lobes_in_world(i);
             answers[start + 4u + 2u * i] = vec4(lobe.axis, lobe.sharpness);
             answers[start + 5u + 2u * i] = vec4(lobe.amplitude, 0.0);
         }

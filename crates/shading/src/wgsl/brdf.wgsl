@@ -1,31 +1,23 @@
-// Twin of brdf.rs, and of Reflection::incident_factor in reference.rs. The specular lobes
-// of one reflection live in private variables: call brdf_specular_lobes first.
+// Twin of brdf.rs, and of Reflection::incident_factor in reference.rs. Where the lobes are put say
+// lobes.wgsl and slots.wgsl.
 
 var<private> specular_count: u32;
-var<private> specular_lobes: array<SphericalGaussian, MAX_SPECULAR_LOBES>;
 
-fn brdf_specular_lobes(point: SurfacePoint, reflection: Reflection) {
+// Fills them in the point's frame and grey, a view `wo` given there; returns the colour that they share.
+// Of no lobes that of nothing.
+fn brdf_lobes(reflection: Reflection, wo: vec3<f32>) -> vec3<f32> {
     specular_count = 0u;
-    let wo = surface_to_local(point, point.view);
     let black = all(max(reflection.specular, reflection.grazing) <= vec3(0.0));
     if reflection.model == MODEL_NONE || black || wo.z <= 0.0 {
-        return;
+        return vec3(0.0);
     }
-    brdf_shape(reflection, wo);
-    var unscaled = 0.0;
-    for (var i = 0u; i < specular_count; i++) {
-        let lobe = specular_lobes[i];
-        unscaled += lobe.amplitude.x * tables_cosine_integral(lobe.sharpness, lobe.axis.z);
-    }
+    let unscaled = brdf_shape(reflection, wo);
     let albedo = brdf_albedo(reflection, wo);
-    let color = (reflection.specular * albedo.x + reflection.grazing * albedo.y) / max(unscaled, 1.17549435e-38);
-    for (var i = 0u; i < specular_count; i++) {
-        specular_lobes[i].axis = surface_to_world(point, specular_lobes[i].axis);
-        specular_lobes[i].amplitude *= color;
-    }
+    return (reflection.specular * albedo.x + reflection.grazing * albedo.y) / max(unscaled, 1.17549435e-38);
 }
 
-fn brdf_shape(reflection: Reflection, wo: vec3<f32>) {
+// The sum of what they reflect of a radiance of 1 from everywhere.
+fn brdf_shape(reflection: Reflection, wo: vec3<f32>) -> f32 {
     let model = reflection.model;
     let width = vec2(
         brdf_profile_width(model, reflection.alpha.x),
@@ -55,32 +47,42 @@ fn brdf_shape(reflection: Reflection, wo: vec3<f32>) {
     let first = BRDF_MIXTURE_START + (table * BRDF_MIXTURES + node) * BRDF_MIXTURE_STRIDE;
     let fraction = position - f32(node);
 
-    if round && model != MODEL_GGX {
-        brdf_push(reflection, wo, width, incidence, stretched.short, widening, vec2(0.0), 1.0, 1.0);
-        return;
-    }
-    let central_scale = exp(brdf_mixture(first, fraction));
-    let central_weight = exp(brdf_mixture(first + 1u, fraction));
-    brdf_push(reflection, wo, width, incidence, stretched.short, widening, vec2(0.0), central_scale, central_weight);
+    let alone = round && model != MODEL_GGX;
+    let count = 1u + select(pairs * select(2u, 1u, round), 0u, alone);
     let step = stretched.long_axis * width * (sqrt(max(ratio * ratio - 1.0, 0.0)) / ratio);
-    for (var pair = 0u; pair < pairs; pair++) {
-        let scale = exp(brdf_mixture(first + 2u + 3u * pair, fraction));
-        let weight = exp(brdf_mixture(first + 3u + 3u * pair, fraction));
-        if round {
-            brdf_push(reflection, wo, width, incidence, stretched.short, widening, vec2(0.0), scale, 2.0 * weight);
-        } else {
-            let offset = step * brdf_mixture(first + 4u + 3u * pair, fraction);
-            brdf_push(reflection, wo, width, incidence, stretched.short, widening, offset, scale, weight);
-            brdf_push(reflection, wo, width, incidence, stretched.short, widening, -offset, scale, weight);
+    var unscaled = 0.0;
+    // One place that lobes are made: copies of it are most of a shader.
+    for (var i = 0u; i < count; i++) {
+        var offset = vec2(0.0);
+        var scale = 1.0;
+        var weight = 1.0;
+        if i > 0u {
+            let pair = select((i - 1u) / 2u, i - 1u, round);
+            scale = exp(brdf_mixture(first + 2u + 3u * pair, fraction));
+            weight = exp(brdf_mixture(first + 3u + 3u * pair, fraction));
+            if round {
+                weight *= 2.0;
+            } else {
+                offset = step * brdf_mixture(first + 4u + 3u * pair, fraction);
+                offset = select(-offset, offset, (i & 1u) == 1u);
+            }
+        } else if !alone {
+            scale = exp(brdf_mixture(first, fraction));
+            weight = exp(brdf_mixture(first + 1u, fraction));
         }
+        let lobe = brdf_lobe(reflection, wo, width, incidence, stretched.short, widening, offset, scale, weight);
+        unscaled += lobe.amplitude.x * tables_cosine_integral(lobe.sharpness, lobe.axis.z);
+        lobes_put(i, lobe.axis, lobe.sharpness, lobe.amplitude.x);
     }
+    specular_count = count;
+    return unscaled;
 }
 
 fn brdf_mixture(index: u32, fraction: f32) -> f32 {
     return mix(tables[index], tables[index + BRDF_MIXTURE_STRIDE], fraction);
 }
 
-fn brdf_push(
+fn brdf_lobe(
     reflection: Reflection,
     wo: vec3<f32>,
     width: vec2<f32>,
@@ -90,15 +92,14 @@ fn brdf_push(
     offset: vec2<f32>,
     scale: f32,
     weight: f32,
-) {
+) -> SphericalGaussian {
     let h = normalize(vec3(offset, 1.0));
     let axis = 2.0 * dot(h, wo) * h - wo;
     let short = brdf_stretch(width, incidence, max(dot(h, wo), BRDF_MIN_COSINE)).short;
     let sharpness = 2.0 * scale / (short * widening * widening);
     // Where lobes are wider than at the centre they overlap more along the long axis.
     let adjusted = weight * sqrt(central_short / short);
-    specular_lobes[specular_count] = brdf_tilt(reflection, wo, axis, sharpness, adjusted);
-    specular_count++;
+    return brdf_tilt(reflection, wo, axis, sharpness, adjusted);
 }
 
 struct Stretch {

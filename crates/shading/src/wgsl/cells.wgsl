@@ -1,7 +1,7 @@
 // Twin of cells.rs. The lobes of one call are enumerated by cells_lobe, in place of a list.
 
-// The wide lights on a Lambertian surface, the lobe `cells_single`, or what `cells_reflection`
-// makes of wide lights.
+// The wide lights on a Lambertian surface, the lobe `cells_single`, or what the reflection of
+// lobes_of makes of wide lights.
 const CELLS_WIDE: u32 = 0u;
 const CELLS_SINGLE: u32 = 1u;
 const CELLS_PRODUCTS: u32 = 2u;
@@ -11,8 +11,6 @@ var<private> cells_single: SphericalGaussian;
 // Range of lights, where they are seen from, and what a Lambertian surface reflects.
 var<private> cells_first_light: u32;
 var<private> cells_point: SurfacePoint;
-// Its lobes are those of brdf_specular_lobes.
-var<private> cells_reflection: Reflection;
 var<private> cells_diffuse: vec3<f32>;
 
 // The frame of the cells: columns are its axes. Normal in it.
@@ -57,7 +55,7 @@ fn cells_lobe(index: u32) -> SphericalGaussian {
     }
     var light = shade_light(cells_first_light + index, cells_point.position);
     if light.sharpness <= CELLS_NARROW {
-        return glossy_reflected(cells_point, cells_reflection, light, vec3(0.0));
+        return lobes_reflected(light, vec3(0.0));
     }
     light.amplitude = vec3(0.0);
     return light;

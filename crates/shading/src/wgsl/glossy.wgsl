@@ -1,25 +1,22 @@
-// Twin of glossy.rs, and of evaluate_specular in reference.rs. A reflection's lobes are in the
-// private variables of brdf.wgsl: call brdf_specular_lobes first.
+// Twin of glossy.rs, and of evaluate_specular in reference.rs. A reflection's lobes are those of
+// lobes_shape and its siblings, in lobes.wgsl or slots.wgsl, read where they are needed: to keep
+// them takes more registers than there are. All in the point's frame.
 
 // What the reflection shows of `light`, as one Gaussian. Of no amplitude where there is nothing
 // to see, or nothing beside `gathered`.
-fn glossy_reflected(
-    point: SurfacePoint,
-    reflection: Reflection,
-    light: SphericalGaussian,
-    gathered: vec3<f32>,
-) -> SphericalGaussian {
+fn glossy_reflected(light: SphericalGaussian, gathered: vec3<f32>) -> SphericalGaussian {
     let none = SphericalGaussian(light.axis, light.sharpness, vec3(0.0));
     var whole = 0.0;
     for (var j = 0u; j < specular_count; j++) {
-        let product = glossy_times(light, specular_lobes[j]);
+        let product = glossy_times(light, j);
         whole += product.amplitude.x * spherical_gaussian_energy(product.sharpness);
     }
-    let first = specular_lobes[0];
-    let color = light.amplitude * (first.amplitude / glossy_grey(first));
+    let color = light.amplitude * (lobes_color() / glossy_sum(lobes_color()));
     if whole < GLOSSY_LEAST_MASS || all(GLOSSY_TAIL * whole * color <= SHADE_NEGLIGIBLE * gathered) {
         return none;
     }
+    // The part of the light up to which a product is faint.
+    let faint = glossy_faint(color, gathered);
     // Directions are differences to one among them, which keeps the digits of narrow lobes.
     var origin = vec3(0.0);
     var used = 0.0;
@@ -28,9 +25,8 @@ fn glossy_reflected(
     var rest = 0.0;
     var squares = 0.0;
     var mean = vec3(0.0);
-    let most = GLOSSY_EXCESS * spherical_gaussian_energy(light.sharpness);
     for (var j = 0u; j < specular_count; j++) {
-        let product = glossy_times(light, specular_lobes[j]);
+        let product = glossy_times(light, j);
         let part = product.amplitude.x * spherical_gaussian_energy(product.sharpness);
         if part < GLOSSY_LEAST_PART * whole {
             continue;
@@ -39,11 +35,11 @@ fn glossy_reflected(
             origin = product.axis;
         }
         used += part;
-        let faint = all(part * color <= GLOSSY_FAINT * gathered);
-        let points = select(5u, 1u, faint || part < GLOSSY_MINOR_PART * whole);
-        let scaled = glossy_scaled(point, reflection, product, part, most, points);
+        let points = select(5u, 1u, part <= faint || part < GLOSSY_MINOR_PART * whole);
+        let most = GLOSSY_EXCESS * spherical_gaussian_energy(light.sharpness);
+        let scaled = glossy_scaled(product.axis, product.sharpness, part, most, points);
         total += scaled;
-        let weight = scaled.x + scaled.y + scaled.z;
+        let weight = glossy_sum(scaled);
         let short = glossy_shortening(product.sharpness);
         let offset = product.axis - origin;
         mass += weight;
@@ -71,61 +67,61 @@ fn glossy_reflected(
 }
 
 // The product of a white light of this shape and a lobe without its colour.
-fn glossy_times(light: SphericalGaussian, lobe: SphericalGaussian) -> SphericalGaussian {
+fn glossy_times(light: SphericalGaussian, j: u32) -> SphericalGaussian {
+    let shape = lobes_shape(j);
+    let grey = lobes_grey(j) * glossy_sum(lobes_color());
     return spherical_gaussian_product(
         SphericalGaussian(light.axis, light.sharpness, vec3(1.0)),
-        SphericalGaussian(lobe.axis, lobe.sharpness, vec3(glossy_grey(lobe))),
+        SphericalGaussian(shape.xyz, shape.w, vec3(grey)),
     );
+}
+
+// The largest part that adds at most GLOSSY_FAINT of `gathered` in every channel.
+fn glossy_faint(color: vec3<f32>, gathered: vec3<f32>) -> f32 {
+    let parts = GLOSSY_FAINT * gathered / max(color, vec3(1.17549435e-38));
+    return min(min(parts.x, parts.y), parts.z);
 }
 
 // The integral of a product, `part`, as the model makes it: in all at most `most` times the
 // model's value. Of five points the first `points`.
-fn glossy_scaled(
-    point: SurfacePoint,
-    reflection: Reflection,
-    product: SphericalGaussian,
-    part: f32,
-    most: f32,
-    points: u32,
-) -> vec3<f32> {
-    let view = surface_to_local(point, point.view);
-    let reach = min(GLOSSY_POINT_DEVIATIONS / sqrt(product.sharpness + 0.5), GLOSSY_FARTHEST_POINT);
-    // Duff et al. 2017.
-    let axis = product.axis;
-    let orientation = select(1.0, -1.0, axis.z < 0.0);
-    let a = -1.0 / (orientation + axis.z);
-    let b = axis.x * axis.y * a;
-    let u = vec3(1.0 + orientation * axis.x * axis.x * a, orientation * b, -orientation * axis.x);
-    let v = vec3(b, orientation + axis.y * axis.y * a, -axis.y);
+fn glossy_scaled(axis: vec3<f32>, sharpness: f32, part: f32, most: f32, points: u32) -> vec3<f32> {
     var sum = vec3(0.0);
     var whole = 0.0;
     for (var i = 0u; i < points; i++) {
-        var offset = vec3(0.0);
-        var weight = GLOSSY_CENTER_WEIGHT;
-        if i > 0u {
-            offset = select(u, v, i > 2u) * select(reach, -reach, (i & 1u) == 0u);
-            weight = GLOSSY_POINT_WEIGHT;
-        }
-        let direction = normalize(axis + offset);
-        let local = surface_to_local(point, direction);
-        if local.z > 0.0 {
+        let direction = glossy_point(axis, sharpness, i);
+        if direction.z > 0.0 {
             var lobes = 0.0;
             for (var j = 0u; j < specular_count; j++) {
-                let value = spherical_gaussian_evaluate(specular_lobes[j], direction);
-                lobes += value.x + value.y + value.z;
+                let shape = lobes_shape(j);
+                let chord = direction - shape.xyz;
+                lobes += lobes_grey(j) * exp(-0.5 * shape.w * dot(chord, chord));
             }
-            let model = reference_specular(reflection, local, view);
-            let times = min(part / max(lobes, 1.17549435e-38), most);
-            sum += weight * local.z * times * model;
-            whole += weight * local.z;
+            lobes *= glossy_sum(lobes_color());
+            let weight = direction.z * select(GLOSSY_POINT_WEIGHT, GLOSSY_CENTER_WEIGHT, i == 0u);
+            let model = reference_specular(lobes_reflection(), direction, lobes_view());
+            sum += weight * min(part / max(lobes, 1.17549435e-38), most) * model;
+            whole += weight;
         }
     }
     return sum / max(whole, GLOSSY_LEAST_COSINE);
 }
 
-// A lobe's weight without its colour, which all lobes of a reflection share.
-fn glossy_grey(lobe: SphericalGaussian) -> f32 {
-    return lobe.amplitude.x + lobe.amplitude.y + lobe.amplitude.z;
+// The centre, or a point aside along one of two axes at right angles to it (Duff et al. 2017).
+fn glossy_point(axis: vec3<f32>, sharpness: f32, i: u32) -> vec3<f32> {
+    if i == 0u {
+        return axis;
+    }
+    let reach = min(GLOSSY_POINT_DEVIATIONS / sqrt(sharpness + 0.5), GLOSSY_FARTHEST_POINT);
+    let orientation = select(1.0, -1.0, axis.z < 0.0);
+    let a = -1.0 / (orientation + axis.z);
+    let b = axis.x * axis.y * a;
+    let u = vec3(1.0 + orientation * axis.x * axis.x * a, orientation * b, -orientation * axis.x);
+    let v = vec3(b, orientation + axis.y * axis.y * a, -axis.y);
+    return normalize(axis + select(u, v, i > 2u) * select(reach, -reach, (i & 1u) == 0u));
+}
+
+fn glossy_sum(color: vec3<f32>) -> f32 {
+    return color.x + color.y + color.z;
 }
 
 // By how much a lobe's mean vector is shorter than 1: 1 - coth x + 1/x.

@@ -1,6 +1,70 @@
-// Twin of shade.rs: `cells`, for many lobes at a time.
+// Twin of shade.rs: `cells`, for many lobes at a time, and the entry point that shades one pixel by
+// them: all in one pass, which is what it was written for.
 
-fn shade_lobes(point: SurfacePoint, gathered: vec3<f32>, seen: Seen) -> vec3<f32> {
+@compute @workgroup_size(8, 8)
+fn cells_main(@builtin(global_invocation_id) id: vec3<u32>) {
+    let pixel = id.xy + vec2(frame.first_column, frame.first_row);
+    let seen = seen_triangle(pixel);
+    if seen.x >= frame.triangle_count {
+        return;
+    }
+    let triangle = triangles[seen.x];
+    let corners = triangle.xyz;
+    let weights = seen_barycentrics(corners, pixel, seen.y);
+    let point = surface_point(corners, triangle.w & 0xffffu, weights);
+    ssdf_load(clusters[triangle.w >> 16u], corners, weights);
+    var sum = vec3(0.0);
+    if dot(point.normal, point.view) > 0.0 {
+        // First, so that lobes that add nothing to it are left out.
+        for (var source = 0u; source < frame.source_count; source++) {
+            sum += textureLoad(source_radiance, pixel, source, 0).xyz;
+        }
+        sum = shade_lobes(point, sum);
+        if frame.prefiltered_levels > 0u {
+            sum += image_diffused(point, point.appearance.diffuse);
+        }
+        var outputs = 0u;
+        if ssdf_cluster.bounced != 0u {
+            outputs = transfer_load(ssdf_cluster.bounced - 1u, corners, weights);
+            sum += point.appearance.diffuse / PI * transfer_irradiance(point.normal);
+        }
+        for (var k = 0u; k < reflection_count; k++) {
+            lobes_of(point, surface_reflection(k));
+            if outputs > 0u {
+                sum += transfer_reflected(outputs, point.normal);
+            }
+            if frame.prefiltered_levels > 0u {
+                sum += shade_image(point.normal);
+            }
+        }
+    }
+    let emitted = surface_emission(corners, triangle.w & 0xffffu, weights);
+    textureStore(radiance, pixel, vec4(max(sum, vec3(0.0)) + emitted, 1.0));
+}
+
+// What the lobes show of a prefiltered image.
+fn shade_image(normal: vec3<f32>) -> vec3<f32> {
+    let white = SphericalGaussian(normal, 0.0, vec3(1.0));
+    let everywhere = lobes_reflected(white, vec3(0.0));
+    if all(everywhere.amplitude == vec3(0.0)) {
+        return vec3(0.0);
+    }
+    var scaled = vec3(0.0);
+    var visible = vec3(0.0);
+    for (var i = 0u; i < frame.light_count; i++) {
+        let lobe = lobes_reflected(shade_light(i, vec3(0.0)), scaled);
+        let whole = lobe.amplitude * tables_cosine_integral(lobe.sharpness, dot(normal, lobe.axis));
+        if !shade_negligible(whole, scaled) {
+            scaled += whole;
+            visible += lobe.amplitude * shade_visible(lobe, normal);
+        }
+    }
+    let whole = tables_cosine_integral(everywhere.sharpness, dot(normal, everywhere.axis));
+    let part = shade_visible(everywhere, normal) / max(whole, 1.17549435e-38);
+    return image_seen(image_reflected(normal), scaled, visible, part);
+}
+
+fn shade_lobes(point: SurfacePoint, gathered: vec3<f32>) -> vec3<f32> {
     var sum = gathered;
     let all = frame.light_count + frame.local_light_count;
     cells_point = point;
@@ -18,8 +82,7 @@ fn shade_lobes(point: SurfacePoint, gathered: vec3<f32>, seen: Seen) -> vec3<f32
     }
     cells_first_light = shade_first_light();
     for (var k = 0u; k < reflection_count; k++) {
-        cells_reflection = surface_reflection(k);
-        brdf_specular_lobes(point, cells_reflection);
+        lobes_of(point, surface_reflection(k));
         cells_kind = CELLS_PRODUCTS;
         let around = cells_around();
         sum += cells_integrate(around.xyz, around.w, point.normal);
@@ -28,14 +91,14 @@ fn shade_lobes(point: SurfacePoint, gathered: vec3<f32>, seen: Seen) -> vec3<f32
     return sum;
 }
 
-// What `cells_reflection` makes of narrow lights.
+// What the reflection of lobes_of makes of narrow lights.
 fn shade_narrow(normal: vec3<f32>) -> vec3<f32> {
     var sum = vec3(0.0);
     let all = frame.light_count + frame.local_light_count;
     var carried = vec3(0.0);
     for (var i = cells_first_light; i < all; i++) {
         let light = shade_light(i, cells_point.position);
-        let lobe = glossy_reflected(cells_point, cells_reflection, light, vec3(0.0));
+        let lobe = lobes_reflected(light, vec3(0.0));
         carried += spherical_gaussian_integral(lobe);
     }
     for (var i = cells_first_light; i < all; i++) {
@@ -43,7 +106,7 @@ fn shade_narrow(normal: vec3<f32>) -> vec3<f32> {
         if light.sharpness <= CELLS_NARROW {
             continue;
         }
-        let lobe = glossy_reflected(cells_point, cells_reflection, light, vec3(0.0));
+        let lobe = lobes_reflected(light, vec3(0.0));
         if !shade_negligible(spherical_gaussian_integral(lobe), carried) {
             sum += shade_single(lobe, normal);
         }
@@ -51,12 +114,12 @@ fn shade_narrow(normal: vec3<f32>) -> vec3<f32> {
     return sum;
 }
 
-// The pole for the products of lights with `specular_lobes`, and how far cells have to reach
+// The pole for the products of lights with a reflection's lobes, and how far cells have to reach
 // from it.
 fn cells_around() -> vec4<f32> {
     var mean = vec3(0.0);
     for (var j = 0u; j < specular_count; j++) {
-        let lobe = specular_lobes[j];
+        let lobe = lobes_in_world(j);
         mean += lobe.axis * cells_luminance(spherical_gaussian_integral(lobe));
     }
     let size = length(mean);
@@ -66,7 +129,7 @@ fn cells_around() -> vec4<f32> {
     }
     var reach = 0.0;
     for (var j = 0u; j < specular_count; j++) {
-        let lobe = specular_lobes[j];
+        let lobe = lobes_in_world(j);
         let aside = acos(clamp(dot(pole, lobe.axis), -1.0, 1.0));
         reach = max(reach, min(aside + polar_support_radius(lobe.sharpness), PI));
     }
@@ -79,6 +142,6 @@ fn shade_single(lobe: SphericalGaussian, normal: vec3<f32>) -> vec3<f32> {
     return cells_integrate(lobe.axis, polar_support_radius(lobe.sharpness), normal);
 }
 
-fn shade_visible(lobe: SphericalGaussian, share: f32, normal: vec3<f32>) -> f32 {
+fn shade_visible(lobe: SphericalGaussian, normal: vec3<f32>) -> f32 {
     return shade_single(SphericalGaussian(lobe.axis, lobe.sharpness, vec3(1.0)), normal).x;
 }

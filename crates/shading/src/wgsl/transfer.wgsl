@@ -1,6 +1,14 @@
 // Twin of transfer.rs. Call ssdf_load first.
 
-var<private> transfer_colors: array<vec3<f32>, TRANSFER_OUTPUTS>;
+// No array: what is indexed lives in memory. Irradiance by x, y and z of the normal; what surfaces
+// in the way send, and its slope along x, y and z.
+var<private> transfer_x: vec3<f32>;
+var<private> transfer_y: vec3<f32>;
+var<private> transfer_z: vec3<f32>;
+var<private> transfer_mean: vec3<f32>;
+var<private> transfer_slope_x: vec3<f32>;
+var<private> transfer_slope_y: vec3<f32>;
+var<private> transfer_slope_z: vec3<f32>;
 
 fn transfer_word(index: u32) -> u32 {
     let place = vec2(index % TRANSFER_TEXTURE_WIDTH, index / TRANSFER_TEXTURE_WIDTH);
@@ -19,9 +27,14 @@ fn transfer_load(number: u32, corners: vec3<u32>, barycentrics: vec3<f32>) -> u3
     let rank = shape & 0xffu;
     let outputs = shape >> 8u;
     let base = number * TRANSFER_STRIDE;
-    for (var output = 0u; output < outputs; output++) {
-        transfer_colors[output] = transfer_product(base + output);
-    }
+    transfer_x = vec3(0.0);
+    transfer_y = vec3(0.0);
+    transfer_z = vec3(0.0);
+    transfer_mean = vec3(0.0);
+    transfer_slope_x = vec3(0.0);
+    transfer_slope_y = vec3(0.0);
+    transfer_slope_z = vec3(0.0);
+    transfer_add(base, 1.0, outputs);
     let per_vertex = (rank + 3u) / 4u;
     for (var row = 0u; row < rank; row++) {
         var weight = 0.0;
@@ -29,17 +42,25 @@ fn transfer_load(number: u32, corners: vec3<u32>, barycentrics: vec3<f32>) -> u3
             let word = transfer_word(first + corners[corner] * per_vertex + row / 4u);
             weight += barycentrics[corner] * unpack4x8snorm(word)[row % 4u];
         }
-        let texels = base + (row + 1u) * TRANSFER_OUTPUTS;
-        for (var output = 0u; output < outputs; output++) {
-            transfer_colors[output] += weight * transfer_product(texels + output);
-        }
+        transfer_add(base + (row + 1u) * TRANSFER_OUTPUTS, weight, outputs);
     }
     return outputs;
 }
 
+fn transfer_add(texels: u32, weight: f32, outputs: u32) {
+    transfer_x += weight * transfer_product(texels);
+    transfer_y += weight * transfer_product(texels + 1u);
+    transfer_z += weight * transfer_product(texels + 2u);
+    if outputs == TRANSFER_OUTPUTS {
+        transfer_mean += weight * transfer_product(texels + 3u);
+        transfer_slope_x += weight * transfer_product(texels + 4u);
+        transfer_slope_y += weight * transfer_product(texels + 5u);
+        transfer_slope_z += weight * transfer_product(texels + 6u);
+    }
+}
+
 fn transfer_irradiance(normal: vec3<f32>) -> vec3<f32> {
-    let sum = normal.x * transfer_colors[0] + normal.y * transfer_colors[1]
-        + normal.z * transfer_colors[2];
+    let sum = normal.x * transfer_x + normal.y * transfer_y + normal.z * transfer_z;
     return max(sum, vec3(0.0));
 }
 
@@ -48,27 +69,20 @@ fn transfer_radiance(outputs: u32, direction: vec3<f32>, normal: vec3<f32>) -> v
     if outputs < TRANSFER_OUTPUTS {
         return transfer_irradiance(normal) / PI;
     }
-    let slope = direction.x * transfer_colors[4] + direction.y * transfer_colors[5]
-        + direction.z * transfer_colors[6];
-    return max(transfer_colors[3] + slope, vec3(0.0));
+    let slope = direction.x * transfer_slope_x + direction.y * transfer_slope_y
+        + direction.z * transfer_slope_z;
+    return max(transfer_mean + slope, vec3(0.0));
 }
 
-// What the point reflects towards the eye of light that other surfaces send.
-fn transfer_reflected(point: SurfacePoint, corners: vec3<u32>, barycentrics: vec3<f32>) -> vec3<f32> {
-    if ssdf_cluster.bounced == 0u || dot(point.normal, point.view) <= 0.0 {
-        return vec3(0.0);
-    }
-    let outputs = transfer_load(ssdf_cluster.bounced - 1u, corners, barycentrics);
-    var sum = point.appearance.diffuse / PI * transfer_irradiance(point.normal);
-    for (var k = 0u; k < reflection_count; k++) {
-        brdf_specular_lobes(point, surface_reflection(k));
-        for (var j = 0u; j < specular_count; j++) {
-            let lobe = specular_lobes[j];
-            let whole = tables_cosine_integral(lobe.sharpness, dot(point.normal, lobe.axis));
-            let visible = ambient_integrate(lobe.sharpness, lobe.axis, point.normal);
-            let incoming = transfer_radiance(outputs, lobe.axis, point.normal);
-            sum += lobe.amplitude * incoming * max(whole - visible, 0.0);
-        }
+// What a reflection's lobes show of light that other surfaces send.
+fn transfer_reflected(outputs: u32, normal: vec3<f32>) -> vec3<f32> {
+    var sum = vec3(0.0);
+    for (var j = 0u; j < specular_count; j++) {
+        let lobe = lobes_in_world(j);
+        let whole = tables_cosine_integral(lobe.sharpness, dot(normal, lobe.axis));
+        let visible = ambient_integrate(lobe.sharpness, lobe.axis, normal);
+        let incoming = transfer_radiance(outputs, lobe.axis, normal);
+        sum += lobe.amplitude * incoming * max(whole - visible, 0.0);
     }
     return sum;
 }

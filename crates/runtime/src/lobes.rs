@@ -1,0 +1,241 @@
+//! The passes that shade by lobes, see `relight_shading::slots`: many small kernels, one after the other,
+//! band by band.
+
+use std::sync::OnceLock;
+
+use relight_shading::slots::{self, GATHERED_BYTES, REFLECTION_BYTES};
+use relight_shading::wgsl::{AROUND, IMAGES, INTEGRALS, Kernel, PRODUCTS, REFLECTIONS, SHADE};
+
+use crate::renderer::{
+    STORAGE, compute_pipeline, image_entries, layout_entry, scene_entries, texture_entry,
+};
+
+/// Pixels that are shaded at a time, at most, unless a row of workgroups holds more: what their slots
+/// take of memory is all that the passes take.
+const MOST_SLOTS: u32 = 1 << 17;
+/// Pixels of a workgroup.
+const WORKGROUP_PIXELS: u32 = crate::view::WORKGROUP * crate::view::WORKGROUP;
+
+/// Rows of an image so wide that are shaded at a time, of the `rows` that are wanted.
+pub(crate) fn band(rows: u32, width: u32) -> u32 {
+    let side = crate::view::WORKGROUP;
+    let most = MOST_SLOTS / width.next_multiple_of(side).max(side) / side * side;
+    rows.min(most.max(side))
+}
+
+/// Bindings of group 1 of kernels that know materials, and of those that know visibility.
+pub(crate) const SCENE_BINDINGS: [&[u32]; 2] = [&[0, 1, 4, 5], &[0, 1, 2, 3, 6, 7, 10]];
+
+/// Layouts and pipelines, these made when they are first needed.
+#[derive(Debug)]
+pub(crate) struct LobePasses {
+    device: wgpu::Device,
+    frame: wgpu::BindGroupLayout,
+    /// Groups 1, see [`SCENE_BINDINGS`].
+    pub(crate) scenes: [wgpu::BindGroupLayout; 2],
+    /// Groups 2 of the kernel that finds reflections, and of the others.
+    images: [wgpu::BindGroupLayout; 2],
+    reflections: [OnceLock<wgpu::ComputePipeline>; 2],
+    products: [OnceLock<wgpu::ComputePipeline>; 2],
+    integrals: [OnceLock<wgpu::ComputePipeline>; 4],
+    around: [OnceLock<wgpu::ComputePipeline>; 3],
+    image: OnceLock<wgpu::ComputePipeline>,
+    shade: OnceLock<wgpu::ComputePipeline>,
+}
+
+/// Slots of one view.
+#[derive(Debug)]
+pub(crate) struct Slots {
+    count: u32,
+    /// As [`LobePasses::images`].
+    groups: [wgpu::BindGroup; 2],
+}
+
+/// What an instance's light and materials make necessary.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Work {
+    /// Reflections of a material, at most.
+    pub(crate) reflections: u32,
+    pub(crate) distant_lights: usize,
+    pub(crate) local_lights: usize,
+    pub(crate) ambient: bool,
+    /// Whether a prefiltered image stands for the distant lights.
+    pub(crate) image: bool,
+    /// Whether light bounces.
+    pub(crate) bounced: bool,
+}
+
+/// Groups 0 and 1.
+#[derive(Clone, Copy)]
+pub(crate) struct Groups<'a> {
+    pub(crate) frame: &'a wgpu::BindGroup,
+    pub(crate) scenes: &'a [wgpu::BindGroup; 2],
+}
+
+impl LobePasses {
+    pub(crate) fn new(device: &wgpu::Device, frame: &wgpu::BindGroupLayout) -> Self {
+        let scene = |bindings: &[u32]| {
+            let entries: Vec<_> = (scene_entries().into_iter())
+                .filter(|entry| bindings.contains(&entry.binding))
+                .map(|entry| wgpu::BindGroupLayoutEntry {
+                    visibility: wgpu::ShaderStages::COMPUTE,
+                    ..entry
+                })
+                .collect();
+            layout(device, &entries)
+        };
+        let [visibility, radiance, sources, irradiance] = image_entries();
+        let read = |binding| layout_entry(binding, wgpu::ShaderStages::COMPUTE, STORAGE);
+        let written = |binding| {
+            let kind = wgpu::BindingType::Buffer {
+                ty: wgpu::BufferBindingType::Storage { read_only: false },
+                has_dynamic_offset: false,
+                min_binding_size: None,
+            };
+            layout_entry(binding, wgpu::ShaderStages::COMPUTE, kind)
+        };
+        Self {
+            device: device.clone(),
+            frame: frame.clone(),
+            scenes: SCENE_BINDINGS.map(scene),
+            images: [
+                layout(
+                    device,
+                    &[visibility, sources, irradiance, written(6), written(7)],
+                ),
+                layout(device, &[visibility, radiance, read(6), written(7)]),
+            ],
+            reflections: Default::default(),
+            products: Default::default(),
+            integrals: Default::default(),
+            around: Default::default(),
+            image: OnceLock::new(),
+            shade: OnceLock::new(),
+        }
+    }
+
+    /// Slots for bands of so many pixels; the images are the visibility buffer, radiance, what sources
+    /// add to it and irradiance.
+    pub(crate) fn slots(&self, count: u32, images: [&wgpu::TextureView; 4]) -> Slots {
+        let buffer = |label, bytes| {
+            self.device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some(label),
+                size: u64::from(count) * u64::from(bytes),
+                usage: wgpu::BufferUsages::STORAGE,
+                mapped_at_creation: false,
+            })
+        };
+        let reflections = buffer("relight reflections", REFLECTION_BYTES);
+        let gathered = buffer("relight gathered", GATHERED_BYTES);
+        let group = |layout, textures: &[usize]| {
+            let textures = textures.iter();
+            let textures =
+                textures.map(|&binding| texture_entry(binding as u32, images[binding]));
+            let buffers = [(6, &reflections), (7, &gathered)];
+            let buffers = buffers.map(|(binding, buffer)| wgpu::BindGroupEntry {
+                binding,
+                resource: buffer.as_entire_binding(),
+            });
+            self.device.create_bind_group(&wgpu::BindGroupDescriptor {
+                label: Some("relight slots"),
+                layout,
+                entries: &textures.chain(buffers).collect::<Vec<_>>(),
+            })
+        };
+        let [first, others] = &self.images;
+        Slots {
+            count,
+            groups: [group(first, &[0, 2, 3]), group(others, &[0, 1])],
+        }
+    }
+
+    /// Shades what is seen of an instance: dispatches are offsets of uniforms, and workgroups.
+    pub(crate) fn record(
+        &self,
+        pass: &mut wgpu::ComputePass,
+        groups: Groups,
+        slots: &Slots,
+        work: Work,
+        dispatches: impl Iterator<Item = (u32, [u32; 2])>,
+    ) {
+        for (offset, [x, y]) in dispatches {
+            debug_assert!(x * y * WORKGROUP_PIXELS <= slots.count, "{x} x {y}: {slots:?}");
+            pass.set_bind_group(0, groups.frame, &[offset]);
+            let mut run = |kernel: &OnceLock<wgpu::ComputePipeline>, made_of: &Kernel, groups_1_2| {
+                let (scene, image): (usize, usize) = groups_1_2;
+                let layouts = [&self.frame, &self.scenes[scene], &self.images[image]];
+                let make = || compute_pipeline(&self.device, &layouts, made_of);
+                pass.set_pipeline(kernel.get_or_init(make));
+                pass.set_bind_group(1, &groups.scenes[scene], &[]);
+                pass.set_bind_group(2, &slots.groups[image], &[]);
+                pass.dispatch_workgroups(x, y, 1);
+            };
+            for reflection in 0..work.reflections.max(1) {
+                let next = usize::from(reflection > 0);
+                run(&self.reflections[next], &REFLECTIONS[next], (0, 0));
+                if work.bounced || work.image {
+                    let kind = usize::from(work.bounced) + 2 * usize::from(work.image) - 1;
+                    run(&self.around[kind], &AROUND[kind], (1, 1));
+                }
+                if work.reflections == 0 {
+                    continue;
+                }
+                let lights = if work.image { 0 } else { work.distant_lights };
+                for (of_image, lights) in [
+                    (0, lights + work.local_lights),
+                    // And light from everywhere.
+                    (1, if work.image { work.distant_lights + 1 } else { 0 }),
+                ] {
+                    let integral = 2 * of_image + usize::from(work.ambient);
+                    for _ in 0..slots::rounds(lights) {
+                        run(&self.products[of_image], &PRODUCTS[of_image], (0, 1));
+                        run(&self.integrals[integral], &INTEGRALS[integral], (1, 1));
+                    }
+                }
+                if work.image {
+                    run(&self.image, &IMAGES, (0, 1));
+                }
+            }
+            run(&self.shade, &SHADE, (0, 1));
+        }
+    }
+}
+
+impl Slots {
+    /// Slots that bands of `rows` rows of an image take.
+    pub(crate) fn needed([width, height]: [u32; 2], rows: u32) -> u32 {
+        let side = crate::view::WORKGROUP;
+        width.next_multiple_of(side) * rows.min(height.next_multiple_of(side))
+    }
+
+    pub(crate) fn count(&self) -> u32 {
+        self.count
+    }
+}
+
+fn layout(
+    device: &wgpu::Device,
+    entries: &[wgpu::BindGroupLayoutEntry],
+) -> wgpu::BindGroupLayout {
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("relight lobes"),
+        entries,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bands_fit_into_slots() {
+        for width in [1u32, 320, 1920, 3840, 8192, 32768] {
+            for rows in [8, 128, u32::MAX - 7] {
+                let rows = band(rows, width);
+                assert!(rows >= 8 && rows % 8 == 0);
+                let taken = Slots::needed([width, 20_000], rows);
+                assert!(taken <= MOST_SLOTS.max(8 * width), "{width}: {taken}");
+            }
+        }
+    }
+}

@@ -1,0 +1,68 @@
+//! What the passes that shade hand on to one another: the layout of their buffers, see `slots.wgsl`.
+//!
+//! A frame is shaded in passes, each of which needs few registers: one knows materials and makes a
+//! reflection's lobes, one makes a single lobe of every light and a reflection, one integrates
+//! lobes over what is visible. An invocation has a slot in two buffers for what it hands on.
+
+use crate::brdf::MAX_SPECULAR_LOBES;
+
+/// Lobes of a pixel that wait to be integrated, at most: lights are taken in rounds, and what is
+/// gathered in a round is known in the next.
+pub const WAITING: u32 = 6;
+/// Bytes of a field, and of a slot in either buffer.
+const FIELD_BYTES: u32 = 16;
+/// What comes before a reflection's lobes.
+const LOBES: u32 = 9;
+/// What comes before the lobes that wait.
+const FIRST: u32 = 4;
+/// Bytes of a slot in the buffer of reflections.
+pub const REFLECTION_BYTES: u32 = (LOBES + MAX_SPECULAR_LOBES as u32) * FIELD_BYTES;
+/// Bytes of a slot in the buffer of what is gathered.
+pub const GATHERED_BYTES: u32 = (FIRST + 2 * WAITING) * FIELD_BYTES;
+
+/// Rounds that so many lights take at most.
+pub fn rounds(lights: usize) -> usize {
+    lights.div_ceil(WAITING as usize)
+}
+
+/// The constants of this module, as WGSL.
+pub fn wgsl_constants() -> String {
+    let integers = [
+        // Of the reflection.
+        ("NORMAL", 0),
+        ("TANGENT", 1),
+        ("VIEW", 2),
+        ("SPECULAR", 3),
+        ("GRAZING", 4),
+        ("COLOR", 5),
+        ("POSITION", 6),
+        ("GREYS", 7),
+        ("LOBES", LOBES),
+        // Of what is gathered. The Lambertian base is where lobes wait later.
+        ("SUM", 0),
+        ("BESIDE", 1),
+        ("SCALED", 2),
+        ("VISIBLE", 3),
+        ("DIFFUSE", FIRST),
+        ("FIRST", FIRST),
+        ("WAITING", WAITING),
+        // No light is left.
+        ("DONE", 0xff_ffff),
+    ];
+    let integers = integers.map(|(name, value)| format!("const SLOTS_{name}: u32 = {value}u;\n"));
+    integers.concat() + "const SLOTS_UNKNOWN: f32 = -1.0;\n"
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn slots_have_room_for_what_waits() {
+        // Four bits of a word count it.
+        const { assert!(WAITING < 16) };
+        // Greys, four by four, end where lobes begin.
+        assert!(7 + (MAX_SPECULAR_LOBES as u32).div_ceil(4) <= LOBES);
+        assert_eq!([rounds(0), rounds(6), rounds(7)], [0, 1, 2]);
+    }
+}

@@ -1,0 +1,40 @@
+// The entry point that finds what a reflection shows of what is no light: other surfaces, and what
+// a diffuse base sees of the image beyond the lights. One half-space each is enough for it.
+
+override AROUND_BOUNCED: bool = true;
+override AROUND_IMAGE: bool = true;
+
+@compute @workgroup_size(8, 8)
+fn around_main(
+    @builtin(workgroup_id) workgroup: vec3<u32>,
+    @builtin(num_workgroups) workgroups: vec3<u32>,
+    @builtin(local_invocation_index) invocation: u32,
+    @builtin(global_invocation_id) id: vec3<u32>,
+) {
+    slots_enter(workgroup, workgroups, invocation);
+    let pixel = id.xy + vec2(frame.first_column, frame.first_row);
+    let seen = seen_triangle(pixel);
+    if seen.x >= frame.triangle_count {
+        return;
+    }
+    let triangle = triangles[seen.x];
+    let corners = triangle.xyz;
+    let weights = seen_barycentrics(corners, pixel, seen.y);
+    ssdf_load(clusters[triangle.w >> 16u], corners, weights);
+    let point = slots_point();
+    var diffuse = vec3(0.0);
+    if slots_state(slots_gathered_at(SLOTS_SUM).w).reflection == 0u {
+        diffuse = slots_gathered_value(SLOTS_DIFFUSE).xyz;
+    }
+    specular_count = slots_reflection_at(SLOTS_TANGENT).w & 0xffu;
+    var sum = slots_gathered_value(SLOTS_BESIDE).xyz;
+    if AROUND_IMAGE {
+        sum += image_diffused(point, diffuse);
+    }
+    if AROUND_BOUNCED && ssdf_cluster.bounced != 0u {
+        let outputs = transfer_load(ssdf_cluster.bounced - 1u, corners, weights);
+        sum += diffuse / PI * transfer_irradiance(point.normal);
+        sum += transfer_reflected(outputs, point.normal);
+    }
+    slots_put_value(SLOTS_BESIDE, sum, 0u);
+}

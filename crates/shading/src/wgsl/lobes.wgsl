@@ -1,0 +1,57 @@
+// A reflection's lobes in private variables, for kernels that hand nothing on: call
+// lobes_of first. See slots.wgsl for those that do.
+
+var<private> lobes_point: SurfacePoint;
+var<private> lobes_model: Reflection;
+var<private> lobes_tint: vec3<f32>;
+// In the point's frame.
+var<private> lobes_shapes: array<vec4<f32>, MAX_SPECULAR_LOBES>;
+var<private> lobes_greys: array<f32, MAX_SPECULAR_LOBES>;
+
+fn lobes_of(point: SurfacePoint, reflection: Reflection) {
+    lobes_point = point;
+    lobes_model = reflection;
+    lobes_tint = brdf_lobes(reflection, lobes_view());
+}
+
+fn lobes_put(j: u32, axis: vec3<f32>, sharpness: f32, grey: f32) {
+    lobes_shapes[j] = vec4(axis, sharpness);
+    lobes_greys[j] = grey;
+}
+
+// Axis in the point's frame, and sharpness.
+fn lobes_shape(j: u32) -> vec4<f32> {
+    return lobes_shapes[j];
+}
+
+// Amplitude without its colour.
+fn lobes_grey(j: u32) -> f32 {
+    return lobes_greys[j];
+}
+
+// Colour that all amplitudes are multiplied by.
+fn lobes_color() -> vec3<f32> {
+    return lobes_tint;
+}
+
+fn lobes_reflection() -> Reflection {
+    return lobes_model;
+}
+
+// Towards the eye, in the point's frame.
+fn lobes_view() -> vec3<f32> {
+    return surface_to_local(lobes_point, lobes_point.view);
+}
+
+// In world space.
+fn lobes_in_world(j: u32) -> SphericalGaussian {
+    let shape = lobes_shapes[j];
+    return SphericalGaussian(surface_to_world(lobes_point, shape.xyz), shape.w, lobes_greys[j] * lobes_tint);
+}
+
+// glossy_reflected of a light in world space.
+fn lobes_reflected(light: SphericalGaussian, gathered: vec3<f32>) -> SphericalGaussian {
+    let turned = SphericalGaussian(surface_to_local(lobes_point, light.axis), light.sharpness, light.amplitude);
+    let lobe = glossy_reflected(turned, gathered);
+    return SphericalGaussian(surface_to_world(lobes_point, lobe.axis), lobe.sharpness, lobe.amplitude);
+}

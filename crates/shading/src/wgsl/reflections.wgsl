@@ -1,0 +1,58 @@
+// The entry point that finds what a pixel's first reflection, or its next, is: the only pass that
+// knows of materials, but for those of irradiance and of emission.
+
+override REFLECTIONS_FIRST: bool = true;
+
+@compute @workgroup_size(8, 8)
+fn reflections_main(
+    @builtin(workgroup_id) workgroup: vec3<u32>,
+    @builtin(num_workgroups) workgroups: vec3<u32>,
+    @builtin(local_invocation_index) invocation: u32,
+    @builtin(global_invocation_id) id: vec3<u32>,
+) {
+    slots_enter(workgroup, workgroups, invocation);
+    let pixel = id.xy + vec2(frame.first_column, frame.first_row);
+    let seen = seen_triangle(pixel);
+    var state = SlotState(SLOTS_DONE, 0u, 0u);
+    if seen.x >= frame.triangle_count {
+        slots_put_gathered(SLOTS_SUM, vec4(0u, 0u, 0u, slots_word(state)));
+        return;
+    }
+    let triangle = triangles[seen.x];
+    let weights = seen_barycentrics(triangle.xyz, pixel, seen.y);
+    let point = surface_point(triangle.xyz, triangle.w & 0xffffu, weights);
+    let lit = dot(point.normal, point.view) > 0.0;
+    var sum = vec3(0.0);
+    if REFLECTIONS_FIRST {
+        if lit {
+            // First, so that lobes that add nothing to it are left out.
+            for (var source = 0u; source < frame.source_count; source++) {
+                sum += textureLoad(source_radiance, pixel, source, 0).xyz;
+            }
+            sum += point.appearance.diffuse / PI * textureLoad(irradiance, pixel, 0).xyz;
+        }
+        let diffuse = select(vec3(0.0), point.appearance.diffuse, lit);
+        slots_put_value(SLOTS_BESIDE, vec3(0.0), 0u);
+        slots_put_value(SLOTS_DIFFUSE, diffuse, 0u);
+    } else {
+        let before = slots_gathered_at(SLOTS_SUM);
+        sum = bitcast<vec3<f32>>(before.xyz);
+        state.reflection = slots_state(before.w).reflection + 1u;
+    }
+    specular_count = 0u;
+    var reflection = reflection_first;
+    var color = vec3(0.0);
+    if lit && state.reflection < reflection_count {
+        reflection = surface_reflection(state.reflection);
+        color = brdf_lobes(reflection, surface_to_local(point, point.view));
+    }
+    slots_put_surface(point, seen.x, reflection, color);
+    var next_of_image = SLOTS_DONE;
+    if specular_count > 0u {
+        state.next = shade_first_light();
+        next_of_image = 0u;
+    }
+    slots_put_value(SLOTS_SUM, sum, slots_word(state));
+    slots_put_value(SLOTS_SCALED, vec3(0.0), next_of_image);
+    slots_put_value(SLOTS_VISIBLE, vec3(0.0), bitcast<u32>(SLOTS_UNKNOWN));
+}

@@ -1,0 +1,118 @@
+// Twin of slots.rs: what the passes that shade hand on to one another. Each invocation has a slot of
+// two buffers: the first words of all slots, then the second words of all.
+
+// One reflection: how it stands, what it is, its lobes. Written by reflections.wgsl alone.
+@group(2) @binding(6) var<storage, read_write> slots_reflection_found: array<vec4<u32>>;
+@group(2) @binding(6) var<storage, read> slots_reflection: array<vec4<u32>>;
+// What is known of a pixel's radiance, and lobes that wait to be integrated.
+@group(2) @binding(7) var<storage, read_write> slots_gathered: array<vec4<u32>>;
+
+var<private> slot: u32;
+var<private> slot_count: u32;
+
+fn slots_enter(workgroup: vec3<u32>, workgroups: vec3<u32>, invocation: u32) {
+    slot_count = 64u * workgroups.x * workgroups.y;
+    slot = 64u * (workgroup.y * workgroups.x + workgroup.x) + invocation;
+}
+
+// How far a pixel is.
+struct SlotState {
+    // The light that comes next; SLOTS_DONE: none.
+    next: u32,
+    // Lobes that wait.
+    waiting: u32,
+    // Number of the reflection.
+    reflection: u32,
+}
+
+fn slots_state(word: u32) -> SlotState {
+    return SlotState(extractBits(word, 0u, 24u), extractBits(word, 24u, 4u), word >> 28u);
+}
+
+fn slots_word(state: SlotState) -> u32 {
+    return state.next | (state.waiting << 24u) | (state.reflection << 28u);
+}
+
+fn slots_gathered_at(field: u32) -> vec4<u32> {
+    return slots_gathered[field * slot_count + slot];
+}
+
+fn slots_gathered_value(field: u32) -> vec4<f32> {
+    return bitcast<vec4<f32>>(slots_gathered_at(field));
+}
+
+fn slots_put_gathered(field: u32, words: vec4<u32>) {
+    slots_gathered[field * slot_count + slot] = words;
+}
+
+fn slots_put_value(field: u32, value: vec3<f32>, word: u32) {
+    slots_put_gathered(field, vec4(bitcast<vec3<u32>>(value), word));
+}
+
+fn slots_put_reflection(field: u32, value: vec3<f32>, word: u32) {
+    slots_reflection_found[field * slot_count + slot] = vec4(bitcast<vec3<u32>>(value), word);
+}
+
+fn slots_reflection_at(field: u32) -> vec4<u32> {
+    return slots_reflection[field * slot_count + slot];
+}
+
+fn slots_reflection_value(field: u32) -> vec4<f32> {
+    return bitcast<vec4<f32>>(slots_reflection_at(field));
+}
+
+// Fills a slot's reflection but for its lobes.
+fn slots_put_surface(point: SurfacePoint, triangle: u32, reflection: Reflection, color: vec3<f32>) {
+    let holds = u32(vertex_visibility_holds(point.vertex_cosine));
+    slots_put_reflection(SLOTS_NORMAL, point.normal, triangle);
+    slots_put_reflection(SLOTS_TANGENT, point.tangent, specular_count | (holds << 8u));
+    slots_put_reflection(SLOTS_VIEW, surface_to_local(point, point.view), reflection.model);
+    slots_put_reflection(SLOTS_SPECULAR, reflection.specular, reflection.ratio);
+    slots_put_reflection(SLOTS_GRAZING, reflection.grazing, bitcast<u32>(reflection.alpha.x));
+    slots_put_reflection(SLOTS_COLOR, color, bitcast<u32>(reflection.alpha.y));
+    slots_put_reflection(SLOTS_POSITION, point.position, 0u);
+}
+
+// How the surface stands; the rest of the point is nothing.
+fn slots_point() -> SurfacePoint {
+    var point: SurfacePoint;
+    point.normal = slots_reflection_value(SLOTS_NORMAL).xyz;
+    point.tangent = slots_reflection_value(SLOTS_TANGENT).xyz;
+    point.bitangent = cross(point.normal, point.tangent);
+    return point;
+}
+
+fn lobes_put(j: u32, axis: vec3<f32>, sharpness: f32, grey: f32) {
+    slots_put_reflection(SLOTS_LOBES + j, axis, bitcast<u32>(sharpness));
+    slots_reflection_found[(SLOTS_GREYS + j / 4u) * slot_count + slot][j % 4u] = bitcast<u32>(grey);
+}
+
+// As in lobes.wgsl.
+fn lobes_shape(j: u32) -> vec4<f32> {
+    return slots_reflection_value(SLOTS_LOBES + j);
+}
+
+fn lobes_grey(j: u32) -> f32 {
+    return bitcast<f32>(slots_reflection[(SLOTS_GREYS + j / 4u) * slot_count + slot][j % 4u]);
+}
+
+fn lobes_color() -> vec3<f32> {
+    return slots_reflection_value(SLOTS_COLOR).xyz;
+}
+
+fn lobes_reflection() -> Reflection {
+    let specular = slots_reflection_at(SLOTS_SPECULAR);
+    let grazing = slots_reflection_value(SLOTS_GRAZING);
+    let alpha = vec2(grazing.w, slots_reflection_value(SLOTS_COLOR).w);
+    let model = slots_reflection_at(SLOTS_VIEW).w;
+    return Reflection(bitcast<vec3<f32>>(specular.xyz), model, grazing.xyz, alpha, specular.w);
+}
+
+fn lobes_view() -> vec3<f32> {
+    return slots_reflection_value(SLOTS_VIEW).xyz;
+}
+
+fn lobes_in_world(j: u32) -> SphericalGaussian {
+    let shape = lobes_shape(j);
+    return SphericalGaussian(surface_to_world(slots_point(), shape.xyz), shape.w, lobes_grey(j) * lobes_color());
+}

@@ -3,12 +3,14 @@
 
 use std::sync::OnceLock;
 
-use relight_shading::slots::{self, GATHERED_BYTES, REFLECTION_BYTES};
+use relight_shading::shade::Method;
+use relight_shading::slots;
 use relight_shading::wgsl::{AROUND, IMAGES, INTEGRALS, Kernel, PRODUCTS, REFLECTIONS, SHADE};
 
 use crate::renderer::{
     STORAGE, compute_pipeline, image_entries, layout_entry, scene_entries, texture_entry,
 };
+use crate::{Frame, GpuScene};
 
 /// Pixels that are shaded at a time, at most, unless a row of workgroups holds more: what their slots
 /// take of memory is all that the passes take.
@@ -65,6 +67,19 @@ pub(crate) struct Work {
     pub(crate) bounced: bool,
 }
 
+impl Work {
+    pub(crate) fn of(frame: &Frame, scene: &GpuScene) -> Self {
+        Self {
+            reflections: scene.reflections(),
+            distant_lights: frame.lights.len(),
+            local_lights: frame.local_lights.len(),
+            ambient: matches!(frame.method, Method::Ambient),
+            image: frame.reflections.is_some(),
+            bounced: scene.is_bounced(),
+        }
+    }
+}
+
 /// Groups 0 and 1.
 #[derive(Clone, Copy)]
 pub(crate) struct Groups<'a> {
@@ -117,20 +132,19 @@ impl LobePasses {
     /// Slots for bands of so many pixels; the images are the visibility buffer, radiance, what sources
     /// add to it and irradiance.
     pub(crate) fn slots(&self, count: u32, images: [&wgpu::TextureView; 4]) -> Slots {
-        let buffer = |label, bytes| {
+        let buffer = |label| {
             self.device.create_buffer(&wgpu::BufferDescriptor {
                 label: Some(label),
-                size: u64::from(count) * u64::from(bytes),
+                size: u64::from(count) * u64::from(slots::BYTES),
                 usage: wgpu::BufferUsages::STORAGE,
                 mapped_at_creation: false,
             })
         };
-        let reflections = buffer("relight reflections", REFLECTION_BYTES);
-        let gathered = buffer("relight gathered", GATHERED_BYTES);
+        let reflections = buffer("relight reflections");
+        let gathered = buffer("relight gathered");
         let group = |layout, textures: &[usize]| {
             let textures = textures.iter();
-            let textures =
-                textures.map(|&binding| texture_entry(binding as u32, images[binding]));
+            let textures = textures.map(|&binding| texture_entry(binding as u32, images[binding]));
             let buffers = [(6, &reflections), (7, &gathered)];
             let buffers = buffers.map(|(binding, buffer)| wgpu::BindGroupEntry {
                 binding,
@@ -159,17 +173,21 @@ impl LobePasses {
         dispatches: impl Iterator<Item = (u32, [u32; 2])>,
     ) {
         for (offset, [x, y]) in dispatches {
-            debug_assert!(x * y * WORKGROUP_PIXELS <= slots.count, "{x} x {y}: {slots:?}");
+            debug_assert!(
+                x * y * WORKGROUP_PIXELS <= slots.count,
+                "{x} x {y}: {slots:?}"
+            );
             pass.set_bind_group(0, groups.frame, &[offset]);
-            let mut run = |kernel: &OnceLock<wgpu::ComputePipeline>, made_of: &Kernel, groups_1_2| {
-                let (scene, image): (usize, usize) = groups_1_2;
-                let layouts = [&self.frame, &self.scenes[scene], &self.images[image]];
-                let make = || compute_pipeline(&self.device, &layouts, made_of);
-                pass.set_pipeline(kernel.get_or_init(make));
-                pass.set_bind_group(1, &groups.scenes[scene], &[]);
-                pass.set_bind_group(2, &slots.groups[image], &[]);
-                pass.dispatch_workgroups(x, y, 1);
-            };
+            let mut run =
+                |kernel: &OnceLock<wgpu::ComputePipeline>, made_of: &Kernel, groups_1_2| {
+                    let (scene, image): (usize, usize) = groups_1_2;
+                    let layouts = [&self.frame, &self.scenes[scene], &self.images[image]];
+                    let make = || compute_pipeline(&self.device, &layouts, made_of);
+                    pass.set_pipeline(kernel.get_or_init(make));
+                    pass.set_bind_group(1, &groups.scenes[scene], &[]);
+                    pass.set_bind_group(2, &slots.groups[image], &[]);
+                    pass.dispatch_workgroups(x, y, 1);
+                };
             for reflection in 0..work.reflections.max(1) {
                 let next = usize::from(reflection > 0);
                 run(&self.reflections[next], &REFLECTIONS[next], (0, 0));
@@ -184,7 +202,14 @@ impl LobePasses {
                 for (of_image, lights) in [
                     (0, lights + work.local_lights),
                     // And light from everywhere.
-                    (1, if work.image { work.distant_lights + 1 } else { 0 }),
+                    (
+                        1,
+                        if work.image {
+                            work.distant_lights + 1
+                        } else {
+                            0
+                        },
+                    ),
                 ] {
                     let integral = 2 * of_image + usize::from(work.ambient);
                     for _ in 0..slots::rounds(lights) {
@@ -213,10 +238,7 @@ impl Slots {
     }
 }
 
-fn layout(
-    device: &wgpu::Device,
-    entries: &[wgpu::BindGroupLayoutEntry],
-) -> wgpu::BindGroupLayout {
+fn layout(device: &wgpu::Device, entries: &[wgpu::BindGroupLayoutEntry]) -> wgpu::BindGroupLayout {
     device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
         label: Some("relight lobes"),
         entries,

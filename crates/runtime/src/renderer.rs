@@ -423,14 +423,7 @@ impl Renderer {
                 frame: frame_group,
                 scenes: &scene.lobe_groups,
             };
-            let work = lobes::Work {
-                reflections: scene.reflections(),
-                distant_lights: frame.lights.len(),
-                local_lights: frame.local_lights.len(),
-                ambient: matches!(frame.method, Method::Ambient),
-                image: frame.reflections.is_some(),
-                bounced: scene.is_bounced(),
-            };
+            let work = lobes::Work::of(frame, scene);
             let dispatches = resources.dispatches(&rows);
             (self.lobes).record(&mut pass, groups, &images.slots, work, dispatches);
         }

@@ -66,7 +66,13 @@ impl GpuScene {
     pub(crate) fn new(
         device: &wgpu::Device,
         queue: &wgpu::Queue,
-        [layout, source_layout, vertex_layout, material_layout, visibility_layout]: [&wgpu::BindGroupLayout; 5],
+        [
+            layout,
+            source_layout,
+            vertex_layout,
+            material_layout,
+            visibility_layout,
+        ]: [&wgpu::BindGroupLayout; 5],
         owner: &Owner,
         scene: &Scene,
     ) -> Result<Self, Error> {

@@ -127,7 +127,7 @@ impl<'a> Glossy<'a> {
         // lobes.
         let mut origin = None;
         let (mut used, mut total) = (0.0, Vec3::ZERO);
-        let (mut mass, mut rest, mut squares, mut mean) = (0.0, 0.0, 0.0, Vec3::ZERO);
+        let (mut rest, mut squares, mut mean) = (0.0, 0.0, Vec3::ZERO);
         for &(product, part) in &*products {
             if part < LEAST_PART * all {
                 continue;
@@ -144,11 +144,11 @@ impl<'a> Glossy<'a> {
             let weight = scaled.element_sum();
             let short = shortening(product.sharpness);
             let offset = product.axis - *origin.get_or_insert(product.axis);
-            mass += weight;
             rest += weight * short;
             mean += weight * (1.0 - short) * offset;
             squares += weight * (1.0 - short) * offset.length_squared();
         }
+        let mass = total.element_sum();
         if mass < LEAST_MASS {
             return None;
         }

@@ -315,7 +315,9 @@ impl Material {
             return 1;
         }
         let layers = &self.layers[..self.layer_count as usize];
-        let last = layers.iter().rposition(|layer| layer.model != Model::None as u32);
+        let last = layers
+            .iter()
+            .rposition(|layer| layer.model != Model::None as u32);
         last.map_or(0, |last| last as u32 + 1)
     }
 }

@@ -106,20 +106,15 @@ pub fn integrate(
     let count = options.spokes as f32;
     let (radius_sine, radius_cosine) = math::sin_cos(radius);
     let at_radius = moments(sharpness, radius);
-    // Spokes turn by one angle.
-    let at = |angle| {
-        let (sin, cos) = math::sin_cos(angle);
-        Vec2::new(cos, sin)
-    };
-    let turn = at(2.0 * PI / count);
-    let mut azimuth = at(2.0 * PI * PHASE / count);
     let mut visible = 0.0;
     let mut whole = 0.0;
-    for _ in 0..options.spokes {
+    for spoke in 0..options.spokes {
+        let angle = 2.0 * PI * (spoke as f32 + PHASE) / count;
+        let (azimuth_sine, azimuth_cosine) = math::sin_cos(angle);
+        let azimuth = Vec2::new(azimuth_cosine, azimuth_sine);
         let outward = azimuth.x * tangent + azimuth.y * bitangent;
         // Along the spoke n·ω = cosine cos θ + slope sin θ, which changes sign once.
         let weights = Vec2::new(cosine, sine * azimuth.x);
-        azimuth = turn.rotate(azimuth);
         let mut start = 0.0;
         let mut end = radius;
         let mut last = weights.dot(at_radius);

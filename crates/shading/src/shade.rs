@@ -158,9 +158,19 @@ pub fn shade_counting(
         }
         for reflection in point.appearance.reflections() {
             let glossy = Glossy::new(point, reflection);
-            radiance = glossy_lights(&glossy, point, lighting, radiance, |lobe, share| {
-                *integrals += 1;
-                visible(lobe, share, point.normal, field, *method)
+            let lights = lighting.reflected_at(point.position);
+            let lights = lights.zip(lighting.first_reflected()..);
+            radiance = in_rounds(&glossy, lights, radiance, |(light, index), lobe, sum| {
+                let whole = lobe.integral();
+                if negligible(whole, sum) {
+                    return sum;
+                }
+                let fractions = lighting.fractions(index, point);
+                let visible = || {
+                    *integrals += 1;
+                    visible(lobe, share(whole, sum), point.normal, field, *method)
+                };
+                sum + lobe.amplitude * about(&fractions, light, lobe, point.normal, visible)
             });
         }
     }
@@ -180,46 +190,35 @@ pub fn shade_counting(
     radiance.max(Vec3::ZERO)
 }
 
-/// `radiance` and what a reflection shows of the lights, in rounds: lobes are made of the lights until
-/// [`slots::WAITING`] of them wait, then they are integrated.
-fn glossy_lights(
+/// Lights and the lobes that a reflection makes of them, one after the other to `integrate`, which is
+/// given what it returned last, at first `gathered`, and returns it with what the lobe adds. In rounds:
+/// lobes are made of the lights until [`slots::WAITING`] of them wait, of those that can add to what
+/// was gathered before.
+fn in_rounds(
     glossy: &Glossy,
-    point: &SurfacePoint,
-    lighting: &Lighting,
-    mut radiance: Vec3,
-    mut visible: impl FnMut(&SphericalGaussian, f32) -> f32,
+    lights: impl Iterator<Item = (SphericalGaussian, usize)>,
+    mut gathered: Vec3,
+    mut integrate: impl FnMut((&SphericalGaussian, usize), &SphericalGaussian, Vec3) -> Vec3,
 ) -> Vec3 {
-    let mut waiting: Vec<SphericalGaussian> = Vec::with_capacity(slots::WAITING as usize);
-    let mut integrate = |waiting: &mut Vec<SphericalGaussian>, mut sum: Vec3| {
-        for lobe in waiting.drain(..) {
-            let whole = lobe.integral();
-            if !negligible(whole, sum) {
-                sum += lobe.amplitude * visible(&lobe, share(whole, sum));
-            }
-        }
-        sum
+    let mut finish = |waiting: &mut Vec<((SphericalGaussian, usize), SphericalGaussian)>, start| {
+        waiting
+            .drain(..)
+            .fold(start, |sum, ((light, index), lobe)| {
+                integrate((&light, index), &lobe, sum)
+            })
     };
-    let first = lighting.first_reflected();
-    for (light, index) in lighting.reflected_at(point.position).zip(first..) {
-        let Some(lobe) = glossy.reflected(&light, radiance) else {
+    let mut waiting = Vec::with_capacity(slots::WAITING as usize);
+    for (light, index) in lights {
+        let lobe = glossy.reflected(&light, gathered);
+        let Some(lobe) = lobe.filter(|lobe| !negligible(lobe.integral(), gathered)) else {
             continue;
         };
-        if negligible(lobe.integral(), radiance) {
-            continue;
-        }
-        match lighting.fractions(index, point).whole(&light, &lobe) {
-            Some(fraction) => {
-                let cosine = point.normal.dot(lobe.axis);
-                let integral = Tables::get().cosine_integral(lobe.sharpness, cosine);
-                radiance += lobe.amplitude * (fraction * integral);
-            }
-            None => waiting.push(lobe),
-        }
+        waiting.push(((light, index), lobe));
         if waiting.len() == slots::WAITING as usize {
-            radiance = integrate(&mut waiting, radiance);
+            gathered = finish(&mut waiting, gathered);
         }
     }
-    integrate(&mut waiting, radiance)
+    finish(&mut waiting, gathered)
 }
 
 /// Irradiance by all lights, where the corners of the triangle agree on it interpolated from them.
@@ -388,21 +387,19 @@ fn reflected(
         let axis = reflections.rotation * lobe.axis;
         image += part * reflections.image.radiance(axis, lobe.sharpness);
     }
-    let (mut scaled, mut seen) = (Vec3::ZERO, Vec3::ZERO);
-    for (index, light) in lighting.lights.iter().enumerate() {
-        let Some(lobe) = glossy.reflected(light, scaled) else {
-            continue;
-        };
+    let mut seen = Vec3::ZERO;
+    let lights = lighting.lights.iter().copied().zip(0..);
+    let scaled = in_rounds(glossy, lights, Vec3::ZERO, |(light, index), lobe, sum| {
         let cosine = normal.dot(lobe.axis);
         let whole = lobe.amplitude * Tables::get().cosine_integral(lobe.sharpness, cosine);
-        if !negligible(whole, scaled) {
-            let share = share(whole, scaled);
-            let fractions = lighting.fractions(index, point);
-            let found = about(&fractions, light, &lobe, normal, || visible(&lobe, share));
-            scaled += whole;
-            seen += lobe.amplitude * found;
+        if negligible(whole, sum) {
+            return sum;
         }
-    }
+        let fractions = lighting.fractions(index, point);
+        let visible = || visible(lobe, share(whole, sum));
+        seen += lobe.amplitude * about(&fractions, light, lobe, normal, visible);
+        sum + whole
+    });
     // Lobes that are not quite the model may miss more than there is.
     let unshadowed = (image + scaled).max(LEAST_OF_LIGHTS * scaled);
     // The part of a light from everywhere that is visible: where the lights are dark, it alone

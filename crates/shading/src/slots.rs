@@ -4,21 +4,20 @@
 //! reflection's lobes, one makes a single lobe of every light and a reflection, one integrates
 //! lobes over what is visible. An invocation has a slot in two buffers for what it hands on.
 
-use crate::brdf::MAX_SPECULAR_LOBES;
-
 /// Lobes of a pixel that wait to be integrated, at most: lights are taken in rounds, and what is
 /// gathered in a round is known in the next.
 pub const WAITING: u32 = 6;
-/// Bytes of a field, and of a slot in either buffer.
+/// Bytes of a field.
 const FIELD_BYTES: u32 = 16;
-/// What comes before a reflection's lobes.
+/// Fields of a slot in either buffer.
+const FIELDS: u32 = 16;
+/// What comes before the amplitudes of a reflection's lobes, and before the rest of them.
+const GREYS: u32 = 7;
 const LOBES: u32 = 9;
 /// What comes before the lobes that wait.
 const FIRST: u32 = 4;
-/// Bytes of a slot in the buffer of reflections.
-pub const REFLECTION_BYTES: u32 = (LOBES + MAX_SPECULAR_LOBES as u32) * FIELD_BYTES;
-/// Bytes of a slot in the buffer of what is gathered.
-pub const GATHERED_BYTES: u32 = (FIRST + 2 * WAITING) * FIELD_BYTES;
+/// Bytes of a slot in either buffer.
+pub const BYTES: u32 = FIELDS * FIELD_BYTES;
 
 /// Rounds that so many lights take at most.
 pub fn rounds(lights: usize) -> usize {
@@ -36,7 +35,7 @@ pub fn wgsl_constants() -> String {
         ("GRAZING", 4),
         ("COLOR", 5),
         ("POSITION", 6),
-        ("GREYS", 7),
+        ("GREYS", GREYS),
         ("LOBES", LOBES),
         // Of what is gathered. The Lambertian base is where lobes wait later.
         ("SUM", 0),
@@ -45,6 +44,7 @@ pub fn wgsl_constants() -> String {
         ("VISIBLE", 3),
         ("DIFFUSE", FIRST),
         ("FIRST", FIRST),
+        ("FIELDS", FIELDS),
         ("WAITING", WAITING),
         // No light is left.
         ("DONE", 0xff_ffff),
@@ -56,13 +56,15 @@ pub fn wgsl_constants() -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::brdf::MAX_SPECULAR_LOBES;
 
     #[test]
     fn slots_have_room_for_what_waits() {
         // Four bits of a word count it.
         const { assert!(WAITING < 16) };
-        // Greys, four by four, end where lobes begin.
-        assert!(7 + (MAX_SPECULAR_LOBES as u32).div_ceil(4) <= LOBES);
+        let lobes = MAX_SPECULAR_LOBES as u32;
+        assert!(GREYS + lobes.div_ceil(4) <= LOBES && LOBES + lobes <= FIELDS);
+        assert!(FIRST + 2 * WAITING <= FIELDS);
         assert_eq!([rounds(0), rounds(6), rounds(7)], [0, 1, 2]);
     }
 }

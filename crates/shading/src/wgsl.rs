@@ -4,8 +4,8 @@ use std::fmt::Write as _;
 
 use crate::surface::{Join, Model};
 use crate::{
-    brdf, cells, glossy, gpu, local_light, occluders, polar, prefiltered, shade, sources,
-    slots, spherical_gaussian, surface, surfaces, tables, tonemap, transfer, vertex_visibility,
+    brdf, cells, glossy, gpu, local_light, occluders, polar, prefiltered, shade, slots, sources,
+    spherical_gaussian, surface, surfaces, tables, tonemap, transfer, vertex_visibility,
 };
 
 /// What a shader module is for.

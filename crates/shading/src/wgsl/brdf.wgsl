@@ -3,8 +3,8 @@
 
 var<private> specular_count: u32;
 
-// Fills them in the point's frame and grey, a view `wo` given there; returns the colour that they share.
-// Of no lobes that of nothing.
+// Puts them in the point's frame, grey; returns the colour that their amplitudes are multiplied by.
+// `wo` is towards the eye.
 fn brdf_lobes(reflection: Reflection, wo: vec3<f32>) -> vec3<f32> {
     specular_count = 0u;
     let black = all(max(reflection.specular, reflection.grazing) <= vec3(0.0));

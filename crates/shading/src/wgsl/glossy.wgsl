@@ -11,7 +11,7 @@ fn glossy_reflected(light: SphericalGaussian, gathered: vec3<f32>) -> SphericalG
         let product = glossy_times(light, j);
         whole += product.amplitude.x * spherical_gaussian_energy(product.sharpness);
     }
-    let color = light.amplitude * (lobes_color() / glossy_sum(lobes_color()));
+    let color = light.amplitude * lobes_color();
     if whole < GLOSSY_LEAST_MASS || all(GLOSSY_TAIL * whole * color <= SHADE_NEGLIGIBLE * gathered) {
         return none;
     }
@@ -21,7 +21,6 @@ fn glossy_reflected(light: SphericalGaussian, gathered: vec3<f32>) -> SphericalG
     var origin = vec3(0.0);
     var used = 0.0;
     var total = vec3(0.0);
-    var mass = 0.0;
     var rest = 0.0;
     var squares = 0.0;
     var mean = vec3(0.0);
@@ -42,11 +41,11 @@ fn glossy_reflected(light: SphericalGaussian, gathered: vec3<f32>) -> SphericalG
         let weight = glossy_sum(scaled);
         let short = glossy_shortening(product.sharpness);
         let offset = product.axis - origin;
-        mass += weight;
         rest += weight * short;
         mean += weight * (1.0 - short) * offset;
         squares += weight * (1.0 - short) * dot(offset, offset);
     }
+    let mass = glossy_sum(total);
     if mass < GLOSSY_LEAST_MASS {
         return none;
     }
@@ -69,10 +68,9 @@ fn glossy_reflected(light: SphericalGaussian, gathered: vec3<f32>) -> SphericalG
 // The product of a white light of this shape and a lobe without its colour.
 fn glossy_times(light: SphericalGaussian, j: u32) -> SphericalGaussian {
     let shape = lobes_shape(j);
-    let grey = lobes_grey(j) * glossy_sum(lobes_color());
     return spherical_gaussian_product(
         SphericalGaussian(light.axis, light.sharpness, vec3(1.0)),
-        SphericalGaussian(shape.xyz, shape.w, vec3(grey)),
+        SphericalGaussian(shape.xyz, shape.w, vec3(lobes_grey(j))),
     );
 }
 
@@ -96,7 +94,6 @@ fn glossy_scaled(axis: vec3<f32>, sharpness: f32, part: f32, most: f32, points: 
                 let chord = direction - shape.xyz;
                 lobes += lobes_grey(j) * exp(-0.5 * shape.w * dot(chord, chord));
             }
-            lobes *= glossy_sum(lobes_color());
             let weight = direction.z * select(GLOSSY_POINT_WEIGHT, GLOSSY_CENTER_WEIGHT, i == 0u);
             let model = reference_specular(lobes_reflection(), direction, lobes_view());
             sum += weight * min(part / max(lobes, 1.17549435e-38), most) * model;
@@ -115,9 +112,11 @@ fn glossy_point(axis: vec3<f32>, sharpness: f32, i: u32) -> vec3<f32> {
     let orientation = select(1.0, -1.0, axis.z < 0.0);
     let a = -1.0 / (orientation + axis.z);
     let b = axis.x * axis.y * a;
-    let u = vec3(1.0 + orientation * axis.x * axis.x * a, orientation * b, -orientation * axis.x);
-    let v = vec3(b, orientation + axis.y * axis.y * a, -axis.y);
-    return normalize(axis + select(u, v, i > 2u) * select(reach, -reach, (i & 1u) == 0u));
+    var aside = vec3(1.0 + orientation * axis.x * axis.x * a, orientation * b, -orientation * axis.x);
+    if i > 2u {
+        aside = vec3(b, orientation + axis.y * axis.y * a, -axis.y);
+    }
+    return normalize(axis + select(reach, -reach, (i & 1u) == 0u) * aside);
 }
 
 fn glossy_sum(color: vec3<f32>) -> f32 {

@@ -4,6 +4,7 @@
 var<private> lobes_point: SurfacePoint;
 var<private> lobes_model: Reflection;
 var<private> lobes_tint: vec3<f32>;
+var<private> lobes_scale: f32;
 // In the point's frame.
 var<private> lobes_shapes: array<vec4<f32>, MAX_SPECULAR_LOBES>;
 var<private> lobes_greys: array<f32, MAX_SPECULAR_LOBES>;
@@ -11,7 +12,9 @@ var<private> lobes_greys: array<f32, MAX_SPECULAR_LOBES>;
 fn lobes_of(point: SurfacePoint, reflection: Reflection) {
     lobes_point = point;
     lobes_model = reflection;
-    lobes_tint = brdf_lobes(reflection, lobes_view());
+    let color = brdf_lobes(reflection, lobes_view());
+    lobes_scale = max(glossy_sum(color), 1.17549435e-38);
+    lobes_tint = color / lobes_scale;
 }
 
 fn lobes_put(j: u32, axis: vec3<f32>, sharpness: f32, grey: f32) {
@@ -24,12 +27,12 @@ fn lobes_shape(j: u32) -> vec4<f32> {
     return lobes_shapes[j];
 }
 
-// Amplitude without its colour.
+// Amplitude, all channels together.
 fn lobes_grey(j: u32) -> f32 {
-    return lobes_greys[j];
+    return lobes_greys[j] * lobes_scale;
 }
 
-// Colour that all amplitudes are multiplied by.
+// Parts of the channels in all amplitudes.
 fn lobes_color() -> vec3<f32> {
     return lobes_tint;
 }
@@ -46,7 +49,7 @@ fn lobes_view() -> vec3<f32> {
 // In world space.
 fn lobes_in_world(j: u32) -> SphericalGaussian {
     let shape = lobes_shapes[j];
-    return SphericalGaussian(surface_to_world(lobes_point, shape.xyz), shape.w, lobes_greys[j] * lobes_tint);
+    return SphericalGaussian(surface_to_world(lobes_point, shape.xyz), shape.w, lobes_grey(j) * lobes_tint);
 }
 
 // glossy_reflected of a light in world space.

@@ -27,24 +27,18 @@ fn polar_integrate(sharpness: f32, axis: vec3<f32>, normal: vec3<f32>, spokes: u
     if sine > 1e-4 {
         tangent = projected / sine;
     }
-    let bitangent = cross(axis, tangent);
     let shortest = min(POLAR_SHORTEST_STEP * radius, POLAR_SHORTEST_STEP_LIMIT);
     let count = f32(spokes);
     let at_radius = polar_moments(sharpness, radius);
-    // Spokes turn by one angle.
-    let turn = vec2(cos(2.0 * PI / count), sin(2.0 * PI / count));
-    let phase = 2.0 * PI * POLAR_PHASE / count;
-    var azimuth = vec2(cos(phase), sin(phase));
     var visible = 0.0;
     var whole = 0.0;
     for (var spoke = 0u; spoke < spokes; spoke++) {
-        let outward = azimuth.x * tangent + azimuth.y * bitangent;
+        // To turn a vector by one angle, and to keep the bitangent, takes more registers.
+        let angle = 2.0 * PI * (f32(spoke) + POLAR_PHASE) / count;
+        let azimuth = vec2(cos(angle), sin(angle));
+        let outward = azimuth.x * tangent + azimuth.y * cross(axis, tangent);
         // Along the spoke n·ω = cosine cos θ + slope sin θ, which changes sign once.
         let weights = vec2(cosine, sine * azimuth.x);
-        azimuth = vec2(
-            turn.x * azimuth.x - turn.y * azimuth.y,
-            turn.y * azimuth.x + turn.x * azimuth.y,
-        );
         var start = 0.0;
         var end = radius;
         var last = dot(weights, at_radius);

@@ -1,5 +1,5 @@
 // Twin of the first half of a round in shade.rs, and the entry point that makes lobes of the lights
-// and a reflection until SLOTS_WAITING of them wait. No SSDF: what is visible of them is left to
+// and a reflection until SLOTS_WAITING of them wait. What is visible of them is left to
 // integrals.wgsl.
 
 // Of the distant lights, to say how much of a prefiltered image is visible.
@@ -12,72 +12,45 @@ fn products_main(
     @builtin(local_invocation_index) invocation: u32,
 ) {
     slots_enter(workgroup, workgroups, invocation);
-    let before = slots_gathered_at(SLOTS_SUM);
-    var state = slots_state(before.w);
-    var sum = bitcast<vec3<f32>>(before.xyz);
+    var state = slots_state(slots_gathered_at(SLOTS_SUM).w);
     var end = frame.light_count + frame.local_light_count;
     if PRODUCTS_OF_IMAGE {
-        let scaled = slots_gathered_at(SLOTS_SCALED);
-        state.next = scaled.w;
-        sum = bitcast<vec3<f32>>(scaled.xyz);
+        state.next = slots_gathered_at(SLOTS_SCALED).w;
         // And light from everywhere.
         end = frame.light_count + 1u;
     }
     if state.next >= end {
         return;
     }
-    let word = slots_reflection_at(SLOTS_TANGENT).w;
-    specular_count = word & 0xffu;
+    specular_count = slots_reflection_at(SLOTS_TANGENT).w & 0xffu;
     while state.next < end && state.waiting < SLOTS_WAITING {
         let index = state.next;
         state.next++;
-        let everywhere = PRODUCTS_OF_IMAGE && index == frame.light_count;
         var light = SphericalGaussian(vec3(0.0, 0.0, 1.0), 0.0, vec3(1.0));
-        var gathered = vec3(0.0);
-        if !everywhere {
+        if !PRODUCTS_OF_IMAGE || index < frame.light_count {
             light = products_light(index);
-            gathered = sum;
         }
-        let lobe = glossy_reflected(light, gathered);
-        if everywhere {
-            if any(lobe.amplitude != vec3(0.0)) {
-                products_wait(state.waiting, lobe, SLOTS_UNKNOWN);
-                state.waiting++;
-            }
-            continue;
-        }
-        var whole = spherical_gaussian_energy(lobe.sharpness);
-        if PRODUCTS_OF_IMAGE {
-            whole = tables_cosine_integral(lobe.sharpness, lobe.axis.z);
-        }
-        if shade_negligible(lobe.amplitude * whole, sum) {
-            continue;
-        }
-        var share = 0.0;
-        if PRODUCTS_OF_IMAGE {
-            share = shade_share(lobe.amplitude * whole, sum);
-            sum += lobe.amplitude * whole;
-        }
-        let fraction = products_fraction(index, word, light, lobe);
-        if fraction < 0.0 {
-            products_wait(state.waiting, lobe, share);
+        let lobe = glossy_reflected(light, products_gathered(index));
+        let whole = spherical_gaussian_integral(lobe);
+        if any(whole > vec3(0.0)) && !shade_negligible(whole, products_gathered(index)) {
+            products_wait(state.waiting, lobe, index);
             state.waiting++;
-        } else if fraction > 0.0 {
-            let seen = lobe.amplitude * (fraction * tables_cosine_integral(lobe.sharpness, lobe.axis.z));
-            if PRODUCTS_OF_IMAGE {
-                let visible = slots_gathered_at(SLOTS_VISIBLE);
-                slots_put_value(SLOTS_VISIBLE, bitcast<vec3<f32>>(visible.xyz) + seen, visible.w);
-            } else {
-                sum += seen;
-            }
         }
     }
     if PRODUCTS_OF_IMAGE {
-        slots_put_value(SLOTS_SCALED, sum, state.next);
-        sum = bitcast<vec3<f32>>(before.xyz);
-        state.next = slots_state(before.w).next;
+        slots_gathered[SLOTS_SCALED * 64u + slot].w = state.next;
+        state.next = slots_state(slots_gathered_at(SLOTS_SUM).w).next;
     }
-    slots_put_value(SLOTS_SUM, sum, slots_word(state));
+    slots_gathered[SLOTS_SUM * 64u + slot].w = slots_word(state);
+}
+
+// What was gathered in the rounds before; read where it is needed: registers are short.
+fn products_gathered(index: u32) -> vec3<f32> {
+    if !PRODUCTS_OF_IMAGE {
+        return slots_gathered_value(SLOTS_SUM).xyz;
+    }
+    // Light from everywhere is measured by itself.
+    return select(slots_gathered_value(SLOTS_SCALED).xyz, vec3(0.0), index == frame.light_count);
 }
 
 // In the point's frame.
@@ -86,15 +59,8 @@ fn products_light(index: u32) -> SphericalGaussian {
     return SphericalGaussian(surface_to_local(slots_point(), light.axis), light.sharpness, light.amplitude);
 }
 
-// What is visible of a lobe, if the corners of the pixel's triangle know.
-fn products_fraction(index: u32, word: u32, light: SphericalGaussian, lobe: SphericalGaussian) -> f32 {
-    let corners = triangles[slots_reflection_at(SLOTS_NORMAL).w].xyz;
-    let fractions = vertex_visibility_of(index, (word >> 8u) != 0u, corners, vec3(0.0));
-    return vertex_visibility_whole(fractions, light, lobe);
-}
-
-fn products_wait(place: u32, lobe: SphericalGaussian, share: f32) {
-    let axis = surface_to_world(slots_point(), lobe.axis);
-    slots_put_value(SLOTS_FIRST + 2u * place, axis, bitcast<u32>(lobe.sharpness));
-    slots_put_value(SLOTS_FIRST + 2u * place + 1u, lobe.amplitude, bitcast<u32>(share));
+// In the point's frame still: to turn it here takes registers.
+fn products_wait(place: u32, lobe: SphericalGaussian, light: u32) {
+    slots_put_value(SLOTS_FIRST + 2u * place, lobe.axis, bitcast<u32>(lobe.sharpness));
+    slots_put_value(SLOTS_FIRST + 2u * place + 1u, lobe.amplitude, light);
 }

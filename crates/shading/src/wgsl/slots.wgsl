@@ -1,5 +1,6 @@
 // Twin of slots.rs: what the passes that shade hand on to one another. Each invocation has a slot of
-// two buffers: the first words of all slots, then the second words of all.
+// two buffers: of a workgroup the first words of all invocations, then the second words of all, so
+// that neighbours lie side by side, and fields at distances that compilers know.
 
 // One reflection: how it stands, what it is, its lobes. Written by reflections.wgsl alone.
 @group(2) @binding(6) var<storage, read_write> slots_reflection_found: array<vec4<u32>>;
@@ -8,11 +9,9 @@
 @group(2) @binding(7) var<storage, read_write> slots_gathered: array<vec4<u32>>;
 
 var<private> slot: u32;
-var<private> slot_count: u32;
 
 fn slots_enter(workgroup: vec3<u32>, workgroups: vec3<u32>, invocation: u32) {
-    slot_count = 64u * workgroups.x * workgroups.y;
-    slot = 64u * (workgroup.y * workgroups.x + workgroup.x) + invocation;
+    slot = 64u * SLOTS_FIELDS * (workgroup.y * workgroups.x + workgroup.x) + invocation;
 }
 
 // How far a pixel is.
@@ -34,7 +33,7 @@ fn slots_word(state: SlotState) -> u32 {
 }
 
 fn slots_gathered_at(field: u32) -> vec4<u32> {
-    return slots_gathered[field * slot_count + slot];
+    return slots_gathered[field * 64u + slot];
 }
 
 fn slots_gathered_value(field: u32) -> vec4<f32> {
@@ -42,7 +41,7 @@ fn slots_gathered_value(field: u32) -> vec4<f32> {
 }
 
 fn slots_put_gathered(field: u32, words: vec4<u32>) {
-    slots_gathered[field * slot_count + slot] = words;
+    slots_gathered[field * 64u + slot] = words;
 }
 
 fn slots_put_value(field: u32, value: vec3<f32>, word: u32) {
@@ -50,11 +49,11 @@ fn slots_put_value(field: u32, value: vec3<f32>, word: u32) {
 }
 
 fn slots_put_reflection(field: u32, value: vec3<f32>, word: u32) {
-    slots_reflection_found[field * slot_count + slot] = vec4(bitcast<vec3<u32>>(value), word);
+    slots_reflection_found[field * 64u + slot] = vec4(bitcast<vec3<u32>>(value), word);
 }
 
 fn slots_reflection_at(field: u32) -> vec4<u32> {
-    return slots_reflection[field * slot_count + slot];
+    return slots_reflection[field * 64u + slot];
 }
 
 fn slots_reflection_value(field: u32) -> vec4<f32> {
@@ -69,8 +68,9 @@ fn slots_put_surface(point: SurfacePoint, triangle: u32, reflection: Reflection,
     slots_put_reflection(SLOTS_VIEW, surface_to_local(point, point.view), reflection.model);
     slots_put_reflection(SLOTS_SPECULAR, reflection.specular, reflection.ratio);
     slots_put_reflection(SLOTS_GRAZING, reflection.grazing, bitcast<u32>(reflection.alpha.x));
-    slots_put_reflection(SLOTS_COLOR, color, bitcast<u32>(reflection.alpha.y));
-    slots_put_reflection(SLOTS_POSITION, point.position, 0u);
+    let scale = max(color.x + color.y + color.z, 1.17549435e-38);
+    slots_put_reflection(SLOTS_COLOR, color / scale, bitcast<u32>(reflection.alpha.y));
+    slots_put_reflection(SLOTS_POSITION, point.position, bitcast<u32>(scale));
 }
 
 // How the surface stands; the rest of the point is nothing.
@@ -84,7 +84,7 @@ fn slots_point() -> SurfacePoint {
 
 fn lobes_put(j: u32, axis: vec3<f32>, sharpness: f32, grey: f32) {
     slots_put_reflection(SLOTS_LOBES + j, axis, bitcast<u32>(sharpness));
-    slots_reflection_found[(SLOTS_GREYS + j / 4u) * slot_count + slot][j % 4u] = bitcast<u32>(grey);
+    slots_reflection_found[(SLOTS_GREYS + j / 4u) * 64u + slot][j % 4u] = bitcast<u32>(grey);
 }
 
 // As in lobes.wgsl.
@@ -93,7 +93,8 @@ fn lobes_shape(j: u32) -> vec4<f32> {
 }
 
 fn lobes_grey(j: u32) -> f32 {
-    return bitcast<f32>(slots_reflection[(SLOTS_GREYS + j / 4u) * slot_count + slot][j % 4u]);
+    let grey = bitcast<f32>(slots_reflection[(SLOTS_GREYS + j / 4u) * 64u + slot][j % 4u]);
+    return grey * slots_reflection_value(SLOTS_POSITION).w;
 }
 
 fn lobes_color() -> vec3<f32> {

@@ -60,7 +60,7 @@ fn slots_reflection_value(field: u32) -> vec4<f32> {
     return bitcast<vec4<f32>>(slots_reflection_at(field));
 }
 
-// Fills a slot's reflection but for its lobes.
+// Fills a slot's reflection, its lobes being there; their amplitudes take the colour's sum.
 fn slots_put_surface(point: SurfacePoint, triangle: u32, reflection: Reflection, color: vec3<f32>) {
     let holds = u32(vertex_visibility_holds(point.vertex_cosine));
     slots_put_reflection(SLOTS_NORMAL, point.normal, triangle);
@@ -70,7 +70,12 @@ fn slots_put_surface(point: SurfacePoint, triangle: u32, reflection: Reflection,
     slots_put_reflection(SLOTS_GRAZING, reflection.grazing, bitcast<u32>(reflection.alpha.x));
     let scale = max(color.x + color.y + color.z, 1.17549435e-38);
     slots_put_reflection(SLOTS_COLOR, color / scale, bitcast<u32>(reflection.alpha.y));
-    slots_put_reflection(SLOTS_POSITION, point.position, bitcast<u32>(scale));
+    slots_put_reflection(SLOTS_POSITION, point.position, 0u);
+    for (var j = 0u; j < specular_count; j++) {
+        let place = (SLOTS_GREYS + j / 4u) * 64u + slot;
+        let grey = bitcast<f32>(slots_reflection_found[place][j % 4u]);
+        slots_reflection_found[place][j % 4u] = bitcast<u32>(grey * scale);
+    }
 }
 
 // How the surface stands; the rest of the point is nothing.
@@ -93,8 +98,7 @@ fn lobes_shape(j: u32) -> vec4<f32> {
 }
 
 fn lobes_grey(j: u32) -> f32 {
-    let grey = bitcast<f32>(slots_reflection[(SLOTS_GREYS + j / 4u) * 64u + slot][j % 4u]);
-    return grey * slots_reflection_value(SLOTS_POSITION).w;
+    return bitcast<f32>(slots_reflection[(SLOTS_GREYS + j / 4u) * 64u + slot][j % 4u]);
 }
 
 fn lobes_color() -> vec3<f32> {

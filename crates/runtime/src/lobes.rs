@@ -80,13 +80,6 @@ impl Work {
     }
 }
 
-/// Groups 0 and 1.
-#[derive(Clone, Copy)]
-pub(crate) struct Groups<'a> {
-    pub(crate) frame: &'a wgpu::BindGroup,
-    pub(crate) scenes: &'a [wgpu::BindGroup; 2],
-}
-
 impl LobePasses {
     pub(crate) fn new(device: &wgpu::Device, frame: &wgpu::BindGroupLayout) -> Self {
         let scene = |bindings: &[u32]| {
@@ -163,11 +156,12 @@ impl LobePasses {
         }
     }
 
-    /// Shades what is seen of an instance: dispatches are offsets of uniforms, and workgroups.
+    /// Shades what is seen of an instance: groups 0 and 1; dispatches are offsets of uniforms, and
+    /// workgroups.
     pub(crate) fn record(
         &self,
         pass: &mut wgpu::ComputePass,
-        groups: Groups,
+        (frame, scenes): (&wgpu::BindGroup, &[wgpu::BindGroup; 2]),
         slots: &Slots,
         work: Work,
         dispatches: impl Iterator<Item = (u32, [u32; 2])>,
@@ -177,14 +171,14 @@ impl LobePasses {
                 x * y * WORKGROUP_PIXELS <= slots.count,
                 "{x} x {y}: {slots:?}"
             );
-            pass.set_bind_group(0, groups.frame, &[offset]);
+            pass.set_bind_group(0, frame, &[offset]);
             let mut run =
                 |kernel: &OnceLock<wgpu::ComputePipeline>, made_of: &Kernel, groups_1_2| {
                     let (scene, image): (usize, usize) = groups_1_2;
                     let layouts = [&self.frame, &self.scenes[scene], &self.images[image]];
                     let make = || compute_pipeline(&self.device, &layouts, made_of);
                     pass.set_pipeline(kernel.get_or_init(make));
-                    pass.set_bind_group(1, &groups.scenes[scene], &[]);
+                    pass.set_bind_group(1, &scenes[scene], &[]);
                     pass.set_bind_group(2, &slots.groups[image], &[]);
                     pass.dispatch_workgroups(x, y, 1);
                 };
@@ -254,7 +248,7 @@ mod tests {
         for width in [1u32, 320, 1920, 3840, 8192, 32768] {
             for rows in [8, 128, u32::MAX - 7] {
                 let rows = band(rows, width);
-                assert!(rows >= 8 && rows % 8 == 0);
+                assert!(rows >= 8 && rows.is_multiple_of(8));
                 let taken = Slots::needed([width, 20_000], rows);
                 assert!(taken <= MOST_SLOTS.max(8 * width), "{width}: {taken}");
             }

@@ -419,12 +419,9 @@ impl Renderer {
             };
             let diffuse = [frame_group, &scene.bind_group, &images.diffuse];
             dispatch(self.diffuse_pipeline(), diffuse);
-            let groups = lobes::Groups {
-                frame: frame_group,
-                scenes: &scene.lobe_groups,
-            };
             let work = lobes::Work::of(frame, scene);
             let dispatches = resources.dispatches(&rows);
+            let groups = (frame_group, &scene.lobe_groups);
             (self.lobes).record(&mut pass, groups, &images.slots, work, dispatches);
         }
         Ok(())

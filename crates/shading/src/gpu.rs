@@ -1140,7 +1140,7 @@ mod tests {
             (SURFACE_LAYERED, 1)
         );
         let layer = material.layers[0];
-        assert_eq!(layer.model, crate::surface::Model::Ward as u32);
+        assert_eq!(layer.model, Model::Ward as u32);
         assert_eq!(
             (layer.diffuse, layer.specular),
             ([0.1, 0.2, 0.3], [0.4, 0.5, 0.6])

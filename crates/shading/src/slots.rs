@@ -64,7 +64,7 @@ mod tests {
         const { assert!(WAITING < 16) };
         let lobes = MAX_SPECULAR_LOBES as u32;
         assert!(GREYS + lobes.div_ceil(4) <= LOBES && LOBES + lobes <= FIELDS);
-        assert!(FIRST + 2 * WAITING <= FIELDS);
+        const { assert!(FIRST + 2 * WAITING <= FIELDS) };
         assert_eq!([rounds(0), rounds(6), rounds(7)], [0, 1, 2]);
     }
 }

@@ -27,6 +27,7 @@ pub fn trials() -> Vec<Trial> {
         with_page("browser::the_page_answers_hands_and_bad_files", hands),
         with_page("browser::the_application_is_the_programs", application),
         with_page("browser::modules_are_small", sizes),
+        with_page("browser::without_webgpu_there_are_words", words),
     ]
 }
 
@@ -302,6 +303,31 @@ fn sizes(_browser: &str) -> Outcome {
             output.stdout.len()
         );
     }
+    Ok(())
+}
+
+/// The application in a frame of a browser without WebGPU: tells the words that it shows.
+const NOTHING: &str = r#"<!doctype html><meta charset="utf-8">
+<iframe src="app.html" width="400" height="300"></iframe>
+<script>
+const look = () => {
+  const words = document.querySelector("iframe").contentDocument?.getElementById("notice")?.textContent ?? "";
+  if (words.includes("WebGPU")) fetch("told", { method: "POST", body: words });
+  else setTimeout(look, 50);
+};
+look();
+</script>
+"#;
+
+fn words(browser: &str) -> Outcome {
+    let folder = folder_with(NOTHING)?;
+    let page = std::fs::read_to_string(built_page().join("index.html"))?;
+    let hide = "<script>Object.defineProperty(Navigator.prototype, \"gpu\", { get: () => undefined });\
+                </script>";
+    std::fs::write(folder.path().join("app.html"), format!("{hide}{page}"))?;
+    let told = visit(browser, &[folder.path(), &built_page()])?;
+    let told = String::from_utf8_lossy(&told);
+    assert!(told.contains("which this browser does not have"), "{told}");
     Ok(())
 }
 

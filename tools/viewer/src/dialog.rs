@@ -20,6 +20,7 @@ mod page {
         Box::new(move |purpose, name, answered| match purpose {
             Purpose::Open => hooks.choose(),
             Purpose::SavePicture => answered(Some(format!("{name}.png").into())),
+            Purpose::SaveCamera => answered(Some(format!("{name}-camera.toml").into())),
             Purpose::SaveAsset => answered(Some(format!("{name}.relight").into())),
         })
     }

@@ -9,6 +9,7 @@
 //! threads: `page` is how the page and it talk, `worker` what the page's workers run.
 
 pub mod app;
+pub mod camera_file;
 #[cfg(not(target_family = "wasm"))]
 pub mod command;
 pub mod compose;

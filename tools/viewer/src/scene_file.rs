@@ -27,12 +27,6 @@ fn describe_camera(camera: &Camera) -> description::Camera {
     }
 }
 
-/// Writes a camera file, for `lab render --camera` and for us.
-pub fn camera(path: &Path, camera: &Camera) -> anyhow::Result<()> {
-    let text = toml::to_string_pretty(&describe_camera(camera))?;
-    Ok(format::write_file(path, text.as_bytes())?)
-}
-
 fn describe_light(light: &LocalLight) -> description::Light {
     description::Light {
         position: light.position.into(),

@@ -83,7 +83,6 @@ pub enum Purpose {
     /// For the picture, as PNG or OpenEXR by its ending.
     SavePicture,
     /// For the camera.
-    #[cfg(not(target_family = "wasm"))]
     SaveCamera,
     /// For a scene file.
     #[cfg(not(target_family = "wasm"))]

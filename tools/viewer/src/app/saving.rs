@@ -14,13 +14,13 @@ use super::{Purpose, Viewer};
 use crate::compose::Look;
 #[cfg(not(target_family = "wasm"))]
 use crate::jobs::{self, Kind, Loaded};
-use crate::save;
 #[cfg(not(target_family = "wasm"))]
 use crate::scene_file;
 #[cfg(not(target_family = "wasm"))]
 use crate::state::Layout;
 #[cfg(not(target_family = "wasm"))]
 use crate::turntable;
+use crate::{camera_file, save};
 
 /// A picture of the window: waited for, asked for, or there.
 #[cfg(not(target_family = "wasm"))]
@@ -58,8 +58,7 @@ impl Viewer {
             Purpose::SaveTurntable => return self.draw_turntable(path),
             #[cfg(not(target_family = "wasm"))]
             Purpose::SaveAsset => return self.save_asset(path),
-            #[cfg(not(target_family = "wasm"))]
-            Purpose::SaveCamera => scene_file::camera(path, &self.orbit.camera()),
+            Purpose::SaveCamera => self.save_camera(path),
             #[cfg(not(target_family = "wasm"))]
             Purpose::SaveScene => match &self.document {
                 Some(document) => {
@@ -76,6 +75,15 @@ impl Viewer {
             Ok(()) => self.tell(format!("saved {}", path.display()), false),
             Err(error) => self.error(format!("{error:#}")),
         }
+    }
+
+    fn save_camera(&self, path: &Path) -> anyhow::Result<()> {
+        let text = camera_file::text(&self.orbit.camera());
+        #[cfg(not(target_family = "wasm"))]
+        relight_format::write_file(path, text.as_bytes())?;
+        #[cfg(target_family = "wasm")]
+        self.jobs.save(path, text.as_bytes());
+        Ok(())
     }
 
     fn save_picture(&self, path: &Path) -> anyhow::Result<()> {

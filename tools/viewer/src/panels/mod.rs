@@ -89,7 +89,6 @@ fn file_menu(ui: &mut Ui, viewer: &mut Viewer) {
     let items = [
         ("Open…", Purpose::Open),
         ("Save picture…", Purpose::SavePicture),
-        #[cfg(not(target_family = "wasm"))]
         ("Save camera…", Purpose::SaveCamera),
         #[cfg(not(target_family = "wasm"))]
         ("Save scene file…", Purpose::SaveScene),

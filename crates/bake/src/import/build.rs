@@ -469,6 +469,13 @@ impl<'a> Builder<'a> {
         let turned_away = (mesh.triangles.iter())
             .filter(|triangle| orient::winds_against_normals(&mesh, triangle))
             .count();
+        self.warn_of_counts(hidden, turned_away);
+        mesh.warnings = self.warnings;
+        Ok(mesh)
+    }
+
+    /// Warns of what was dropped, divided or is odd.
+    fn warn_of_counts(&mut self, hidden: usize, turned_away: usize) {
         let counted = [
             (self.degenerate, "triangles of zero area are dropped"),
             (self.repeated, "triangles repeat another and are dropped"),
@@ -500,8 +507,6 @@ impl<'a> Builder<'a> {
                 self.warnings.push(format!("{count} {what}"));
             }
         }
-        mesh.warnings = self.warnings;
-        Ok(mesh)
     }
 }
 

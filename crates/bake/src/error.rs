@@ -1,7 +1,25 @@
-//! Why an input cannot be read: one error that names the file, the place, what was expected and what
+//! Why an input cannot be read, and how errors are told: one error that names the file, the place, what was expected and what
 //! was found.
 
 use std::path::{Path, PathBuf};
+
+/// An error and its causes as one sentence. Many messages end in that of their cause, which is not
+/// said again.
+pub fn sentence<'a>(
+    chain: impl IntoIterator<Item = &'a (dyn std::error::Error + 'static)>,
+) -> String {
+    let mut sentence = String::new();
+    for cause in chain {
+        let cause = cause.to_string();
+        if !sentence.ends_with(&cause) {
+            if !sentence.is_empty() {
+                sentence += ": ";
+            }
+            sentence += &cause;
+        }
+    }
+    sentence
+}
 
 /// Why a scene file, mesh, material library or texture could not be read.
 #[derive(Debug, thiserror::Error)]

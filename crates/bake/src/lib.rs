@@ -5,7 +5,6 @@
 #[cfg(not(target_family = "wasm"))]
 pub mod compress;
 pub mod environment;
-#[cfg(not(target_family = "wasm"))]
 pub mod error;
 #[cfg(not(target_family = "wasm"))]
 pub mod files;

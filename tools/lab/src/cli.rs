@@ -394,7 +394,7 @@ pub fn run() -> ExitCode {
         Ok(report) if cli.json => println!("{report}"),
         Ok(report) => print_plain(&report),
         Err(error) => {
-            eprintln!("error: {error:#}");
+            eprintln!("error: {}", relight_bake::error::sentence(error.chain()));
             return ExitCode::from(exit_code(&error));
         }
     }

@@ -147,7 +147,7 @@ pub fn run() -> ExitCode {
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {error:#}");
+            eprintln!("error: {}", relight_bake::error::sentence(error.chain()));
             ExitCode::FAILURE
         }
     }

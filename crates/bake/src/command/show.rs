@@ -189,7 +189,10 @@ impl Show {
                 print(&self.line(fields))
             }
             Err(error) => {
-                say(&format!("error: {error:#}"));
+                say(&format!(
+                    "error: {}",
+                    relight_bake::error::sentence(error.chain())
+                ));
                 if self.output == Output::Text {
                     Ok(())
                 } else {
@@ -252,7 +255,7 @@ fn error_object(error: &anyhow::Error) -> Value {
     let mut object = json!({
         "kind": kind,
         "exit_code": code,
-        "message": format!("{error:#}"),
+        "message": relight_bake::error::sentence(error.chain()),
     });
     let details = error.chain().find_map(details);
     if let (Value::Object(object), Some(details)) = (&mut object, details) {

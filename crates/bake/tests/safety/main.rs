@@ -461,12 +461,9 @@ fn scene_semantics() -> Outcome {
     let scene = |text: &str| folder.write("scene.toml", format!("mesh = 'a.obj'\n{text}"));
     let path = scene("environment = 'sky.hdr'")?;
     let sky = folder.at("sky.hdr");
-    refused(
-        INPUT_OUTPUT,
-        &mut bake_scene(&path, &asset),
-        &sky,
-        "No such file",
-    );
+    let mut bake = bake_scene(&path, &asset);
+    let line = refused(INPUT_OUTPUT, &mut bake, &sky, "No such file");
+    assert_eq!(line.matches("No such file").count(), 1, "{line}");
     std::fs::write(&sky, "no image")?;
     refused(BAD_INPUT, &mut bake_scene(&path, &asset), &sky, "Radiance");
     std::fs::write(&sky, grey_hdr(64, 64))?;

@@ -73,7 +73,7 @@ impl Viewer {
         };
         match saved {
             Ok(()) => self.tell(format!("saved {}", path.display()), false),
-            Err(error) => self.error(format!("{error:#}")),
+            Err(error) => self.error(relight_bake::error::sentence(error.chain())),
         }
     }
 
@@ -180,7 +180,7 @@ impl Viewer {
                         .flat_map(egui::Color32::to_array)
                         .collect();
                     if let Err(error) = save::png(&path, size, &pixels) {
-                        eprintln!("error: {error:#}");
+                        eprintln!("error: {}", relight_bake::error::sentence(error.chain()));
                     }
                     // The window may be gone.
                     let _ = sender.send(());

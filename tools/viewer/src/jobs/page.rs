@@ -144,7 +144,10 @@ impl Jobs {
                     }
                     self.events.push(Event::Loaded(Box::new(loaded)));
                 }
-                Err(error) => self.fail(format!("{name}: {error:#}")),
+                Err(error) => self.fail(format!(
+                    "{name}: {}",
+                    relight_bake::error::sentence(error.chain())
+                )),
             },
             Some(FileKind::Light) => {
                 self.image = Some((name, bytes));
@@ -270,7 +273,10 @@ impl Jobs {
                 let name = self.running[index].name.clone();
                 match read_asset(FileKind::Material, name.as_ref(), &asset) {
                     Ok(loaded) => self.events.push(Event::Loaded(Box::new(loaded))),
-                    Err(error) => self.fail(format!("{name}: {error:#}")),
+                    Err(error) => self.fail(format!(
+                        "{name}: {}",
+                        relight_bake::error::sentence(error.chain())
+                    )),
                 }
             }
             Message::Ended { number, error } => {

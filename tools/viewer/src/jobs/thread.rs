@@ -223,7 +223,7 @@ fn run(
     match result {
         Ok(Ok(())) => None,
         Ok(Err(error)) if is_interruption(&error) => None,
-        Ok(Err(error)) => Some(format!("{error:#}")),
+        Ok(Err(error)) => Some(relight_bake::error::sentence(error.chain())),
         Err(payload) => Some(format!("a defect of ours: {}", panic_message(&*payload))),
     }
 }

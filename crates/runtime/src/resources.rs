@@ -115,7 +115,7 @@ impl Resources {
         self.vertex_lights = match frame.method {
             Method::Polar(_) => {
                 let kept = self.vertex_lights.take();
-                VertexLights::next_frame(kept, renderer, scene.vertex_count, &lights)
+                VertexLights::next_frame(kept, renderer, scene, &lights)
             }
             Method::Ambient | Method::Cells(_) => None,
         };

@@ -4,11 +4,13 @@
 use relight_shading::gpu;
 use relight_shading::vertex_visibility::{FRAME_BITS, TEXTURE_WIDTH, texture_rows};
 
-use crate::Renderer;
+use crate::{GpuScene, Renderer};
 
 /// What is kept of one instance in one view.
 #[derive(Debug)]
 pub(crate) struct VertexLights {
+    /// Group 1 of kernels of vertices, of the scene whose vertices they are.
+    scene: wgpu::BindGroup,
     vertices: usize,
     lights: Vec<gpu::Light>,
     /// Of the light that fractions are of, from 1, and of the frame under it.
@@ -28,9 +30,10 @@ impl VertexLights {
     pub(crate) fn next_frame(
         kept: Option<Self>,
         renderer: &Renderer,
-        vertices: usize,
+        scene: &GpuScene,
         lights: &[gpu::Light],
     ) -> Option<Self> {
+        let vertices = scene.vertex_count;
         let device = renderer.device();
         let rows = texture_rows(vertices, lights.len())?;
         if rows > device.limits().max_texture_dimension_2d {
@@ -40,10 +43,14 @@ impl VertexLights {
         let fits = |kept: &Self| {
             // Numbers of lights end: then all begins anew.
             let numbers_left = kept.light + 1 < 1 << (32 - FRAME_BITS);
-            kept.vertices == vertices && kept.lights.len().div_ceil(4) == quads && numbers_left
+            // Another scene may have as many vertices.
+            kept.scene == scene.vertex_group
+                && kept.lights.len().div_ceil(4) == quads
+                && numbers_left
         };
         let Some(mut kept) = kept.filter(fits) else {
             return Some(Self {
+                scene: scene.vertex_group.clone(),
                 vertices,
                 lights: lights.to_vec(),
                 light: 1,

@@ -120,7 +120,10 @@ pub fn integrate(
         let mut last = weights.dot(at_radius);
         if cosine < 0.0 {
             start = math::atan2(-cosine, weights.y);
-        } else if weights.dot(Vec2::new(radius_cosine, radius_sine)) < 0.0 {
+        } else if weights.dot(Vec2::new(radius_cosine, radius_sine)) < 0.0
+            // Where the radius is a half turn and the normal is level, rounding tells that sign.
+            || (weights.y < 0.0 && radius > 0.5 * PI)
+        {
             end = end.min(math::atan2(cosine, -weights.y));
             last = weights.dot(moments(sharpness, end));
         }

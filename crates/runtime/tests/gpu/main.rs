@@ -431,6 +431,19 @@ fn light_at_vertices_is_kept_and_renewed(gpu: &mut Gpu) -> Outcome {
         println!("frame {index}: relative RMSE {error:e}");
         assert!(error <= FRAME_RELATIVE_RMSE, "frame {index}: {error}");
     }
+    // Another scene of as many vertices has other fractions.
+    let mut other = scene;
+    other.coefficients.fill(0);
+    let other_uploaded = gpu.upload(&other)?;
+    let mut seen = Vec::new();
+    for uploaded in [&uploaded, &other_uploaded] {
+        let frame = frame(&lights, POLAR);
+        seen.push(gpu.render(uploaded, &frame, size[0], size[1])?.linear);
+    }
+    let expected = twin::render(&other, &frame(&lights, POLAR), size[0], size[1])?;
+    let error = relative_rmse(&seen[1], &expected);
+    assert!(error <= FRAME_RELATIVE_RMSE, "another scene: {error}");
+    assert!(relative_rmse(&seen[0], &expected) > 0.05, "they differ");
     Ok(())
 }
 

@@ -44,7 +44,7 @@ fn polar_integrate(sharpness: f32, axis: vec3<f32>, normal: vec3<f32>, spokes: u
         var last = dot(weights, at_radius);
         if cosine < 0.0 {
             start = atan2(-cosine, weights.y);
-        } else if dot(weights, vec2(cos(radius), sin(radius))) < 0.0 {
+        } else if dot(weights, vec2(cos(radius), sin(radius))) < 0.0 || (weights.y < 0.0 && radius > 0.5 * PI) {
             end = min(end, atan2(cosine, -weights.y));
             last = dot(weights, polar_moments(sharpness, end));
         }

@@ -1,7 +1,9 @@
-//! Why an input cannot be read, and how errors are told: one error that names the file, the place, what was expected and what
-//! was found.
+//! Why an input cannot be read: one error that names the file, the place, what was expected and
+//! what was found. And how errors are told.
 
-use std::path::{Path, PathBuf};
+#[cfg(not(target_family = "wasm"))]
+use std::path::Path;
+use std::path::PathBuf;
 
 /// An error and its causes as one sentence. Many messages end in that of their cause, which is not
 /// said again.
@@ -66,6 +68,7 @@ pub enum Error {
     },
 }
 
+#[cfg(not(target_family = "wasm"))]
 impl Error {
     pub(crate) fn read(file: &Path, source: std::io::Error) -> Self {
         Self::Read {

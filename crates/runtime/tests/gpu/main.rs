@@ -433,7 +433,9 @@ fn light_at_vertices_is_kept_and_renewed(gpu: &mut Gpu) -> Outcome {
     }
     // Another scene of as many vertices has other fractions.
     let mut other = scene;
-    other.coefficients.fill(0);
+    for coefficient in &mut other.coefficients {
+        *coefficient = -*coefficient;
+    }
     let other_uploaded = gpu.upload(&other)?;
     let mut seen = Vec::new();
     for uploaded in [&uploaded, &other_uploaded] {

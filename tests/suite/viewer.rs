@@ -524,7 +524,12 @@ fn answers() -> Outcome {
         let answer = window.state().answers.last().ok_or("an answer")?;
         let first = answer.first[0].ok_or("its first picture")?;
         let pixels = first.size[0] * first.size[1];
-        assert!(first.draft && pixels < 30_000, "{index}: {first:?}");
+        assert!(
+            first.draft && !first.complete && pixels < 30_000,
+            "{index}: {first:?}"
+        );
+        let [composed, shown] = [answer.composed, answer.shown].map(|[x, y]| x * y);
+        assert!(composed <= shown, "as few are composed: {answer:?}");
         assert_eq!(preparations(&window), 1, "{index}");
     }
     println!("answers: {:?}", window.state().answers);

@@ -197,9 +197,12 @@ impl Viewer {
             };
             #[cfg(target_family = "wasm")]
             let pixels = work();
+            let images = task.images.iter().flatten();
+            let sizes = images.map(|image| [image.width, image.height]);
             Composed {
                 request: task.request,
                 size: task.size,
+                shown: sizes.max_by_key(|[x, y]| x * y).unwrap_or_default(),
                 pixels,
             }
         };

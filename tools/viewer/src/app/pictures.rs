@@ -46,6 +46,8 @@ pub struct First {
     pub size: [u32; 2],
     /// By the cheapest means, whatever was asked for.
     pub draft: bool,
+    /// Whether no better one follows.
+    pub complete: bool,
 }
 
 /// How a request was answered.
@@ -55,6 +57,10 @@ pub struct Answer {
     pub after: Duration,
     /// The first picture of each pane that had come by then.
     pub first: [Option<First>; 2],
+    /// Columns and rows of what was composed.
+    pub composed: [u32; 2],
+    /// And of the largest picture in it.
+    pub shown: [u32; 2],
 }
 
 /// What to compose.
@@ -73,6 +79,8 @@ pub(super) struct Composition {
 pub(super) struct Composed {
     pub(super) request: u64,
     pub(super) size: [u32; 2],
+    /// The largest picture in it.
+    pub(super) shown: [u32; 2],
     /// Premultiplied RGBA8.
     pub(super) pixels: Vec<u8>,
 }

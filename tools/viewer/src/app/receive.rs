@@ -47,6 +47,7 @@ impl Viewer {
             flight.seen[picture.pane].get_or_insert(First {
                 size: [picture.image.width, picture.image.height],
                 draft: picture.draft,
+                complete: picture.complete,
             });
         }
         let pane = picture.pane;
@@ -57,6 +58,7 @@ impl Viewer {
         let Composed {
             request,
             size,
+            shown,
             pixels,
         } = composed;
         if let Some(flight) = &mut self.flight
@@ -67,6 +69,8 @@ impl Viewer {
             self.answers.push(Answer {
                 after: flight.asked.elapsed(),
                 first: flight.seen,
+                composed: size,
+                shown,
             });
             let surplus = self.answers.len().saturating_sub(100);
             self.answers.drain(..surplus);

@@ -1,5 +1,7 @@
 //! Shaded pixels into an app's render pass.
 
+use std::sync::OnceLock;
+
 use relight_shading::gpu;
 use relight_shading::wgsl::{Entry, source};
 
@@ -121,10 +123,14 @@ pub(crate) fn layout(device: &wgpu::Device, surfaces: bool) -> wgpu::BindGroupLa
 /// Pipelines into passes of one kind.
 #[derive(Debug)]
 pub(crate) struct Pipelines {
+    device: wgpu::Device,
+    layout: wgpu::BindGroupLayout,
+    options: Options,
+    surfaces: bool,
     /// What instances cover.
     pixels: wgpu::RenderPipeline,
-    /// What is behind them.
-    background: wgpu::RenderPipeline,
+    /// What is behind them; made when first needed.
+    background: OnceLock<wgpu::RenderPipeline>,
 }
 
 impl Pipelines {
@@ -132,12 +138,35 @@ impl Pipelines {
     pub(crate) fn new(
         device: &wgpu::Device,
         layout: &wgpu::BindGroupLayout,
-        options: &Options,
+        options: Options,
         surfaces: bool,
     ) -> Self {
         Self {
-            pixels: pipeline(device, layout, options, surfaces, false),
-            background: pipeline(device, layout, options, surfaces, true),
+            pixels: pipeline(device, layout, &options, surfaces, false),
+            background: OnceLock::new(),
+            device: device.clone(),
+            layout: layout.clone(),
+            options,
+            surfaces,
+        }
+    }
+
+    fn background(&self) -> &wgpu::RenderPipeline {
+        self.background.get_or_init(|| {
+            pipeline(
+                &self.device,
+                &self.layout,
+                &self.options,
+                self.surfaces,
+                true,
+            )
+        })
+    }
+
+    /// Makes what [`Self::draw`] takes.
+    pub(crate) fn prepare(&self, drawing: &Drawing) {
+        if drawing.has_background() {
+            self.background();
         }
     }
 
@@ -145,7 +174,7 @@ impl Pipelines {
     pub(crate) fn draw(&self, pass: &mut wgpu::RenderPass, drawing: &Drawing) {
         pass.set_bind_group(0, drawing.group(), &[]);
         if drawing.has_background() {
-            pass.set_pipeline(&self.background);
+            pass.set_pipeline(self.background());
             pass.draw(0..3, 0..1);
         }
         pass.set_pipeline(&self.pixels);

@@ -192,19 +192,13 @@ impl LobePasses {
                 if work.reflections == 0 {
                     continue;
                 }
-                let lights = if work.image { 0 } else { work.distant_lights };
-                for (of_image, lights) in [
-                    (0, lights + work.local_lights),
-                    // And light from everywhere.
-                    (
-                        1,
-                        if work.image {
-                            work.distant_lights + 1
-                        } else {
-                            0
-                        },
-                    ),
-                ] {
+                // Of an image there is light from everywhere as well.
+                let [lights, of_image] = if work.image {
+                    [work.local_lights, work.distant_lights + 1]
+                } else {
+                    [work.distant_lights + work.local_lights, 0]
+                };
+                for (of_image, lights) in [lights, of_image].into_iter().enumerate() {
                     let integral = 2 * of_image + usize::from(work.ambient);
                     for _ in 0..slots::rounds(lights) {
                         run(&self.products[of_image], &PRODUCTS[of_image], (0, 1));

@@ -342,12 +342,12 @@ impl Renderer {
             }
         }
         self.make_images(view, frame)?;
-        // Not in the app's pass.
-        self.composite_pipelines(frame.antialias);
         let images = view.images.as_ref().expect("just made");
         let uniform = composite::uniform(view.size(), frame, &world.view, &self.options);
         let layout = &self.composite_layouts[usize::from(frame.antialias)];
         (view.drawing).fill(self, layout, images, &behind, uniform)?;
+        // Not in the app's pass.
+        (self.composite_pipelines(frame.antialias)).prepare(&view.drawing);
         if frame.antialias {
             let world = gpu::Frame::of_view(&world.view);
             let uniform = bytemuck::bytes_of(&world);
@@ -667,7 +667,7 @@ impl Renderer {
         let index = usize::from(surfaces);
         self.composite_pipelines[index].get_or_init(|| {
             let layout = &self.composite_layouts[index];
-            composite::Pipelines::new(&self.device, layout, &self.options, surfaces)
+            composite::Pipelines::new(&self.device, layout, self.options.clone(), surfaces)
         })
     }
 
@@ -681,7 +681,7 @@ impl Renderer {
                 ..self.options.clone()
             };
             let layout = &self.composite_layouts[index];
-            composite::Pipelines::new(&self.device, layout, &options, surfaces)
+            composite::Pipelines::new(&self.device, layout, options, surfaces)
         })
     }
 

@@ -6,7 +6,7 @@ use glam::{Vec2, Vec3};
 use relight_format::Environment;
 use relight_format::math;
 
-use crate::octahedral;
+use crate::octahedral::{self, texel_area};
 use crate::prefiltered::{Prefiltered, decode, encode_signed};
 use crate::sources::Sources;
 use crate::spherical_gaussian::{SphericalGaussian, energy};
@@ -159,7 +159,7 @@ fn lat_long(pixels: &[[f32; 3]], [width, height]: [u32; 2], direction: Vec3) -> 
 /// direction, weighted by solid angle.
 fn halved(level: &[Vec3], n: u32) -> Vec<Vec3> {
     const TAPS: [f32; 4] = [1.0, 3.0, 3.0, 1.0];
-    let solid_angle = |x, y| area(octahedral::texel_direction(x, y, n), n);
+    let solid_angle = |x, y| texel_area(octahedral::texel_direction(x, y, n), n);
     let half = n / 2;
     let texel = |x: u32, y: u32| {
         let (mut sum, mut whole) = (Vec3::ZERO, 0.0);
@@ -179,12 +179,6 @@ fn halved(level: &[Vec3], n: u32) -> Vec<Vec3> {
         .collect()
 }
 
-/// Area of a texel about a direction of unit length, of a map of `n` texels per side (Engelhardt &
-/// Dachsbacher 2008).
-fn area(axis: Vec3, n: u32) -> f32 {
-    4.0 / (n * n) as f32 * axis.abs().element_sum().powi(3)
-}
-
 /// An octahedral map of `n` texels per side at half of that: what the lobes of that level see. The map is
 /// what lobes of its own level see, or as `sharp` as it can be.
 fn blurred(level: &[Vec3], n: u32, sharp: bool) -> Vec<Vec3> {
@@ -197,15 +191,16 @@ fn blurred(level: &[Vec3], n: u32, sharp: bool) -> Vec<Vec3> {
         let axis = octahedral::texel_direction(x, y, half).normalize();
         // Per axis: interpolation blurs by a sixth of a texel, the B-spline by a quarter.
         let before = if sharp {
-            0.25 * area(axis, n)
+            0.25 * texel_area(axis, n)
         } else {
-            variance(n) - area(axis, n) / 6.0
+            variance(n) - texel_area(axis, n) / 6.0
         };
-        let missing = variance(half) - area(axis, half) / 6.0 - before;
-        let reach = (3.5 * (missing / area(axis, n)).sqrt()).ceil() as i32;
+        let missing = variance(half) - texel_area(axis, half) / 6.0 - before;
+        let reach = (3.5 * (missing / texel_area(axis, n)).sqrt()).ceil() as i32;
         let (mut sum, mut whole) = (Vec3::ZERO, 0.0);
         let mut add = |index: usize| {
-            let weight = math::exp((axis.dot(axes[index]) - 1.0) / missing) * area(axes[index], n);
+            let weight =
+                math::exp((axis.dot(axes[index]) - 1.0) / missing) * texel_area(axes[index], n);
             sum += weight * level[index];
             whole += weight;
         };

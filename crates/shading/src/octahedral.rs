@@ -29,6 +29,12 @@ pub fn texel_direction(x: u32, y: u32, n: u32) -> Vec3 {
     decode((Vec2::new(x as f32, y as f32) + 0.5) / n as f32)
 }
 
+/// Area on the unit sphere of the texel of an `n` × `n` map whose centre has this direction of unit
+/// length: the map shrinks by the third power of the distance to the face.
+pub fn texel_area(direction: Vec3, n: u32) -> f32 {
+    4.0 / (n * n) as f32 * direction.abs().element_sum().powi(3)
+}
+
 /// The texel that continues the map at (`x`, `y`), which may lie up to one map outside:
 /// crossing an edge reflects about the edge's middle.
 pub fn wrap(x: i32, y: i32, n: u32) -> (u32, u32) {

@@ -62,10 +62,8 @@ impl Prefiltered {
             let variance = 1.0 / (relight_format::Prefiltered::SHARPNESS * (n * n) as f32);
             let lobe = move |(y, x): (u32, u32)| {
                 let axis = octahedral::texel_direction(x, y, n).normalize();
-                // Interpolation between texels blurs as well, by a sixth of a texel's area; the
-                // octahedral map shrinks by the third power of the distance to the face
-                // (Engelhardt & Dachsbacher 2008).
-                let area = 4.0 / (n * n) as f32 * axis.abs().element_sum().powi(3);
+                // Interpolation between texels blurs as well, by a sixth of a texel's area.
+                let area = octahedral::texel_area(axis, n);
                 (axis, 1.0 / (variance - area / 6.0))
             };
             (0..n)

@@ -46,10 +46,16 @@ pub fn pixel([red, green, blue, coverage]: [f32; 4], exposure: f32) -> [u8; 4] {
     } else {
         exposure
     };
-    let color = neutral((Vec3::new(red, green, blue) * scale).max(Vec3::ZERO));
     let quantize = |value: f32| (value * 255.0).round() as u8;
-    let [red, green, blue] = color.to_array().map(|value| quantize(encode_srgb(value)));
+    let color = encoded(Vec3::new(red, green, blue) * scale);
+    let [red, green, blue] = color.to_array().map(quantize);
     [red, green, blue, quantize(coverage)]
+}
+
+/// The sRGB code, 0 to 1, of an exposed linear radiance; below 0 counts as 0.
+pub fn encoded(radiance: Vec3) -> Vec3 {
+    let color = neutral(radiance.max(Vec3::ZERO));
+    Vec3::from(color.to_array().map(encode_srgb))
 }
 
 /// The constants of this module, as WGSL.

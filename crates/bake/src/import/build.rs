@@ -70,6 +70,8 @@ pub(super) struct Builder<'a> {
     pub options: &'a Options,
     max_vertices: usize,
     uncut: Vec<Uncut>,
+    /// How many were pushed.
+    parts: usize,
     palette: Palette,
     vertices: Vec<Vertex>,
     triangles: Vec<([u32; 3], usize)>,
@@ -88,6 +90,7 @@ impl<'a> Builder<'a> {
             options,
             max_vertices,
             uncut: Vec::new(),
+            parts: 0,
             palette: Palette::default(),
             vertices: Vec::new(),
             triangles: Vec::new(),
@@ -110,6 +113,7 @@ impl<'a> Builder<'a> {
     /// Cleans, completes and appends a part. Its indices must be in range and its numbers
     /// finite.
     pub fn push(&mut self, mut part: Part) -> Result<(), Error> {
+        self.parts += 1;
         let positions = part.vertices.iter().map(|vertex| vertex.position);
         if let Some(position) = mesh::distant_position(positions) {
             return Err(Error::invalid(
@@ -425,7 +429,11 @@ impl<'a> Builder<'a> {
                 found,
             ));
         }
-        let hidden = self.drop_hidden();
+        let hidden = if self.parts > 1 {
+            self.drop_hidden()
+        } else {
+            0
+        };
         let mut mesh = Mesh {
             vertices: std::mem::take(&mut self.vertices),
             ..Mesh::default()

@@ -134,16 +134,21 @@ impl Radiosity {
     }
 
     /// Part of rays from points, so many from each, that meet backs.
-    fn backs(&self, caster: &RayCaster, count: u32) -> f64 {
+    fn backs(&mut self, caster: &RayCaster, count: u32) -> f64 {
         let points = self.points.as_slice();
         let behind = |(index, point): (usize, &Point)| {
+            let start = Instant::now();
             let origin = point.position + self.ray_offset * point.geometric_normal;
             let rays = hemisphere(point.normal, count, index as u32);
             let met = rays.filter_map(|ray| self.meet(caster, origin, ray.direction));
-            met.filter(|met| met.behind).count()
+            (met.filter(|met| met.behind).count(), start.elapsed())
         };
-        let backs: usize = points.par_iter().enumerate().map(behind).sum();
-        backs as f64 / (points.len() as f64 * f64::from(count.max(1)))
+        let found: Vec<_> = points.par_iter().enumerate().map(behind).collect();
+        let rays = points.len() as u64 * u64::from(count);
+        self.rays += rays;
+        self.time += found.iter().map(|(_, time)| *time).sum::<Duration>();
+        let backs: usize = found.iter().map(|(backs, _)| backs).sum();
+        backs as f64 / rays.max(1) as f64
     }
 
     /// What reaches the points at once, and whom else they see.

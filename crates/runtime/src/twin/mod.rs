@@ -508,9 +508,8 @@ pub fn display(image: &Image, frame: &Frame) -> Result<Vec<u8>, Error> {
     let behind = background(frame, [image.width, image.height])?;
     let stored = |[r, g, b, coverage]: [f32; 4]| {
         let radiance = Vec3::new(r, g, b) / if coverage > 0.0 { coverage } else { 1.0 };
-        let color = tonemap::neutral((radiance * frame.exposure).max(Vec3::ZERO));
-        let encoded = color.to_array().map(tonemap::encode_srgb);
-        (coverage * Vec3::from(encoded)).extend(coverage)
+        let color = tonemap::encoded(radiance * frame.exposure);
+        (coverage * color).extend(coverage)
     };
     let pixel = |(&above, &below): (&[f32; 4], &[f32; 4])| {
         let above = stored(above);

@@ -26,7 +26,7 @@ fn around_main(
     if slots_state(slots_gathered_at(SLOTS_SUM).w).reflection == 0u {
         diffuse = slots_gathered_value(SLOTS_DIFFUSE).xyz;
     }
-    specular_count = slots_reflection_at(SLOTS_TANGENT).w & 0xffu;
+    specular_count = slots_lobe_count();
     var sum = slots_gathered_value(SLOTS_BESIDE).xyz;
     if AROUND_IMAGE {
         sum += image_diffused(point, diffuse);

@@ -13,7 +13,7 @@ fn images_main(
     if scaled.w == SLOTS_DONE || visible.w == SLOTS_UNKNOWN {
         return;
     }
-    specular_count = slots_reflection_at(SLOTS_TANGENT).w & 0xffu;
+    specular_count = slots_lobe_count();
     let image = image_reflected(slots_point().normal);
     let seen = image_seen(image, bitcast<vec3<f32>>(scaled.xyz), visible.xyz, visible.w);
     let sum = slots_gathered_value(SLOTS_BESIDE).xyz;

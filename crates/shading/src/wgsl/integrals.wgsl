@@ -38,13 +38,13 @@ fn integrals_main(
 // Leaves INTEGRALS_VISIBLE or INTEGRALS_HIDDEN in the place of the light's number where the corners of
 // the pixel's triangle know what is visible of a lobe. Whether any are left.
 fn integrals_ask_corners(waiting: u32, corners: vec3<u32>) -> bool {
-    let holds = slots_reflection_at(SLOTS_TANGENT).w >= 0x100u;
+    let holds = slots_corners_hold();
     var any_left = false;
     for (var place = 0u; place < waiting; place++) {
-        let index = slots_gathered_at(SLOTS_FIRST + 2u * place + 1u).w;
+        let index = slots_gathered_at(slots_amplitude(place)).w;
         var fraction = VERTEX_VISIBILITY_UNKNOWN;
         if holds && index < frame.light_count {
-            let shape = slots_gathered_value(SLOTS_FIRST + 2u * place);
+            let shape = slots_gathered_value(slots_shape(place));
             let axis = surface_to_world(slots_point(), shape.xyz);
             let fractions = vertex_visibility_of(index, holds, corners, vec3(0.0));
             let light = SphericalGaussian(lights[index].axis, lights[index].sharpness, vec3(0.0));
@@ -52,7 +52,7 @@ fn integrals_ask_corners(waiting: u32, corners: vec3<u32>) -> bool {
         }
         if fraction >= 0.0 {
             let known = select(INTEGRALS_HIDDEN, INTEGRALS_VISIBLE, fraction > 0.0);
-            slots_gathered[(SLOTS_FIRST + 2u * place + 1u) * 64u + slot].w = known;
+            slots_put_word(slots_amplitude(place), known);
         }
         any_left = any_left || fraction < 0.0;
     }
@@ -64,8 +64,8 @@ const INTEGRALS_HIDDEN: u32 = 0xfffffffeu;
 
 // All that a lobe could add.
 fn integrals_whole(place: u32) -> vec3<f32> {
-    let shape = slots_gathered_value(SLOTS_FIRST + 2u * place);
-    let amplitude = slots_gathered_value(SLOTS_FIRST + 2u * place + 1u).xyz;
+    let shape = slots_gathered_value(slots_shape(place));
+    let amplitude = slots_gathered_value(slots_amplitude(place)).xyz;
     if INTEGRALS_OF_IMAGE {
         return amplitude * tables_cosine_integral(shape.w, shape.z);
     }
@@ -73,7 +73,7 @@ fn integrals_whole(place: u32) -> vec3<f32> {
 }
 
 fn integrals_is_everywhere(place: u32) -> bool {
-    return INTEGRALS_OF_IMAGE && slots_gathered_at(SLOTS_FIRST + 2u * place + 1u).w == frame.light_count;
+    return INTEGRALS_OF_IMAGE && slots_gathered_at(slots_amplitude(place)).w == frame.light_count;
 }
 
 // That, in what there is; 0: nothing.
@@ -87,8 +87,8 @@ fn integrals_share(place: u32) -> f32 {
 }
 
 fn integrals_visible(place: u32, share: f32) -> f32 {
-    let shape = slots_gathered_value(SLOTS_FIRST + 2u * place);
-    let known = slots_gathered_at(SLOTS_FIRST + 2u * place + 1u).w;
+    let shape = slots_gathered_value(slots_shape(place));
+    let known = slots_gathered_at(slots_amplitude(place)).w;
     if known >= INTEGRALS_HIDDEN {
         return select(0.0, tables_cosine_integral(shape.w, shape.z), known == INTEGRALS_VISIBLE);
     }
@@ -101,7 +101,7 @@ fn integrals_visible(place: u32, share: f32) -> f32 {
 }
 
 fn integrals_add(place: u32, visible: f32) {
-    let seen = slots_gathered_value(SLOTS_FIRST + 2u * place + 1u).xyz * visible;
+    let seen = slots_gathered_value(slots_amplitude(place)).xyz * visible;
     if !INTEGRALS_OF_IMAGE {
         let before = slots_gathered_at(SLOTS_SUM);
         slots_put_value(SLOTS_SUM, bitcast<vec3<f32>>(before.xyz) + seen, before.w);
@@ -109,7 +109,7 @@ fn integrals_add(place: u32, visible: f32) {
     }
     let before = slots_gathered_at(SLOTS_VISIBLE);
     if integrals_is_everywhere(place) {
-        let shape = slots_gathered_value(SLOTS_FIRST + 2u * place);
+        let shape = slots_gathered_value(slots_shape(place));
         let part = visible / max(tables_cosine_integral(shape.w, shape.z), 1.17549435e-38);
         slots_put_gathered(SLOTS_VISIBLE, vec4(before.xyz, bitcast<u32>(part)));
     } else {

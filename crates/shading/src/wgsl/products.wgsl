@@ -22,7 +22,7 @@ fn products_main(
     if state.next >= end {
         return;
     }
-    specular_count = slots_reflection_at(SLOTS_TANGENT).w & 0xffu;
+    specular_count = slots_lobe_count();
     while state.next < end && state.waiting < SLOTS_WAITING {
         let index = state.next;
         state.next++;
@@ -38,10 +38,10 @@ fn products_main(
         }
     }
     if PRODUCTS_OF_IMAGE {
-        slots_gathered[SLOTS_SCALED * 64u + slot].w = state.next;
+        slots_put_word(SLOTS_SCALED, state.next);
         state.next = slots_state(slots_gathered_at(SLOTS_SUM).w).next;
     }
-    slots_gathered[SLOTS_SUM * 64u + slot].w = slots_word(state);
+    slots_put_word(SLOTS_SUM, slots_word(state));
 }
 
 // What was gathered in the rounds before; read where it is needed: registers are short.
@@ -61,6 +61,6 @@ fn products_light(index: u32) -> SphericalGaussian {
 
 // In the point's frame still: to turn it here takes registers.
 fn products_wait(place: u32, lobe: SphericalGaussian, light: u32) {
-    slots_put_value(SLOTS_FIRST + 2u * place, lobe.axis, bitcast<u32>(lobe.sharpness));
-    slots_put_value(SLOTS_FIRST + 2u * place + 1u, lobe.amplitude, light);
+    slots_put_value(slots_shape(place), lobe.axis, bitcast<u32>(lobe.sharpness));
+    slots_put_value(slots_amplitude(place), lobe.amplitude, light);
 }

@@ -46,7 +46,7 @@ fn reflections_main(
         reflection = surface_reflection(state.reflection);
         color = brdf_lobes(reflection, surface_to_local(point, point.view));
     }
-    slots_put_surface(point, seen.x, reflection, color);
+    slots_put_surface(point, reflection, color);
     var next_of_image = SLOTS_DONE;
     if specular_count > 0u {
         state.next = shade_first_light();

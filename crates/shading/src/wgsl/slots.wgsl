@@ -48,6 +48,20 @@ fn slots_put_value(field: u32, value: vec3<f32>, word: u32) {
     slots_put_gathered(field, vec4(bitcast<vec3<u32>>(value), word));
 }
 
+fn slots_put_word(field: u32, word: u32) {
+    slots_gathered[field * 64u + slot].w = word;
+}
+
+// Fields of a lobe that waits: axis in the point's frame and sharpness; amplitude and number of the
+// light.
+fn slots_shape(place: u32) -> u32 {
+    return SLOTS_FIRST + 2u * place;
+}
+
+fn slots_amplitude(place: u32) -> u32 {
+    return SLOTS_FIRST + 2u * place + 1u;
+}
+
 fn slots_put_reflection(field: u32, value: vec3<f32>, word: u32) {
     slots_reflection_found[field * 64u + slot] = vec4(bitcast<vec3<u32>>(value), word);
 }
@@ -61,9 +75,9 @@ fn slots_reflection_value(field: u32) -> vec4<f32> {
 }
 
 // Fills a slot's reflection, its lobes being there; their amplitudes take the colour's sum.
-fn slots_put_surface(point: SurfacePoint, triangle: u32, reflection: Reflection, color: vec3<f32>) {
+fn slots_put_surface(point: SurfacePoint, reflection: Reflection, color: vec3<f32>) {
     let holds = u32(vertex_visibility_holds(point.vertex_cosine));
-    slots_put_reflection(SLOTS_NORMAL, point.normal, triangle);
+    slots_put_reflection(SLOTS_NORMAL, point.normal, 0u);
     slots_put_reflection(SLOTS_TANGENT, point.tangent, specular_count | (holds << 8u));
     slots_put_reflection(SLOTS_VIEW, surface_to_local(point, point.view), reflection.model);
     slots_put_reflection(SLOTS_SPECULAR, reflection.specular, reflection.ratio);
@@ -76,6 +90,15 @@ fn slots_put_surface(point: SurfacePoint, triangle: u32, reflection: Reflection,
         let grey = bitcast<f32>(slots_reflection_found[place][j % 4u]);
         slots_reflection_found[place][j % 4u] = bitcast<u32>(grey * scale);
     }
+}
+
+// Lobes of the reflection, and whether what the corners of its triangle know of visibility holds.
+fn slots_lobe_count() -> u32 {
+    return slots_reflection_at(SLOTS_TANGENT).w & 0xffu;
+}
+
+fn slots_corners_hold() -> bool {
+    return slots_reflection_at(SLOTS_TANGENT).w >= 0x100u;
 }
 
 // How the surface stands; the rest of the point is nothing.

@@ -17,7 +17,7 @@ use relight_runtime::wgpu;
 use relight_viewer::app::{Message, Purpose, Start, Viewer};
 use relight_viewer::engine::Device;
 use relight_viewer::jobs::{self, Loaded};
-use relight_viewer::state::{Integrator, Layout, Quality, Settings};
+use relight_viewer::state::{Background, Integrator, Layout, Quality, Settings};
 
 use crate::support::{Outcome, with_data, with_display, with_gpu};
 
@@ -32,6 +32,7 @@ pub fn trials() -> Vec<Trial> {
     vec![
         Trial::test("viewer::hands_turn_the_camera_and_the_light", hands),
         Trial::test("viewer::clicks_select_and_edits_show", edits),
+        Trial::test("viewer::shadows_are_caught_alone", shadows_alone),
         Trial::test(
             "viewer::two_pictures_have_a_divider_and_a_difference",
             two_pictures,
@@ -374,6 +375,49 @@ fn edits() -> Outcome {
         "something is visible"
     );
     assert!(!inspection.lights.is_empty());
+    Ok(())
+}
+
+/// The ground's shadow alone: what is saved has its coverage.
+fn shadows_alone() -> Outcome {
+    let mut window = settled_window()?;
+    window.state_mut().settings.background = Background::Transparent;
+    let document = window.state_mut().document.as_mut().ok_or("a scene")?;
+    let names = document.materials.iter().map(|material| &material.name);
+    document.selected = names.clone().position(|name| name == "ground");
+    assert!(
+        document.selected.is_some(),
+        "{:?}",
+        names.collect::<Vec<_>>()
+    );
+    settle(&mut window)?;
+    let partly = |coverage: f32| coverage > 0.05 && coverage < 0.95;
+    let count = |window: &Window| {
+        let pixels = pixels(window);
+        let coverages = pixels.chunks(4).map(|pixel| f32::from(pixel[3]) / 255.0);
+        coverages.filter(|coverage| partly(*coverage)).count()
+    };
+    assert_eq!(count(&window), 0);
+    click(&mut window, Role::CheckBox, "Catches shadows alone");
+    settle(&mut window)?;
+    let shadowed = count(&window);
+    assert!(shadowed > 500, "{shadowed} pixels");
+
+    let folder = tempfile::tempdir()?;
+    let [png, exr] = ["shadow.png", "shadow.exr"].map(|name| folder.path().join(name));
+    for path in [&png, &exr] {
+        window.state_mut().chosen(&Purpose::SavePicture, path);
+    }
+    let saved = image::open(&png)?.into_rgba8();
+    let partly_of_png = (saved.pixels())
+        .filter(|pixel| partly(f32::from(pixel[3]) / 255.0))
+        .count();
+    assert_eq!(partly_of_png, shadowed);
+    let linear = relight_lab::image_file::read_exr(&exr)?;
+    let partly_of_exr = (linear.pixels.iter())
+        .filter(|pixel| partly(pixel[3]))
+        .count();
+    assert!(partly_of_exr > 500, "{partly_of_exr} pixels");
     Ok(())
 }
 

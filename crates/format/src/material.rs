@@ -273,6 +273,10 @@ pub struct Material {
     /// Multiplies `emission`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub emission_texture: Option<TextureSlot>,
+    /// Pictures have of this surface only what its surroundings take from and add to its light, to be
+    /// laid over photographs: see `relight_shading::catcher`.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub shadow_catcher: bool,
 }
 
 impl Specular {

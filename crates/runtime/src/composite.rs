@@ -45,6 +45,12 @@ impl Drawing {
                 view(&images.shown_view),
                 view(&images.depth_view),
                 view(image),
+                view(
+                    images
+                        .open
+                        .as_ref()
+                        .map_or(&images.radiance_view, |open| &open.view),
+                ),
             ];
             let entries: Vec<_> = (0..)
                 .zip(resources)
@@ -104,6 +110,7 @@ pub(crate) fn layout(device: &wgpu::Device, surfaces: bool) -> wgpu::BindGroupLa
             texture(wgpu::TextureSampleType::Uint),
             wgpu::ShaderStages::FRAGMENT,
         ),
+        (radiance, wgpu::ShaderStages::FRAGMENT),
     ];
     let entries: Vec<_> = (0..)
         .zip(bindings)

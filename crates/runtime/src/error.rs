@@ -81,6 +81,14 @@ pub enum Error {
         /// Materials of the scene.
         count: usize,
     },
+    /// A material that is to catch shadows in a scene that was uploaded without any.
+    #[error(
+        "material {index}: expected a scene uploaded with a material that catches shadows, found none"
+    )]
+    NoCatcher {
+        /// Its index.
+        index: usize,
+    },
     /// A scene or material that no asset could hold: a number or an index out of its range.
     #[error("asset: {0}")]
     Asset(#[from] relight_format::Error),

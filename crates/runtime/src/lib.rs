@@ -60,6 +60,14 @@
 //! What is written is multiplied by its coverage. An app that wants a picture and nothing else calls
 //! [`Renderer::render`], which clears and fills a target.
 //!
+//! # Over photographs
+//!
+//! A material with `shadow_catcher` is not drawn itself: pictures have the shadow that it receives as coverage,
+//! and what reflections and bounced light add to it as colour, multiplied by coverage as everything is. Over the
+//! plate that it would be with nothing around it they make what it is; [`relight_shading::catcher`] says it in
+//! numbers, which are those that the target stores: linear, or as they are displayed. Such a scene holds
+//! its geometry twice and costs twice its shading. Ray-traced truth knows nothing of it.
+//!
 //! # Several of everything
 //!
 //! - Cameras: a view each, prepared in any order into one encoder.

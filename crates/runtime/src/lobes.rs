@@ -49,6 +49,8 @@ pub(crate) struct LobePasses {
 #[derive(Debug)]
 pub(crate) struct Slots {
     count: u32,
+    /// Of the reflections and of what is gathered.
+    buffers: [wgpu::Buffer; 2],
     /// As [`LobePasses::images`].
     groups: [wgpu::BindGroup; 2],
 }
@@ -133,12 +135,25 @@ impl LobePasses {
                 mapped_at_creation: false,
             })
         };
-        let reflections = buffer("relight reflections");
-        let gathered = buffer("relight gathered");
+        let buffers = ["relight reflections", "relight gathered"].map(buffer);
+        self.slots_of(count, buffers, images)
+    }
+
+    /// The same slots for other images: those of one are done with before another's begin.
+    pub(crate) fn beside(&self, slots: &Slots, images: [&wgpu::TextureView; 4]) -> Slots {
+        self.slots_of(slots.count, slots.buffers.clone(), images)
+    }
+
+    fn slots_of(
+        &self,
+        count: u32,
+        buffers: [wgpu::Buffer; 2],
+        images: [&wgpu::TextureView; 4],
+    ) -> Slots {
         let group = |layout, textures: &[usize]| {
             let textures = textures.iter();
             let textures = textures.map(|&binding| texture_entry(binding as u32, images[binding]));
-            let buffers = [(6, &reflections), (7, &gathered)];
+            let buffers = (6..).zip(&buffers);
             let buffers = buffers.map(|(binding, buffer)| wgpu::BindGroupEntry {
                 binding,
                 resource: buffer.as_entire_binding(),
@@ -153,6 +168,7 @@ impl LobePasses {
         Slots {
             count,
             groups: [group(first, &[0, 2, 3]), group(others, &[0, 1])],
+            buffers,
         }
     }
 

@@ -31,6 +31,10 @@ pub(crate) fn build(scene: &Scene) -> Occluders {
     let triangles: Vec<[Vec3; 3]> = (scene.triangles.iter())
         .map(|triangle| corners(triangle.vertices))
         .collect();
+    of_triangles(&triangles)
+}
+
+fn of_triangles(triangles: &[[Vec3; 3]]) -> Occluders {
     if triangles.is_empty() {
         return Occluders::default();
     }
@@ -57,6 +61,11 @@ pub(crate) fn build(scene: &Scene) -> Occluders {
         .map(|&index| triangles[index as usize])
         .collect();
     Occluders::new(&nodes, &ordered)
+}
+
+/// What no ray meets: a point farther away than scenes reach.
+pub(crate) fn none() -> Occluders {
+    of_triangles(&[[Vec3::splat(1e18); 3]])
 }
 
 /// As `obvhs::bvh2::builder::build_bvh2` does it, which asks for the time, and so panics in

@@ -1,6 +1,7 @@
 //! A device and renderer for tools and tests, which have neither window nor device.
 
 use relight_format::Scene;
+use relight_shading::catcher;
 use relight_shading::surfaces::{SAMPLES, TILE};
 
 use crate::transfer::read_buffer;
@@ -145,7 +146,13 @@ impl Gpu {
     /// that was antialiased the mean of its samples, alpha their coverage.
     pub fn read_radiance(&self, view: &View) -> Result<Vec<[f32; 4]>, Error> {
         let radiance = view.radiance().ok_or(Error::NotPrepared)?;
-        let texels: Vec<[f32; 4]> = bytemuck::pod_collect_to_vec(&self.read_texture(radiance)?);
+        let mut texels: Vec<[f32; 4]> = bytemuck::pod_collect_to_vec(&self.read_texture(radiance)?);
+        if let Some(open) = view.open_radiance() {
+            let open: Vec<[f32; 4]> = bytemuck::pod_collect_to_vec(&self.read_texture(open)?);
+            for (shaded, open) in texels.iter_mut().zip(&open) {
+                *shaded = catcher::caught(*shaded, *open);
+            }
+        }
         let Some(surfaces) = view.surfaces() else {
             return Ok(texels);
         };

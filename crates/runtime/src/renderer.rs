@@ -17,8 +17,8 @@ use crate::resources::{Numbered, Resources, first_ids};
 use crate::transfer::filled_buffer;
 use crate::upload::{GpuScene, VERTEX_BINDINGS};
 use crate::view::{
-    DEPTH_FORMAT, ImageLayouts, Images, RADIANCE_FORMAT, Region, SAMPLES_FORMAT, VISIBILITY_FORMAT,
-    WORKGROUP, World, shaded_size,
+    DEPTH_FORMAT, ImageLayouts, Images, Needs, RADIANCE_FORMAT, Region, SAMPLES_FORMAT,
+    VISIBILITY_FORMAT, WORKGROUP, World, shaded_size,
 };
 use crate::{Background, Error, Frame, Instance, Options, Placement, View, composite};
 
@@ -277,7 +277,8 @@ impl Renderer {
             _ => self.view(size)?,
         };
         // Several calls may share one encoder.
-        view.resources.iter_mut().for_each(Resources::renew);
+        let resources = view.resources.iter_mut().chain(&mut view.open);
+        resources.for_each(Resources::renew);
         view.drawing.renew();
         view.world = World::default();
         let recording = self.timestamps.as_ref().and_then(Timestamps::begin);
@@ -325,23 +326,14 @@ impl Renderer {
         recording: Option<&Recording>,
     ) -> Result<(), Error> {
         self.check_view(view)?;
-        let (drawn, world) = self.place(view.size(), instances, frame)?;
-        let image = self.image(frame.reflections)?;
+        let (drawn_frames, world) = self.place(view.size(), instances, frame)?;
         let behind = match &frame.background {
             Background::Panorama { image, .. } => Some(image.levels()),
             Background::Transparent | Background::Color(_) => None,
         };
         let behind = self.image(behind)?;
-        view.resources
-            .resize_with(instances.len(), Default::default);
-        for ((instance, resources), (local, numbered)) in
-            instances.iter().zip(&mut view.resources).zip(&drawn)
-        {
-            if let Some(numbered) = numbered {
-                resources.fill(self, instance.scene, frame, local, *numbered, &image)?;
-            }
-        }
-        self.make_images(view, frame)?;
+        let catches = self.fill(view, instances, frame, &drawn_frames)?;
+        self.make_images(view, frame, catches)?;
         let images = view.images.as_ref().expect("just made");
         let uniform = composite::uniform(view.size(), frame, &world.view, &self.options);
         let layout = &self.composite_layouts[usize::from(frame.antialias)];
@@ -357,13 +349,16 @@ impl Renderer {
             }
         }
 
-        for resources in &mut view.resources {
+        for resources in view.resources.iter_mut().chain(&mut view.open) {
             resources.bind_vertices(self, &images.seen_view);
         }
-        let drawn = instances.iter().zip(&view.resources).zip(&drawn);
+        let drawn = instances.iter().zip(&view.resources).zip(&drawn_frames);
         let drawn = drawn.filter(|(_, (_, numbered))| numbered.is_some());
         if rows.start == 0 {
             clear(encoder, &images.radiance_view);
+            if let Some(open) = &images.open {
+                clear(encoder, &open.view);
+            }
             let mut pass = visibility_pass(encoder, images, recording);
             pass.set_pipeline(if frame.antialias {
                 &self.surface_pipelines().0
@@ -388,43 +383,94 @@ impl Renderer {
             let [x, y] = view.size().map(|side| side.div_ceil(WORKGROUP));
             pass.dispatch_workgroups(x, y, 1);
         }
-        for ((Instance { scene, .. }, resources), _) in drawn {
-            if let (Some(group), Ok(scene), Some(images)) =
-                (resources.source_group(), &scene.sources, &images.sources)
-            {
-                let groups = [group, scene, images];
-                let sources = (frame.sources.as_ref()).map_or(0, |sources| sources.count() as u32);
-                let pipeline = self.source_pipeline();
-                dispatch_bands(&mut pass, pipeline, groups, resources, (&rows, sources));
-            }
-            let mut dispatch = |pipeline: &wgpu::ComputePipeline, groups: [&wgpu::BindGroup; 3]| {
-                dispatch_bands(&mut pass, pipeline, groups, resources, (&rows, 1));
-            };
-            let frame_group = resources.frame_group();
-            let groups = [frame_group, &scene.bind_group, &images.bind_group];
-            if let Method::Cells(_) = frame.method {
-                dispatch(self.cells_pipeline(), groups);
-                continue;
-            }
-            if let Some(([frame, images], [x, y])) = resources.vertices() {
-                dispatch(self.mark_pipeline(), [frame, &scene.vertex_group, images]);
-                pass.set_pipeline(self.vertex_pipeline());
-                pass.set_bind_group(0, frame, &[0]);
-                pass.set_bind_group(1, &scene.vertex_group, &[]);
-                pass.set_bind_group(2, images, &[]);
-                pass.dispatch_workgroups(x, y, 1);
-            }
-            let mut dispatch = |pipeline: &wgpu::ComputePipeline, groups: [&wgpu::BindGroup; 3]| {
-                dispatch_bands(&mut pass, pipeline, groups, resources, (&rows, 1));
-            };
-            let diffuse = [frame_group, &scene.bind_group, &images.diffuse];
-            dispatch(self.diffuse_pipeline(), diffuse);
-            let work = lobes::Work::of(frame, scene);
-            let dispatches = resources.dispatches(&rows);
-            let groups = (frame_group, &scene.lobe_groups);
-            (self.lobes).record(&mut pass, groups, &images.slots, work, dispatches);
+        // What catches shadows is shaded once more, without what hides light.
+        let open = (view.open.iter().zip(instances).zip(&drawn_frames))
+            .filter(|(_, (_, numbered))| numbered.is_some())
+            .filter_map(|((resources, instance), _)| {
+                let scene = instance.scene.open.as_deref()?;
+                let open = images.open.as_ref()?;
+                Some((scene, resources, (&open.bind_group, &open.slots)))
+            });
+        let drawn = drawn.map(|((instance, resources), _)| {
+            let scene: &GpuScene = instance.scene;
+            (scene, resources, (&images.bind_group, &images.slots))
+        });
+        for (scene, resources, targets) in drawn.chain(open) {
+            self.shade(&mut pass, (scene, resources), images, targets, frame, &rows);
         }
         Ok(())
+    }
+
+    /// Fills what instances that are seen are drawn with; whether some of them catch shadows.
+    fn fill(
+        &self,
+        view: &mut View,
+        instances: &[Instance],
+        frame: &Frame,
+        placed: &[PlacedFrame],
+    ) -> Result<bool, Error> {
+        let image = self.image(frame.reflections)?;
+        let count = instances.len();
+        view.resources.resize_with(count, Default::default);
+        let catches = (instances.iter()).any(|instance| instance.scene.open.is_some());
+        let open = if catches { count } else { 0 };
+        view.open.resize_with(open, Default::default);
+        for (index, (instance, (local, numbered))) in instances.iter().zip(placed).enumerate() {
+            if let Some(numbered) = numbered {
+                let resources = &mut view.resources[index];
+                resources.fill(self, instance.scene, frame, local, *numbered, &image)?;
+                if let Some(open) = &instance.scene.open {
+                    view.open[index].fill(self, open, frame, local, *numbered, &image)?;
+                }
+            }
+        }
+        Ok(catches)
+    }
+
+    /// Shades one instance into the image that the group and the slots have.
+    fn shade(
+        &self,
+        pass: &mut wgpu::ComputePass,
+        (scene, resources): (&GpuScene, &Resources),
+        images: &Images,
+        (bind_group, slots): (&wgpu::BindGroup, &Slots),
+        frame: &Frame,
+        rows: &Range<u32>,
+    ) {
+        if let (Some(group), Ok(scene), Some(images)) =
+            (resources.source_group(), &scene.sources, &images.sources)
+        {
+            let groups = [group, scene, images];
+            let sources = (frame.sources.as_ref()).map_or(0, |sources| sources.count() as u32);
+            let pipeline = self.source_pipeline();
+            dispatch_bands(pass, pipeline, groups, resources, (rows, sources));
+        }
+        let mut dispatch = |pipeline: &wgpu::ComputePipeline, groups: [&wgpu::BindGroup; 3]| {
+            dispatch_bands(pass, pipeline, groups, resources, (rows, 1));
+        };
+        let frame_group = resources.frame_group();
+        let groups = [frame_group, &scene.bind_group, bind_group];
+        if let Method::Cells(_) = frame.method {
+            dispatch(self.cells_pipeline(), groups);
+            return;
+        }
+        if let Some(([frame, images], [x, y])) = resources.vertices() {
+            dispatch(self.mark_pipeline(), [frame, &scene.vertex_group, images]);
+            pass.set_pipeline(self.vertex_pipeline());
+            pass.set_bind_group(0, frame, &[0]);
+            pass.set_bind_group(1, &scene.vertex_group, &[]);
+            pass.set_bind_group(2, images, &[]);
+            pass.dispatch_workgroups(x, y, 1);
+        }
+        let mut dispatch = |pipeline: &wgpu::ComputePipeline, groups: [&wgpu::BindGroup; 3]| {
+            dispatch_bands(pass, pipeline, groups, resources, (rows, 1));
+        };
+        let diffuse = [frame_group, &scene.bind_group, &images.diffuse];
+        dispatch(self.diffuse_pipeline(), diffuse);
+        let work = lobes::Work::of(frame, scene);
+        let dispatches = resources.dispatches(rows);
+        let groups = (frame_group, &scene.lobe_groups);
+        (self.lobes).record(pass, groups, slots, work, dispatches);
     }
 
     /// Every instance's frame, and its number and where it is seen, `None` if nowhere; and the camera
@@ -465,7 +511,7 @@ impl Renderer {
     }
 
     /// Makes the images of a view that has none, or others than are needed.
-    fn make_images(&self, view: &mut View, frame: &Frame) -> Result<(), Error> {
+    fn make_images(&self, view: &mut View, frame: &Frame, open: bool) -> Result<(), Error> {
         let sources = frame.sources.as_ref();
         let sources = sources.map_or(0, |sources| sources.count() as u32);
         let shaded = shaded_size(view.size(), frame.antialias);
@@ -474,6 +520,7 @@ impl Renderer {
             images.antialias() == frame.antialias
                 && images.source_layers >= sources
                 && images.slots.count() >= slots
+                && (images.open.is_some() || !open)
         }) {
             return Ok(());
         }
@@ -488,7 +535,12 @@ impl Renderer {
             slots,
         };
         let size = view.size();
-        let images = Images::new(&self.device, &layouts, size, sources, frame.antialias);
+        let needs = Needs {
+            sources,
+            antialias: frame.antialias,
+            open,
+        };
+        let images = Images::new(&self.device, &layouts, size, needs);
         view.images = Some(images);
         view.drawing.forget_images();
         Ok(())

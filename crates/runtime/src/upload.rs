@@ -5,7 +5,9 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use bytemuck::Pod;
 use glam::Vec3;
 use relight_format::{Material, Scene};
+use relight_shading::catcher;
 use relight_shading::gpu::{self, AtlasLayout, LimitError, PackedTexture, pack_scene};
+use relight_shading::occluders::Occluders;
 use relight_shading::spherical_gaussian::SphericalGaussian;
 use relight_shading::transfer::{self, DistantLight, PackedTransfer};
 use wgpu::util::{DeviceExt as _, TextureDataOrder};
@@ -41,6 +43,8 @@ pub struct GpuScene {
     /// Lowest and highest corner; infinite if empty.
     pub(crate) bounds: [Vec3; 2],
     pub(crate) owner: Owner,
+    /// Without what hides light, where materials catch shadows.
+    pub(crate) open: Option<Box<GpuScene>>,
     queue: wgpu::Queue,
     materials: wgpu::Buffer,
     textures: Vec<PackedTexture>,
@@ -59,11 +63,30 @@ pub(crate) struct ProductsOfLight {
 
 impl GpuScene {
     /// Uploads a scene; one that no asset could hold is refused.
+    pub(crate) fn new(
+        device: &wgpu::Device,
+        queue: &wgpu::Queue,
+        layouts: [&wgpu::BindGroupLayout; 5],
+        owner: &Owner,
+        scene: &Scene,
+    ) -> Result<Self, Error> {
+        // Kernels index with what it holds; whoever made it need not have read it.
+        scene.validate()?;
+        let mut uploaded = Self::visible(device, queue, layouts, owner, scene, true)?;
+        if catcher::catches(&scene.materials) {
+            let open = catcher::open_scene(scene);
+            let open = Self::visible(device, queue, layouts, owner, &open, false)?;
+            uploaded.open = Some(Box::new(open));
+        }
+        Ok(uploaded)
+    }
+
+    /// Uploads a valid scene, where its triangles hide sources or nothing does.
     #[allow(
         clippy::too_many_lines,
         reason = "one buffer or texture after the other, in the order of the bindings"
     )]
-    pub(crate) fn new(
+    fn visible(
         device: &wgpu::Device,
         queue: &wgpu::Queue,
         [
@@ -75,9 +98,8 @@ impl GpuScene {
         ]: [&wgpu::BindGroupLayout; 5],
         owner: &Owner,
         scene: &Scene,
+        hides: bool,
     ) -> Result<Self, Error> {
-        // Kernels index with what it holds; whoever made it need not have read it.
-        scene.validate()?;
         let packed = pack_scene(scene).map_err(Error::Scene)?;
         let atlas = packed.atlas;
         let limits = device.limits();
@@ -185,7 +207,12 @@ impl GpuScene {
             part("relight visibility", visibility_layout, SCENE_BINDINGS[1]),
         ];
         let shared = [&vertices, &triangles, &materials, &texels];
-        let sources = source_group(device, source_layout, shared, scene)?;
+        let occluders = if hides {
+            occluders::build(scene)
+        } else {
+            occluders::none()
+        };
+        let sources = source_group(device, source_layout, shared, &occluders)?;
         Ok(Self {
             bind_group,
             sources,
@@ -202,6 +229,7 @@ impl GpuScene {
             near: near_plane(bounds(scene)),
             bounds: bounds(scene),
             owner: owner.clone(),
+            open: None,
             queue: queue.clone(),
             materials,
             textures: packed.textures,
@@ -254,7 +282,8 @@ impl GpuScene {
     }
 
     /// Replaces material `index`, of the frame that is prepared next. Textures are those
-    /// that the scene was uploaded with.
+    /// that the scene was uploaded with, and a material may begin to catch shadows only in a scene that
+    /// was uploaded with one that does.
     pub fn set_material(&self, index: usize, material: &Material) -> Result<(), Error> {
         let Some(reflections) = self.reflections.get(index) else {
             return Err(Error::NoSuchMaterial {
@@ -264,6 +293,11 @@ impl GpuScene {
         };
         let shapes: Vec<_> = self.textures.iter().map(|texture| texture.shape).collect();
         material.validate(&shapes)?;
+        match &self.open {
+            Some(open) => open.set_material(index, material)?,
+            None if material.shadow_catcher => return Err(Error::NoCatcher { index }),
+            None => {}
+        }
         let packed = gpu::pack_material(material, &self.textures);
         reflections.store(packed.reflections(), Ordering::Relaxed);
         let offset = (index * size_of::<gpu::Material>()) as u64;
@@ -279,9 +313,8 @@ fn source_group(
     device: &wgpu::Device,
     layout: &wgpu::BindGroupLayout,
     shared: [&wgpu::Buffer; 4],
-    scene: &Scene,
+    occluders: &Occluders,
 ) -> Result<Result<wgpu::BindGroup, LimitError>, Error> {
-    let occluders = occluders::build(scene);
     let largest = size_of_val(occluders.nodes()).max(size_of_val(occluders.triangles()));
     if let Err(error) = check_storage(device, largest as u64) {
         // A scene that is drawn without sources needs none of it.

@@ -31,6 +31,8 @@ pub struct View {
     pub(crate) images: Option<Images>,
     /// By instance.
     pub(crate) resources: Vec<Resources>,
+    /// The same for what catches shadows.
+    pub(crate) open: Vec<Resources>,
     pub(crate) drawing: Drawing,
     pub(crate) world: World,
 }
@@ -49,6 +51,7 @@ impl View {
             size,
             images: None,
             resources: Vec::new(),
+            open: Vec::new(),
             drawing: Drawing::default(),
             world: World::default(),
         }
@@ -87,6 +90,14 @@ impl View {
     /// was antialiased.
     pub fn visibility_buffer(&self) -> Option<&wgpu::Texture> {
         (self.images.as_ref()).and_then(|images| images.visibility.as_ref())
+    }
+
+    /// What catches shadows, as it would be if nothing hid light from it: [`Self::radiance`] has coverage 0
+    /// there, and [`relight_shading::catcher::catch`] makes of both what is drawn. `None` where the last
+    /// frame had no scene with such materials.
+    pub fn open_radiance(&self) -> Option<&wgpu::Texture> {
+        let open = self.images.as_ref()?.open.as_ref()?;
+        Some(&open.radiance)
     }
 
     /// Which surfaces the pixels of the last frame prepared show, if it was antialiased (r32uint):
@@ -131,10 +142,32 @@ pub(crate) struct Images {
     pub(crate) slots: Slots,
     /// Group 2 of the pass for sources, if there was one.
     pub(crate) sources: Option<wgpu::BindGroup>,
+    /// What catches shadows.
+    pub(crate) open: Option<OpenImage>,
     /// Sources that there is room for.
     pub(crate) source_layers: u32,
     /// Group 1 of the pass for surfaces, with antialiasing.
     pub(crate) surfaces: Option<wgpu::BindGroup>,
+}
+
+/// Radiance without what hides light.
+#[derive(Debug)]
+pub(crate) struct OpenImage {
+    radiance: wgpu::Texture,
+    pub(crate) view: wgpu::TextureView,
+    /// In place of [`Images::bind_group`].
+    pub(crate) bind_group: wgpu::BindGroup,
+    /// In place of [`Images::slots`], whose memory they share.
+    pub(crate) slots: Slots,
+}
+
+/// What images a frame needs beside those that all have.
+#[derive(Clone, Copy)]
+pub(crate) struct Needs {
+    pub(crate) sources: u32,
+    pub(crate) antialias: bool,
+    /// Something catches shadows.
+    pub(crate) open: bool,
 }
 
 /// Layouts of the groups that images are in.
@@ -164,9 +197,13 @@ impl Images {
         device: &wgpu::Device,
         layouts: &ImageLayouts,
         size: [u32; 2],
-        source_layers: u32,
-        antialias: bool,
+        needs: Needs,
     ) -> Self {
+        let Needs {
+            sources: source_layers,
+            antialias,
+            open,
+        } = needs;
         let layered = |label, format, usage, samples, [width, height]: [u32; 2], layers| {
             device.create_texture(&wgpu::TextureDescriptor {
                 label: Some(label),
@@ -265,13 +302,27 @@ impl Images {
             group("relight images before shading", layouts.diffuse, &views)
         };
         let views = [&seen_view, &radiance_view, &source_view, &irradiance_view];
+        let slots = layouts.lobes.slots(layouts.slots, views);
+        let open = open.then(|| {
+            let usage = usage | copied;
+            let radiance = texture("relight open radiance", RADIANCE_FORMAT, usage, 1, shaded);
+            let view = view(&radiance);
+            let views = [&seen_view, &view, &source_view, &irradiance_view];
+            OpenImage {
+                slots: layouts.lobes.beside(&slots, views),
+                bind_group: group("relight open images", layouts.shade, &views),
+                radiance,
+                view,
+            }
+        });
         Self {
-            slots: layouts.lobes.slots(layouts.slots, views),
+            slots,
             diffuse: writing(&irradiance_view),
             sources: (source_layers > 0).then(|| {
                 let views = [&seen_view, &source_view];
                 group("relight sources' images", layouts.sources, &views)
             }),
+            open,
             source_layers,
             bind_group: group("relight images", layouts.shade, &views),
             visibility,

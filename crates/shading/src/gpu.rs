@@ -300,8 +300,8 @@ pub struct Material {
     pub anisotropy_texture: TextureSlot,
     /// Radiance that the surface emits.
     pub emission: [f32; 3],
-    /// Zero.
-    pub emission_reserved: f32,
+    /// 1 where it catches shadows, else 0.
+    pub shadow_catcher: f32,
     /// Multiplies `emission`.
     pub emission_texture: TextureSlot,
     /// The reflections of other surfaces than metallic-roughness.
@@ -555,6 +555,7 @@ pub fn pack_material(material: &relight_format::Material, textures: &[PackedText
         normal_texture: slot(material.normal_texture.as_ref()),
         anisotropy_texture: slot(material.anisotropy_texture.as_ref()),
         emission: material.emission,
+        shadow_catcher: f32::from(u8::from(material.shadow_catcher)),
         emission_texture: slot(material.emission_texture.as_ref()),
         ..Material::zeroed()
     };
@@ -969,7 +970,7 @@ mod tests {
                 normal_texture,
                 anisotropy_texture,
                 emission,
-                emission_reserved,
+                shadow_catcher,
                 emission_texture,
                 layers,
             }
@@ -1132,6 +1133,7 @@ mod tests {
             anisotropy_texture: None,
             emission: [0.5, 0.25, 0.0],
             emission_texture: None,
+            shadow_catcher: true,
         });
         let packed = pack_scene(&scene).expect("fits");
         let material = packed.materials[0];

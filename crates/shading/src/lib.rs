@@ -6,6 +6,7 @@ pub mod ambient;
 pub mod background;
 pub mod brdf;
 pub mod camera;
+pub mod catcher;
 pub mod cells;
 pub mod glossy;
 pub mod gpu;

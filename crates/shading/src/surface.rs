@@ -672,6 +672,7 @@ mod tests {
             anisotropy_texture: None,
             emission: [0.0; 3],
             emission_texture: None,
+            shadow_catcher: false,
         }
     }
 

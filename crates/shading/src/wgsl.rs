@@ -4,8 +4,8 @@ use std::fmt::Write as _;
 
 use crate::surface::{Join, Model};
 use crate::{
-    brdf, cells, glossy, gpu, local_light, occluders, polar, prefiltered, shade, slots, sources,
-    spherical_gaussian, surface, surfaces, tables, tonemap, transfer, vertex_visibility,
+    brdf, catcher, cells, glossy, gpu, local_light, occluders, polar, prefiltered, shade, slots,
+    sources, spherical_gaussian, surface, surfaces, tables, tonemap, transfer, vertex_visibility,
 };
 
 /// What a shader module is for.
@@ -276,6 +276,7 @@ const COMPOSITE: &[&str] = &[
     include_str!("wgsl/prefiltered.wgsl"),
     include_str!("wgsl/tonemap.wgsl"),
     include_str!("wgsl/background.wgsl"),
+    include_str!("wgsl/catcher.wgsl"),
     include_str!("wgsl/composite.wgsl"),
 ];
 
@@ -407,6 +408,7 @@ fn constants() -> String {
     text += &occluders::wgsl_constants();
     text += &sources::wgsl_constants();
     text += &tonemap::wgsl_constants();
+    text += &catcher::wgsl_constants();
     text += &surfaces::wgsl_constants();
     text += &transfer::wgsl_constants();
     text += &vertex_visibility::wgsl_constants();

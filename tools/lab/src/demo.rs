@@ -192,6 +192,7 @@ pub fn scene_input(detail: f32) -> anyhow::Result<SceneInput> {
         anisotropy_texture: None,
         emission: [0.0; 3],
         emission_texture: None,
+        shadow_catcher: false,
     };
     mesh.materials = vec![
         material("knot", [0.6, 0.6, 0.62], [0.04; 3], [0.3; 2]),

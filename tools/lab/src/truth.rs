@@ -280,6 +280,7 @@ pub(crate) mod test_scene {
                 anisotropy_texture: None,
                 emission: [0.0; 3],
                 emission_texture: None,
+                shadow_catcher: false,
             }],
             textures: Vec::new(),
             report: BakeReport::default(),

@@ -5,6 +5,7 @@ use std::process::ExitCode;
 
 use anyhow::bail;
 use clap::{Parser, ValueEnum};
+use relight_shading::catcher;
 
 use crate::app::{Start, Viewer};
 use crate::compose::Look;
@@ -264,6 +265,7 @@ fn pictures(arguments: &Arguments) -> anyhow::Result<()> {
     let look = Look {
         background: arguments.background(),
         exposure: arguments.exposure,
+        catches: catcher::catches(&document.materials),
         ..Look::from(&settings)
     };
     if let Some(path) = &arguments.screenshot {

@@ -1,16 +1,20 @@
 //! Linear pictures to what the screen shows: background, split, difference and tone curve.
 
-use glam::{Mat3, Quat, Vec3};
+use glam::{Mat3, Quat, Vec3, Vec4};
 use rayon::prelude::*;
 use relight_format::Camera;
 use relight_runtime::{Image, Panorama};
 use relight_shading::camera::View;
+use relight_shading::catcher;
 use relight_shading::tonemap;
 
 use crate::state::{Background, Curve, Layout, Settings};
 
 /// Linear grey where there is neither scene nor image.
 const GREY: f32 = 0.035;
+/// Exposed radiance of the plate over which caught shadows are exact in pictures of display colours;
+/// over darker and brighter ones they are a little off, as those are coded.
+const PLATE: f32 = 0.4;
 /// Where exposed radiance is cut off: beyond it every curve is white, and infinity is not a colour.
 const BRIGHTEST: f32 = 1e6;
 /// Entries of the table of the sRGB curve: finer than its codes wherever it is steepest.
@@ -31,6 +35,8 @@ pub struct Look {
     pub curve: Curve,
     /// Stops.
     pub exposure: f32,
+    /// Whether coverage may be that of caught shadows, whose radiance is light to be added.
+    pub catches: bool,
 }
 
 impl From<&Settings> for Look {
@@ -42,6 +48,7 @@ impl From<&Settings> for Look {
             background: settings.background,
             curve: settings.curve,
             exposure: settings.exposure,
+            catches: false,
         }
     }
 }
@@ -94,6 +101,20 @@ pub fn compose(
                 Layout::Split | Layout::One => at(first),
             };
             let coverage = shown[3].clamp(0.0, 1.0);
+            if look.catches && coverage < 1.0 {
+                let direction = view.pixel_direction(x as u32, y as u32).normalize();
+                let behind = match look.background {
+                    Background::Transparent => None,
+                    _ => Some(
+                        (behind.radiance(direction, &to_sky))
+                            .map_or(Vec3::splat(GREY), |radiance| scale * radiance),
+                    ),
+                };
+                let exposed = [0, 1, 2].map(|i| scale * shown[i]);
+                let caught = caught(look.curve, exposed.into(), coverage, behind);
+                out.copy_from_slice(&caught);
+                continue;
+            }
             let mut color = Vec3::ZERO;
             if coverage > 0.0 {
                 let radiance = Vec3::new(shown[0], shown[1], shown[2]) / coverage;
@@ -124,6 +145,24 @@ pub fn compose(
         .enumerate()
         .for_each(row);
     pixels
+}
+
+/// A pixel of some coverage as bytes: over what is behind it, or, without, such that over [`PLATE`] it is
+/// what the light of both makes. Radiance is exposed.
+fn caught(curve: Curve, radiance: Vec3, coverage: f32, behind: Option<Vec3>) -> [u8; 4] {
+    let code = |radiance: Vec3| -> Vec3 {
+        let light = self::curve(curve, radiance).to_array();
+        light.map(tonemap::encode_srgb).into()
+    };
+    let bytes = |color: Vec4| color.to_array().map(|value| (255.0 * value).round() as u8);
+    if let Some(behind) = behind {
+        return bytes(code(radiance + (1.0 - coverage) * behind).extend(1.0));
+    }
+    let plate = Vec3::splat(PLATE);
+    let over = code(radiance + (1.0 - coverage) * plate);
+    let found = catcher::catch(over, code(plate));
+    // Colours that are brighter than their coverage are no colours of bytes.
+    bytes(found.truncate().min(Vec3::splat(found.w)).extend(found.w))
 }
 
 /// A picture at a pixel of one of another size, between the four nearest pixels.

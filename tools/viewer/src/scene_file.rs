@@ -100,6 +100,7 @@ fn scene_file(
             materials: std::collections::BTreeMap::new(),
             crease_degrees: None,
             emission: std::collections::BTreeMap::new(),
+            shadow_catchers: Vec::new(),
             cutout: std::collections::BTreeMap::new(),
             ground: None,
             camera: None,
@@ -125,6 +126,10 @@ fn scene_file(
         if material.emission != [0.0; 3] || file.emission.contains_key(&material.name) {
             let emission = Color::Rgb(material.emission);
             file.emission.insert(material.name.clone(), emission);
+        }
+        file.shadow_catchers.retain(|name| *name != material.name);
+        if material.shadow_catcher {
+            file.shadow_catchers.push(material.name.clone());
         }
         let described = match document.dropped.get(&index) {
             Some((source, surface)) if *surface == material.surface => MaterialOverride::Measured {

@@ -378,6 +378,7 @@ impl Document {
             {
                 if edited != original {
                     material.surface = edited.surface.clone();
+                    material.shadow_catcher = edited.shadow_catcher;
                     for slot in ratios_mut(&mut material.surface) {
                         // What was dropped onto the old scene; its own are where they were.
                         let index = slot.texture as usize;

@@ -86,6 +86,7 @@ pub fn fit_material(bytes: &[u8], name: &str) -> Result<Vec<u8>, JsError> {
             anisotropy_texture: None,
             emission: [0.0; 3],
             emission_texture: None,
+            shadow_catcher: false,
         },
         textures: vec![fitted.ratio],
     };

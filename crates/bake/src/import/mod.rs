@@ -53,6 +53,7 @@ pub fn plain_material(name: &str, surface: format::Surface) -> format::Material 
         anisotropy_texture: None,
         emission: [0.0; 3],
         emission_texture: None,
+        shadow_catcher: false,
     }
 }
 

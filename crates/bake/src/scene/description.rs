@@ -43,6 +43,10 @@ pub struct SceneFile {
     /// directions, in place of what the mesh says.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub emission: BTreeMap<String, Color>,
+    /// Materials, by their name in the mesh, or `ground`, that catch shadows: pictures have only their
+    /// shadow and what other surfaces add to their light, to be laid over photographs.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub shadow_catchers: Vec<String>,
     /// Alpha, from 0 to 1, below which materials of the mesh are cut away, by their name in the
     /// mesh, in place of what the mesh says; 0 keeps all of them.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]

@@ -117,6 +117,10 @@ pub fn load_with(
             .map_err(|(place, expected, found)| Error::invalid(path, place, expected, found))?;
     }
     emit(path, &file, &mut mesh)?;
+    for name in &file.shadow_catchers {
+        let named = of_name(path, "shadow_catchers", name, &mut mesh)?;
+        named.for_each(|material| material.shadow_catcher = true);
+    }
     // The bake does not need it, but what it is shown under should not turn out to be missing
     // when hours have passed.
     let environment = file.environment.map(|environment| folder.join(environment));
@@ -170,23 +174,30 @@ fn emit(path: &Path, file: &SceneFile, mesh: &mut Mesh) -> Result<(), Error> {
             let expected = "finite radiance of at least 0";
             return Err(Error::invalid(path, place, expected, found));
         }
-        let mut found = false;
-        for material in &mut mesh.materials {
-            if material.name == *name {
-                (material.emission, material.emission_texture) = (emission, None);
-                found = true;
-            }
-        }
-        if !found {
-            let names: Vec<_> = (mesh.materials.iter())
-                .map(|material| format!("{:?}", material.name))
-                .collect();
-            let expected = format!("a material of the scene: {}", names.join(", "));
-            return Err(Error::invalid(path, place, expected, format!("{name:?}")));
-        }
+        let named = of_name(path, &place, name, mesh)?;
+        named
+            .for_each(|material| (material.emission, material.emission_texture) = (emission, None));
     }
     mesh.drop_unused_textures();
     Ok(())
+}
+
+/// The materials of a mesh that a scene file names, at least one.
+fn of_name<'a>(
+    path: &Path,
+    place: &str,
+    name: &'a str,
+    mesh: &'a mut Mesh,
+) -> Result<impl Iterator<Item = &'a mut format::Material>, Error> {
+    if mesh.materials.iter().all(|material| material.name != name) {
+        let names: Vec<_> = (mesh.materials.iter())
+            .map(|material| format!("{:?}", material.name))
+            .collect();
+        let expected = format!("a material of the scene: {}", names.join(", "));
+        return Err(Error::invalid(path, place, expected, format!("{name:?}")));
+    }
+    let named = (mesh.materials.iter_mut()).filter(move |material| material.name == name);
+    Ok(named)
 }
 
 fn place(mesh: &mut Mesh, transform: &description::Transform) {
@@ -580,6 +591,23 @@ mod tests {
         std::fs::write(folder.path().join("box scene.toml"), scene).expect("a writable folder");
         std::fs::write(folder.path().join("sky.hdr"), SKY).expect("a writable folder");
         load(&folder.path().join("box scene.toml"))
+    }
+
+    #[test]
+    fn materials_that_catch_shadows_are_named() {
+        let text = |names| format!("mesh = 'box.obj'\nshadow_catchers = {names}\n[ground]");
+        let input = load_text(&text("['ground', 'lid']")).expect("a good scene");
+        let catching: Vec<_> = (input.mesh.materials.iter())
+            .map(|material| (material.name.as_str(), material.shadow_catcher))
+            .collect();
+        let expected = [("lid", true), ("wall", false), ("ground", true)];
+        assert_eq!(catching, expected);
+        let error = load_text(&text("['floor']")).expect_err("no such material");
+        let error = error.to_string();
+        assert!(
+            error.contains("shadow_catchers") && error.contains("\"lid\""),
+            "{error}"
+        );
     }
 
     #[test]

@@ -309,6 +309,7 @@ fn material(random: &mut Random, textures: usize) -> Material {
         anisotropy_texture: slot(random),
         emission: random.color(),
         emission_texture: slot(random),
+        shadow_catcher: random.below(4) == 0,
         normal_scale: random.signed(),
         name: random.name(),
         surface: surface(random, &slot),

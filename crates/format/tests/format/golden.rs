@@ -148,6 +148,7 @@ fn material() -> MaterialAsset {
             anisotropy_texture: None,
             emission: [0.0; 3],
             emission_texture: None,
+            shadow_catcher: false,
         },
         textures: vec![
             texture([2, 1], TextureEncoding::Srgb, 0..8),
@@ -361,6 +362,7 @@ fn materials() -> Vec<Material> {
             anisotropy_texture: (index == 0).then(|| slot(0)),
             emission: [0.5 * index as f32, 0.25, 0.0],
             emission_texture: (index == 2).then(|| slot(0)),
+            shadow_catcher: false,
         })
         .collect()
 }

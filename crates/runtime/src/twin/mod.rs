@@ -9,6 +9,7 @@ use std::sync::{Mutex, OnceLock};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use relight_format::Scene;
+use relight_shading::catcher;
 use relight_shading::occluders::Occluders;
 use relight_shading::prefiltered::Prefiltered;
 use relight_shading::shade::{self, Lighting, Method, Reflections};
@@ -122,7 +123,10 @@ fn render_while(
     wanted: &(dyn Fn() -> bool + Sync),
 ) -> Result<Image, Error> {
     let [width, height] = size;
-    let stage = Stage::new(instances, prepared, frame, size, wanted)?;
+    let open: Vec<_> = (instances.iter())
+        .map(|placed| Open::new(placed.scene))
+        .collect();
+    let stage = Stage::new(instances, prepared, &open, frame, size, wanted)?;
     let bounced: Vec<_> = (stage.instances.iter())
         .map(|instance| BouncedLight::new(instance.prepared, &instance.local))
         .collect();
@@ -136,7 +140,16 @@ fn render_while(
         let bounced = bounced[seen.instance].as_ref().map_or(Vec3::ZERO, |light| {
             light.at(scene, seen).reflected(&seen.point, field)
         });
-        (direct + bounced + emitted).extend(1.0).to_array()
+        let shaded = direct + bounced + emitted;
+        let material = usize::from(scene.triangles[seen.triangle].material);
+        match &stage.instances[seen.instance].open {
+            Some(open) if scene.materials[material].shadow_catcher => {
+                let (field, lighting) = stage.light_of(open, seen.triangle, seen.barycentrics);
+                let direct = shade::shade(&seen.point, &lighting, &field, &frame.method);
+                catcher::catch(shaded, direct + emitted).to_array()
+            }
+            _ => shaded.extend(1.0).to_array(),
+        }
     };
     let shaded = stage.map(shade_pixel);
     let pixels = match &stage.surfaces {
@@ -149,6 +162,26 @@ fn render_while(
         height,
         pixels,
     })
+}
+
+/// A scene without what hides light, where some of its materials catch shadows.
+struct Open {
+    scene: Scene,
+    prepared: Prepared,
+}
+
+impl Open {
+    fn new(scene: &Scene) -> Option<Self> {
+        if !catcher::catches(&scene.materials) {
+            return None;
+        }
+        let scene = catcher::open_scene(scene);
+        let prepared = Prepared {
+            occluders: occluders::none().into(),
+            ..Prepared::new(&scene)
+        };
+        Some(Self { scene, prepared })
+    }
 }
 
 /// Light of one frame that other surfaces reflect.
@@ -206,7 +239,7 @@ pub struct Work {
 pub fn work(scene: &Scene, frame: &Frame, width: u32, height: u32) -> Result<Work, Error> {
     let prepared = Prepared::new(scene);
     let size = [width, height];
-    let stage = Stage::new(&[scene.into()], &[&prepared], frame, size, &|| true)?;
+    let stage = Stage::new(&[scene.into()], &[&prepared], &[], frame, size, &|| true)?;
     let counts = stage.map(|seen, lighting, field| {
         let point = &seen.point;
         let counted = Counted {
@@ -270,7 +303,7 @@ pub fn map_pixels<T: Default + Send>(
         ..frame.clone()
     };
     let prepared = Prepared::new(scene);
-    let stage = Stage::new(&[scene.into()], &[&prepared], &frame, size, &|| true)?;
+    let stage = Stage::new(&[scene.into()], &[&prepared], &[], &frame, size, &|| true)?;
     Ok(stage.map(|seen, lighting, field| shade(&seen.point, lighting, field)))
 }
 
@@ -292,12 +325,45 @@ struct Staged<'a> {
     prepared: &'a Prepared,
     /// With `polar`, what vertices see of distant lights.
     fractions: Option<VertexFractions>,
+    /// The same without what hides light, where something catches shadows.
+    open: Option<Box<Staged<'a>>>,
+}
+
+impl Staged<'_> {
+    /// What the vertices of a triangle see.
+    fn corners(&self, triangle: usize, barycentrics: Vec3) -> Option<Corners<'_>> {
+        let fractions = self.fractions.as_ref()?;
+        let vertices = self.scene.triangles[triangle].vertices;
+        Some(Corners {
+            fractions: vertices.map(|vertex| fractions.of(vertex)),
+            barycentrics,
+        })
+    }
+
+    /// Finds what the vertices of visible triangles see.
+    fn look(&mut self, visible: &[u32], method: Method, wanted: &(dyn Fn() -> bool + Sync)) {
+        let Method::Polar(options) = method else {
+            return;
+        };
+        self.fractions = VertexFractions::new(self, visible, options, wanted);
+        if let Some(open) = &mut self.open {
+            let caught = |id: &u32| {
+                let number = id.checked_sub(open.first_id)?;
+                let triangle = self.scene.triangles.get(number as usize)?;
+                let material = &self.scene.materials[usize::from(triangle.material)];
+                material.shadow_catcher.then_some(*id)
+            };
+            let caught: Vec<u32> = visible.iter().filter_map(caught).collect();
+            open.fractions = VertexFractions::new(open, &caught, options, wanted);
+        }
+    }
 }
 
 impl<'a> Stage<'a> {
     fn new(
         instances: &[Placed<'a>],
         prepared: &[&'a Prepared],
+        open: &'a [Option<Open>],
         frame: &Frame<'a>,
         [width, height]: [u32; 2],
         wanted: &(dyn Fn() -> bool + Sync),
@@ -320,25 +386,35 @@ impl<'a> Stage<'a> {
             &visibility_buffer::CENTRE
         };
         let mut visible = visibility_buffer::Nearest::new([width, height], samples);
+        let mut opened = open.iter();
         let stage = |((placed, first_id), &prepared): ((&Placed<'a>, u32), &&'a Prepared)| {
             let scene = placed.scene;
             let local = frame.seen_from(&placed.placement, [width, height], near)?;
             visible.draw(scene, &local.view, first_id);
+            let open = opened.next().and_then(Option::as_ref).map(|open| {
+                Box::new(Staged {
+                    scene: &open.scene,
+                    first_id,
+                    local: local.clone(),
+                    prepared: &open.prepared,
+                    fractions: None,
+                    open: None,
+                })
+            });
             Ok(Staged {
                 scene,
                 first_id,
                 local,
                 prepared,
                 fractions: None,
+                open,
             })
         };
         let mut instances = (instances.iter().zip(ids).zip(prepared))
             .map(stage)
             .collect::<Result<Vec<_>, Error>>()?;
-        if let Method::Polar(options) = frame.method {
-            for staged in &mut instances {
-                staged.fractions = VertexFractions::new(staged, &visible.ids, options, wanted);
-            }
+        for staged in &mut instances {
+            staged.look(&visible.ids, frame.method, wanted);
         }
         let world = frame.seen_from(&Placement::IDENTITY, [width, height], near.min(f32::MAX))?;
         let surfaces = frame.antialias.then(|| {
@@ -386,13 +462,8 @@ impl<'a> Stage<'a> {
                 return T::default();
             }
             let (instance, triangle) = find(&self.instances, item.id);
-            let Staged {
-                scene,
-                local,
-                prepared,
-                fractions,
-                ..
-            } = &self.instances[instance];
+            let staged = &self.instances[instance];
+            let Staged { scene, local, .. } = staged;
             let weights = local
                 .view
                 .ray(item.at)
@@ -404,13 +475,9 @@ impl<'a> Stage<'a> {
                 triangle,
                 barycentrics: weights,
             };
-            let field = Ssdf::interpolate(scene, &prepared.basis, triangle, weights);
+            let field = Ssdf::interpolate(scene, &staged.prepared.basis, triangle, weights);
             let lighting = Lighting {
-                corners: fractions.as_ref().map(|fractions| Corners {
-                    fractions: (scene.triangles[triangle].vertices)
-                        .map(|vertex| fractions.of(vertex)),
-                    barycentrics: weights,
-                }),
+                corners: staged.corners(triangle, weights),
                 ..lightings[instance]
             };
             shade(&seen, &lighting, &field)
@@ -420,6 +487,22 @@ impl<'a> Stage<'a> {
             .with_max_len(256)
             .map(shade_item)
             .collect()
+    }
+
+    /// Visibility and light at a point of an instance's triangle.
+    fn light_of<'b>(
+        &'b self,
+        staged: &'b Staged,
+        triangle: usize,
+        weights: Vec3,
+    ) -> (Ssdf<'b>, Lighting<'b>) {
+        let basis = &staged.prepared.basis;
+        let lighting = Lighting {
+            corners: staged.corners(triangle, weights),
+            ..self.lighting(staged)
+        };
+        let field = Ssdf::interpolate(staged.scene, basis, triangle, weights);
+        (field, lighting)
     }
 
     /// For the next frame.

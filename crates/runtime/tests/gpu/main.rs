@@ -2,6 +2,7 @@
 //! `RELIGHT_NO_GPU=1` says that there is none: then they count as skipped.
 
 mod background;
+mod catcher;
 mod engine;
 mod examples;
 #[path = "../../../format/tests/format/generate.rs"]
@@ -124,6 +125,11 @@ fn main() -> ExitCode {
         with_gpu(
             "background::backgrounds_need_no_scene",
             background::backgrounds_need_no_scene,
+        ),
+        with_gpu("catcher::catchers_match_twin", catcher::catchers_match_twin),
+        with_gpu(
+            "catcher::catchers_are_switched",
+            catcher::catchers_are_switched,
         ),
         with_gpu("engine::matrices_match_twin", engine::matrices_match_twin),
         with_gpu("engine::cameras_agree", engine::cameras_agree),

@@ -278,6 +278,7 @@ fn material(random: &mut Random) -> Material {
         anisotropy_texture: slot(random),
         emission: [0.0; 3],
         emission_texture: None,
+        shadow_catcher: false,
     }
 }
 

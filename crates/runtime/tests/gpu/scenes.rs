@@ -237,6 +237,7 @@ fn plane_material() -> Material {
         anisotropy_texture: None,
         emission: [0.0; 3],
         emission_texture: None,
+        shadow_catcher: false,
     }
 }
 
@@ -260,6 +261,7 @@ fn sphere_material() -> Material {
         anisotropy_texture: None,
         emission: [0.0; 3],
         emission_texture: None,
+        shadow_catcher: false,
     }
 }
 

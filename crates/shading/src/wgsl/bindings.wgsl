@@ -195,7 +195,8 @@ struct Material {
     anisotropy_texture: TextureSlot,
     // Radiance that the surface emits.
     emission: vec3<f32>,
-    emission_reserved: f32,
+    // 1.0 where it catches shadows, else 0.
+    shadow_catcher: f32,
     emission_texture: TextureSlot,
     layers: array<Layer, MAX_REFLECTIONS>,
 }

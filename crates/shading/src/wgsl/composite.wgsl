@@ -85,6 +85,17 @@ fn composite_store(color: vec3<f32>, coverage: f32) -> vec4<f32> {
     return vec4(encoded * coverage, coverage);
 }
 
+// Places of the images, of which `linear_radiance` says by its coverage whether they catch shadows.
+@group(0) @binding(5) var open_radiance: texture_2d<f32>;
+
+// As the target stores what catches shadows: over what is open, in the target's own numbers, it makes
+// what is shaded.
+fn composite_caught(place: vec2<u32>, shaded: vec3<f32>) -> vec4<f32> {
+    let open = textureLoad(open_radiance, place, 0).rgb;
+    let stored = composite_store(composite_color(shaded), 1.0).rgb;
+    return catcher_catch(stored, composite_store(composite_color(open), 1.0).rgb);
+}
+
 // What a pixel writes, over what is behind it where nothing blends.
 fn composite_written(place: Place, stored: vec4<f32>) -> vec4<f32> {
     if COMPOSITE_MIXES && stored.w < 1.0 && composite.background != BACKGROUND_NONE {

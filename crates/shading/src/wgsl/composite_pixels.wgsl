@@ -4,7 +4,11 @@
 @group(0) @binding(3) var seen_depth: texture_depth_2d;
 
 fn composite_shown(pixel: vec2<u32>) -> vec4<f32> {
-    return composite_store(composite_color(textureLoad(linear_radiance, pixel, 0).rgb), 1.0);
+    let shaded = textureLoad(linear_radiance, pixel, 0);
+    if shaded.a == 0.0 {
+        return composite_caught(pixel, shaded.rgb);
+    }
+    return composite_store(composite_color(shaded.rgb), 1.0);
 }
 
 @fragment
@@ -13,7 +17,7 @@ fn composite_fragment(place: Place) -> @location(0) vec4<f32> {
     if textureLoad(seen_ids, pixel, 0).x == 0u {
         discard;
     }
-    return composite_shown(pixel);
+    return composite_written(place, composite_shown(pixel));
 }
 
 @fragment
@@ -22,5 +26,6 @@ fn composite_depth_fragment(place: Place) -> Drawn {
     if textureLoad(seen_ids, pixel, 0).x == 0u {
         discard;
     }
-    return Drawn(composite_shown(pixel), composite_depth(textureLoad(seen_depth, pixel, 0)));
+    let color = composite_written(place, composite_shown(pixel));
+    return Drawn(color, composite_depth(textureLoad(seen_depth, pixel, 0)));
 }

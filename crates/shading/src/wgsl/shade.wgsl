@@ -17,5 +17,7 @@ fn shade_main(
     let weights = seen_barycentrics(triangle.xyz, pixel, seen.y);
     let emitted = surface_emission(triangle.xyz, triangle.w & 0xffffu, weights);
     let reflected = slots_gathered_value(SLOTS_SUM).xyz + slots_gathered_value(SLOTS_BESIDE).xyz;
-    textureStore(radiance, pixel, vec4(max(reflected, vec3(0.0)) + emitted, 1.0));
+    // What catches shadows covers nothing by itself.
+    let coverage = 1.0 - materials[triangle.w & 0xffffu].shadow_catcher;
+    textureStore(radiance, pixel, vec4(max(reflected, vec3(0.0)) + emitted, coverage));
 }

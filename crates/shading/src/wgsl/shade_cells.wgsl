@@ -39,7 +39,8 @@ fn cells_main(@builtin(global_invocation_id) id: vec3<u32>) {
         }
     }
     let emitted = surface_emission(corners, triangle.w & 0xffffu, weights);
-    textureStore(radiance, pixel, vec4(max(sum, vec3(0.0)) + emitted, 1.0));
+    let coverage = 1.0 - materials[triangle.w & 0xffffu].shadow_catcher;
+    textureStore(radiance, pixel, vec4(max(sum, vec3(0.0)) + emitted, coverage));
 }
 
 // What the lobes show of a prefiltered image.

@@ -6,6 +6,7 @@ use std::time::Duration;
 use glam::Quat;
 use relight_format::{Camera, Material, Scene};
 use relight_runtime::{Image, LocalLight, SphericalGaussian};
+use relight_shading::catcher;
 use web_time::Instant;
 
 use super::Viewer;
@@ -189,7 +190,7 @@ impl Viewer {
             Layout::One => [images[0].clone(), None],
             Layout::Split | Layout::Difference => images,
         };
-        let look = Look::from(&self.settings);
+        let look = self.look();
         // No larger than what there is to see: whoever drags waits for it.
         let size = [0, 1].map(|side: usize| {
             let sides = (images.iter().flatten()).map(|image| [image.width, image.height][side]);
@@ -215,6 +216,15 @@ impl Viewer {
             size,
         });
         self.composing = Some(key);
+    }
+
+    /// How pictures are shown.
+    pub(super) fn look(&self) -> Look {
+        let document = self.document.as_ref();
+        Look {
+            catches: document.is_some_and(|document| catcher::catches(&document.materials)),
+            ..Look::from(&self.settings)
+        }
     }
 
     /// Whether nothing is under way: the window shows the best there is.

@@ -152,7 +152,7 @@ impl Viewer {
         let (options, light, device) = (self.turntable.clone(), self.light.clone(), self.device);
         let look = Look {
             layout: Layout::One,
-            ..Look::from(&self.settings)
+            ..self.look()
         };
         let folder = folder.to_owned();
         self.jobs.start("turntable", Kind::Save, move |context| {

@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use relight_format::Scene;
 use relight_runtime::{Image, Instance, Options, Renderer, View, wgpu};
+use relight_shading::catcher;
 use web_time::Instant;
 
 use super::uploaded::Uploaded;
@@ -52,6 +53,8 @@ struct Reading {
     buffer: wgpu::Buffer,
     /// Bytes from row to row.
     stride: u32,
+    /// What is behind the radiance: where nothing hides light, for what catches shadows.
+    open: bool,
 }
 
 impl Engine {
@@ -210,29 +213,36 @@ impl State {
     fn read(&self, [width, height]: [u32; 2]) -> Result<Reading, String> {
         let view = self.view.as_ref();
         let radiance = view.and_then(View::radiance).ok_or("nothing was drawn")?;
+        let open = view.and_then(View::open_radiance);
         let stride = (16 * width).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
         let buffer = (self.renderer.device()).create_buffer(&wgpu::BufferDescriptor {
             label: Some("relight picture"),
-            size: u64::from(stride) * u64::from(height),
+            size: u64::from(stride) * u64::from(height) * (1 + u64::from(open.is_some())),
             usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
             mapped_at_creation: false,
         });
         let mut encoder = encoder(&self.renderer);
-        let layout = wgpu::TexelCopyBufferLayout {
-            offset: 0,
-            bytes_per_row: Some(stride),
-            rows_per_image: None,
-        };
-        encoder.copy_texture_to_buffer(
-            radiance.as_image_copy(),
-            wgpu::TexelCopyBufferInfo {
-                buffer: &buffer,
-                layout,
-            },
-            radiance.size(),
-        );
+        for (index, texture) in (0..).zip([Some(radiance), open].into_iter().flatten()) {
+            let layout = wgpu::TexelCopyBufferLayout {
+                offset: index * u64::from(stride) * u64::from(height),
+                bytes_per_row: Some(stride),
+                rows_per_image: None,
+            };
+            encoder.copy_texture_to_buffer(
+                texture.as_image_copy(),
+                wgpu::TexelCopyBufferInfo {
+                    buffer: &buffer,
+                    layout,
+                },
+                texture.size(),
+            );
+        }
         self.renderer.queue().submit([encoder.finish()]);
-        Ok(Reading { buffer, stride })
+        Ok(Reading {
+            open: open.is_some(),
+            buffer,
+            stride,
+        })
     }
 
     fn finish(
@@ -246,6 +256,13 @@ impl State {
         for line in range.chunks_exact(reading.stride as usize) {
             let line = &line[..16 * size[0] as usize];
             pixels.extend(bytemuck::pod_collect_to_vec::<u8, [f32; 4]>(line));
+        }
+        if reading.open {
+            // The second half.
+            let open = pixels.split_off(size[0] as usize * size[1] as usize);
+            for (pixel, open) in pixels.iter_mut().zip(open) {
+                *pixel = catcher::caught(*pixel, open);
+            }
         }
         drop(range);
         reading.buffer.unmap();

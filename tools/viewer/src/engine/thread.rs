@@ -439,13 +439,12 @@ impl Artist {
         }
         // Those of parts are not known.
         let passes = gpu.renderer.pass_times().filter(|_| rows >= height);
-        let radiance = view.radiance().ok_or("nothing was drawn")?;
-        let bytes = gpu.read_texture(radiance).map_err(failed)?;
+        let pixels = gpu.read_radiance(view).map_err(failed)?;
         Ok(Some(Drawn {
             image: Image {
                 width,
                 height,
-                pixels: bytemuck::pod_collect_to_vec(&bytes),
+                pixels,
             },
             passes,
         }))

@@ -4,12 +4,15 @@ use std::sync::Arc;
 
 use relight_format::{Material, Scene};
 use relight_runtime::{Error, GpuScene};
+use relight_shading::catcher;
 
 use super::Shot;
 
 pub(super) struct Uploaded {
     scene: Arc<Scene>,
     materials: Arc<Vec<Material>>,
+    /// Whether materials may catch shadows.
+    catches: bool,
     on_device: GpuScene,
 }
 
@@ -22,16 +25,23 @@ impl Uploaded {
         uploads: &mut u32,
         upload: impl FnOnce(&Scene) -> Result<GpuScene, Error>,
     ) -> Result<&'a GpuScene, Error> {
-        let same = |kept: &Self| Arc::ptr_eq(&kept.scene, &shot.scene);
+        let catches = catcher::catches(&shot.materials);
+        let same =
+            |kept: &Self| Arc::ptr_eq(&kept.scene, &shot.scene) && (kept.catches || !catches);
         // The old one goes first: two may not fit.
         let mut now = if let Some(known) = kept.take().filter(same) {
             known
         } else {
             *uploads += 1;
+            let mut scene = shot.scene.clone();
+            if catches {
+                Arc::make_mut(&mut scene).materials = shot.materials.to_vec();
+            }
             Self {
+                materials: Arc::new(scene.materials.clone()),
+                on_device: upload(&scene)?,
                 scene: shot.scene.clone(),
-                materials: Arc::new(shot.scene.materials.clone()),
-                on_device: upload(&shot.scene)?,
+                catches,
             }
         };
         if !Arc::ptr_eq(&now.materials, &shot.materials) {

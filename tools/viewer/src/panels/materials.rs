@@ -125,6 +125,8 @@ fn edit(ui: &mut Ui, material: &mut Material) {
         Surface::Layers { layers } => layers_edit(ui, layers),
     }
     color_row(ui, "emits", &mut material.emission);
+    ui.checkbox(&mut material.shadow_catcher, "Catches shadows alone")
+        .on_hover_text("Pictures have its shadow only, to be laid over a photograph");
     if material.normal_texture.is_some() {
         ui.add(Slider::new(&mut material.normal_scale, 0.0..=4.0).text("normal map"));
     }

@@ -388,16 +388,16 @@ try {
   view.console.error = (...words) => { errors += `${words.join(" ")}\n`; };
   await until("the first picture", () => state().settled && state().scene);
 
-  const bytes = await (await fetch("sky.hdr")).arrayBuffer();
+  const bytes = await (await fetch("sky.exr")).arrayBuffer();
   const dataTransfer = new view.DataTransfer();
-  dataTransfer.items.add(new view.File([bytes], "sky.hdr"));
+  dataTransfer.items.add(new view.File([bytes], "sky.exr"));
   canvas().dispatchEvent(new view.DragEvent("drop", { dataTransfer, bubbles: true, cancelable: true }));
   await until("the job begins", () => state().jobs?.length);
   // The page lives on while the worker fits.
   let frames = 0;
   const count = () => { frames += 1; view.requestAnimationFrame(count); };
   view.requestAnimationFrame(count);
-  await until("the image is fitted", () => state().light === "sky.hdr" && !state().jobs.length);
+  await until("the image is fitted", () => state().light === "sky.exr" && !state().jobs.length);
   const alive = frames;
   await until("its picture", () => state().settled);
 
@@ -421,6 +421,12 @@ try {
   await press_widget("File");
   await press_widget("Save picture…");
   await until("the picture is saved", () => saved);
+  const picture = saved;
+  saved = undefined;
+  await press_widget("File");
+  await press_widget("Save camera…");
+  await until("the camera is saved", () => saved);
+  const camera = await saved.text();
 
   page.capture();
   await until("a picture of the window", () => page.captured());
@@ -436,9 +442,9 @@ try {
   const text = (value) => new TextEncoder().encode(JSON.stringify(value));
   const [scene, light] = page.assets();
   const parts = [
-    text({ ...state(), alive, steps, errors }), scene, light,
+    text({ ...state(), alive, steps, errors, camera }), scene, light,
     new Uint8Array(page.radiance(0).buffer), new Uint8Array(page.radiance(1).buffer),
-    page.screen(), new Uint8Array(await saved.arrayBuffer()), page.captured(),
+    page.screen(), new Uint8Array(await picture.arrayBuffer()), page.captured(),
   ];
   const lengths = new Uint32Array(parts.map((part) => part.length));
   await told(new Blob([lengths, ...parts]));
@@ -456,9 +462,11 @@ fn application(browser: &str) -> Outcome {
         folder.path().join("app.html"),
     )?;
     let sky = demo::sky(64, 32);
-    let pixels: Vec<_> = sky.pixels.iter().copied().map(image::Rgb).collect();
-    let file = std::fs::File::create(folder.path().join("sky.hdr"))?;
-    image::codecs::hdr::HdrEncoder::new(file).encode(&pixels, 64, 32)?;
+    let mut image = relight_lab::image_file::Image::new(64, 32);
+    for (pixel, [r, g, b]) in image.pixels.iter_mut().zip(&sky.pixels) {
+        *pixel = [*r, *g, *b, 1.0];
+    }
+    relight_lab::image_file::write_exr(&folder.path().join("sky.exr"), &image)?;
     let told = visit(browser, &[folder.path(), &built_page()])?;
     let words = String::from_utf8_lossy(&told[..told.len().min(2000)]);
     assert!(!words.starts_with("failed"), "{words}");
@@ -495,13 +503,19 @@ fn application(browser: &str) -> Outcome {
     assert!(format!("{:?}", scene.materials[selected]).contains("Ward"));
     assert!(scene.materials[selected] != before.materials[selected]);
     let light = read_environment(light, &Limits::default())?;
-    assert_eq!(light.report.source, "sky.hdr");
+    assert_eq!(light.report.source, "sky.exr");
     assert_eq!(light.report.source_size, [64, 32]);
     assert!(!light.lobes.is_empty() && light.lobes.len() <= 12);
     let light = EnvironmentLight::new(&light);
     let camera = Document::new(before, None, None, Vec::new()).camera();
     let size = &state["pictures"][0]["size"];
     let [width, height] = [0, 1].map(|side| size[side].as_u64().unwrap_or(0) as u32);
+    let file = folder.path().join("camera.toml");
+    std::fs::write(&file, state["camera"].as_str().ok_or("a camera")?)?;
+    assert_eq!(
+        relight_lab::camera::load(&file)?.target,
+        camera.camera().target
+    );
     let polar = Frame::under(camera.camera(), &light);
     let ambient = Frame {
         method: Method::Ambient,

@@ -1048,13 +1048,18 @@ pub(crate) fn scene_entries() -> [wgpu::BindGroupLayoutEntry; 9] {
         view_dimension: wgpu::TextureViewDimension::D2,
         multisampled: false,
     };
+    let texels = wgpu::BindingType::Texture {
+        sample_type: wgpu::TextureSampleType::Uint,
+        view_dimension: wgpu::TextureViewDimension::D2Array,
+        multisampled: false,
+    };
     [
         layout_entry(0, BOTH, STORAGE),
         layout_entry(1, BOTH, STORAGE),
         layout_entry(2, compute, STORAGE),
         layout_entry(3, compute, STORAGE),
         layout_entry(4, compute, STORAGE),
-        layout_entry(5, compute, STORAGE),
+        layout_entry(5, compute, texels),
         layout_entry(6, compute, atlas),
         layout_entry(7, compute, sampler),
         layout_entry(10, compute, words),
@@ -1106,9 +1111,11 @@ fn source_frame_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
 /// Group 1 of bindings.wgsl as sources need it.
 fn source_scene_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
     let entry = |binding| layout_entry(binding, wgpu::ShaderStages::COMPUTE, STORAGE);
+    let texels = scene_entries().into_iter().find(|entry| entry.binding == 5);
+    let entries = [0, 1, 4, 8, 9].map(entry).into_iter().chain(texels);
     device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
         label: Some("relight occluders"),
-        entries: &[0, 1, 4, 5, 8, 9].map(entry),
+        entries: &entries.collect::<Vec<_>>(),
     })
 }
 

@@ -4,11 +4,12 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use bytemuck::Pod;
 use glam::Vec3;
-use relight_format::{Material, Scene};
+use relight_format::{Material, Scene, TextureShape};
 use relight_shading::catcher;
-use relight_shading::gpu::{self, AtlasLayout, LimitError, PackedTexture, pack_scene};
+use relight_shading::gpu::{self, AtlasLayout, LimitError, PackedScene, pack_scene};
 use relight_shading::occluders::Occluders;
 use relight_shading::spherical_gaussian::SphericalGaussian;
+use relight_shading::textures::PackedTexture;
 use relight_shading::transfer::{self, DistantLight, PackedTransfer};
 use wgpu::util::{DeviceExt as _, TextureDataOrder};
 
@@ -48,6 +49,7 @@ pub struct GpuScene {
     queue: wgpu::Queue,
     materials: wgpu::Buffer,
     textures: Vec<PackedTexture>,
+    texels: wgpu::TextureView,
     bounced: Option<PackedTransfer>,
     /// Where light does not bounce.
     no_products: wgpu::TextureView,
@@ -72,16 +74,17 @@ impl GpuScene {
     ) -> Result<Self, Error> {
         // Kernels index with what it holds; whoever made it need not have read it.
         scene.validate()?;
-        let mut uploaded = Self::visible(device, queue, layouts, owner, scene, true)?;
+        let mut uploaded = Self::visible(device, queue, layouts, owner, scene, None)?;
         if catcher::catches(&scene.materials) {
             let open = catcher::open_scene(scene);
-            let open = Self::visible(device, queue, layouts, owner, &open, false)?;
+            let texels = Some(&uploaded.texels);
+            let open = Self::visible(device, queue, layouts, owner, &open, texels)?;
             uploaded.open = Some(Box::new(open));
         }
         Ok(uploaded)
     }
 
-    /// Uploads a valid scene, where its triangles hide sources or nothing does.
+    /// Uploads a valid scene; without what hides light, where that of the same textures is given.
     #[allow(
         clippy::too_many_lines,
         reason = "one buffer or texture after the other, in the order of the bindings"
@@ -98,7 +101,7 @@ impl GpuScene {
         ]: [&wgpu::BindGroupLayout; 5],
         owner: &Owner,
         scene: &Scene,
-        hides: bool,
+        open_of: Option<&wgpu::TextureView>,
     ) -> Result<Self, Error> {
         let packed = pack_scene(scene).map_err(Error::Scene)?;
         let atlas = packed.atlas;
@@ -129,7 +132,10 @@ impl GpuScene {
         let clusters = storage(device, "clusters", &packed.clusters)?;
         let coefficients = storage(device, "coefficients", &packed.coefficients)?;
         let materials = storage(device, "materials", &packed.materials)?;
-        let texels = storage(device, "texels", &packed.texels)?;
+        let texels = match open_of {
+            Some(texels) => texels.clone(),
+            None => texel_texture(device, queue, scene, &packed)?,
+        };
         let words = packed
             .transfer
             .as_ref()
@@ -168,19 +174,13 @@ impl GpuScene {
             min_filter: wgpu::FilterMode::Linear,
             ..Default::default()
         });
-        let buffers = [
-            &vertices,
-            &triangles,
-            &clusters,
-            &coefficients,
-            &materials,
-            &texels,
-        ];
+        let buffers = [&vertices, &triangles, &clusters, &coefficients, &materials];
         let mut entries: Vec<_> = buffers
             .iter()
             .zip(0..)
             .map(|(buffer, binding)| buffer_entry(binding, buffer))
             .collect();
+        entries.push(texture_entry(5, &texels));
         entries.push(texture_entry(6, &view));
         entries.push(wgpu::BindGroupEntry {
             binding: 7,
@@ -206,13 +206,13 @@ impl GpuScene {
             part("relight materials", material_layout, SCENE_BINDINGS[0]),
             part("relight visibility", visibility_layout, SCENE_BINDINGS[1]),
         ];
-        let shared = [&vertices, &triangles, &materials, &texels];
-        let occluders = if hides {
+        let shared = [&vertices, &triangles, &materials];
+        let occluders = if open_of.is_none() {
             occluders::build(scene)
         } else {
             occluders::none()
         };
-        let sources = source_group(device, source_layout, shared, &occluders)?;
+        let sources = source_group(device, source_layout, shared, &texels, &occluders)?;
         Ok(Self {
             bind_group,
             sources,
@@ -233,6 +233,7 @@ impl GpuScene {
             queue: queue.clone(),
             materials,
             textures: packed.textures,
+            texels,
             bounced: packed.transfer,
             no_products,
         })
@@ -291,7 +292,7 @@ impl GpuScene {
                 count: self.reflections.len(),
             });
         };
-        let shapes: Vec<_> = self.textures.iter().map(|texture| texture.shape).collect();
+        let shapes: Vec<TextureShape> = self.textures.iter().map(|texture| texture.shape).collect();
         material.validate(&shapes)?;
         match &self.open {
             Some(open) => open.set_material(index, material)?,
@@ -307,12 +308,13 @@ impl GpuScene {
     }
 }
 
-/// Group 1 of the pass for sources: vertices, triangles, materials and texels, and what blocks
+/// Group 1 of the pass for sources: vertices, triangles, materials and textures, and what blocks
 /// rays.
 fn source_group(
     device: &wgpu::Device,
     layout: &wgpu::BindGroupLayout,
-    shared: [&wgpu::Buffer; 4],
+    shared: [&wgpu::Buffer; 3],
+    texels: &wgpu::TextureView,
     occluders: &Occluders,
 ) -> Result<Result<wgpu::BindGroup, LimitError>, Error> {
     let largest = size_of_val(occluders.nodes()).max(size_of_val(occluders.triangles()));
@@ -324,14 +326,81 @@ fn source_group(
     let triangles = storage(device, "occluder triangles", occluders.triangles())?;
     let buffers = shared.into_iter().chain([&nodes, &triangles]);
     let entries: Vec<_> = buffers
-        .zip([0, 1, 4, 5, 8, 9])
+        .zip([0, 1, 4, 8, 9])
         .map(|(buffer, binding)| buffer_entry(binding, buffer))
+        .chain([texture_entry(5, texels)])
         .collect();
     Ok(Ok(device.create_bind_group(&wgpu::BindGroupDescriptor {
         label: Some("relight occluders"),
         layout,
         entries: &entries,
     })))
+}
+
+/// All levels of all textures.
+fn texel_texture(
+    device: &wgpu::Device,
+    queue: &wgpu::Queue,
+    scene: &Scene,
+    packed: &PackedScene,
+) -> Result<wgpu::TextureView, Error> {
+    let pages = packed.pages;
+    let limits = device.limits();
+    for (limit, needed, allowed) in [
+        (
+            "max_texture_dimension_2d",
+            pages.width.max(pages.height),
+            limits.max_texture_dimension_2d,
+        ),
+        (
+            "max_texture_array_layers",
+            pages.layers,
+            limits.max_texture_array_layers,
+        ),
+    ] {
+        LimitError::check(limit, u64::from(needed), u64::from(allowed)).map_err(Error::Scene)?;
+    }
+    let texture = device.create_texture(&wgpu::TextureDescriptor {
+        label: Some("relight textures"),
+        size: wgpu::Extent3d {
+            width: pages.width,
+            height: pages.height,
+            depth_or_array_layers: pages.layers,
+        },
+        mip_level_count: 1,
+        sample_count: 1,
+        dimension: wgpu::TextureDimension::D2,
+        format: wgpu::TextureFormat::R32Uint,
+        usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
+        view_formats: &[],
+    });
+    for (texture_of_scene, place) in scene.textures.iter().zip(&packed.textures) {
+        place.visit(texture_of_scene, |[x, y, z], level| {
+            queue.write_texture(
+                wgpu::TexelCopyTextureInfo {
+                    texture: &texture,
+                    mip_level: 0,
+                    origin: wgpu::Origin3d { x, y, z },
+                    aspect: wgpu::TextureAspect::All,
+                },
+                &level.texels,
+                wgpu::TexelCopyBufferLayout {
+                    offset: 0,
+                    bytes_per_row: Some(4 * level.width),
+                    rows_per_image: None,
+                },
+                wgpu::Extent3d {
+                    width: level.width,
+                    height: level.height,
+                    depth_or_array_layers: 1,
+                },
+            );
+        });
+    }
+    Ok(texture.create_view(&wgpu::TextureViewDescriptor {
+        dimension: Some(wgpu::TextureViewDimension::D2Array),
+        ..Default::default()
+    }))
 }
 
 /// A texture of texels in order, [`transfer::TEXTURE_WIDTH`] per row.

@@ -4,12 +4,13 @@
 
 use bytemuck::{Pod, Zeroable};
 use relight_format::{
-    CHANNELS_PER_TILE, MAX_REFLECTIONS, Scene, Surface, TextureEncoding, TextureShape,
+    CHANNELS_PER_TILE, MAX_REFLECTIONS, Scene, Surface, Texture, TextureEncoding,
 };
 
 use crate::camera::View;
 use crate::ssdf::Basis;
 use crate::surface::{LayerParameters, Model, visit_layers};
+use crate::textures::{self, PackedTexture, PageLayout};
 use crate::transfer::PackedTransfer;
 
 /// `Material::surface`: base colour, metallic and roughness as in glTF.
@@ -216,12 +217,12 @@ pub struct Cluster {
     pub bounced: u32,
 }
 
-/// A texture as a range of the texel buffer (48 bytes).
+/// A texture of a material (48 bytes).
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct TextureSlot {
-    /// First texel.
-    pub offset: u32,
+    /// [`PackedTexture::place`].
+    pub place: u32,
     /// Texels per row; 0 where there is no texture.
     pub width: u32,
     /// Rows.
@@ -229,9 +230,13 @@ pub struct TextureSlot {
     /// 1 where red, green and blue are sRGB encoded.
     pub srgb: u32,
     /// u of the texture is `dot(transform_u, (u, v, 1))`.
-    pub transform_u: [f32; 4],
+    pub transform_u: [f32; 3],
+    /// [`PackedTexture::coarser`].
+    pub coarser: u32,
     /// v of the texture is `dot(transform_v, (u, v, 1))`.
-    pub transform_v: [f32; 4],
+    pub transform_v: [f32; 3],
+    /// How often it is halved.
+    pub last_level: u32,
 }
 
 /// One reflection of a layer, with the Lambertian base that comes with it (256 bytes).
@@ -252,7 +257,7 @@ pub struct Layer {
     pub weight: f32,
     /// Roughness along tangent and bitangent; Blinn-Phong: exponent in both.
     pub alpha: [f32; 2],
-    /// One more than the first texel of the reflection's ratio; 0: none.
+    /// One more than the place of the reflection's ratio; 0: none.
     pub ratio: u32,
     /// Zero.
     pub reserved: u32,
@@ -288,8 +293,8 @@ pub struct Material {
     pub layer_count: u32,
     /// 0 where there is no Lambertian base anywhere, whatever the textures say.
     pub has_diffuse: u32,
-    /// Zero.
-    pub reserved: f32,
+    /// 0 where there are no textures.
+    pub textured: u32,
     /// Multiplies `color`.
     pub base_color_texture: TextureSlot,
     /// G multiplies `roughness`, B multiplies `metallic`.
@@ -397,9 +402,9 @@ pub struct PackedScene {
     pub coefficients: Vec<u32>,
     /// Materials.
     pub materials: Vec<Material>,
-    /// Red in the low byte; never empty.
-    pub texels: Vec<u32>,
-    /// Where the textures lie in `texels`.
+    /// Size of the texture of all textures' texels, of 32-bit words.
+    pub pages: PageLayout,
+    /// Where the textures lie in it; [`PackedTexture::visit`] has their texels.
     pub textures: Vec<PackedTexture>,
     /// Size of the atlas.
     pub atlas: AtlasLayout,
@@ -409,15 +414,6 @@ pub struct PackedScene {
     pub distance_clamp: f32,
     /// Light that bounces, where the scene has it.
     pub transfer: Option<PackedTransfer>,
-}
-
-/// Where one texture lies in [`PackedScene::texels`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct PackedTexture {
-    /// First texel.
-    pub offset: u32,
-    /// Its size and the meaning of its bytes.
-    pub shape: TextureShape,
 }
 
 /// A scene needs more of something than the GPU, or this layout, offers.
@@ -456,31 +452,8 @@ pub fn pack_scene(scene: &Scene) -> Result<PackedScene, LimitError> {
         coefficient_words,
         u64::from(u32::MAX),
     )?;
-    let texel_count = scene
-        .textures
-        .iter()
-        .map(|t| t.texels.len() as u64 / 4)
-        .sum();
-    LimitError::check("32-bit texel index", texel_count, u64::from(u32::MAX))?;
-
-    let mut texels = Vec::with_capacity(texel_count as usize);
-    let mut textures = Vec::with_capacity(scene.textures.len());
-    for texture in &scene.textures {
-        textures.push(PackedTexture {
-            offset: texels.len() as u32,
-            shape: texture.shape(),
-        });
-        texels.extend(
-            texture
-                .texels
-                .chunks_exact(4)
-                .map(|t| u32::from_le_bytes([t[0], t[1], t[2], t[3]])),
-        );
-    }
-    if texels.is_empty() {
-        // A buffer binding must not be empty.
-        texels.push(0);
-    }
+    let shapes: Vec<_> = scene.textures.iter().map(Texture::shape).collect();
+    let (pages, textures) = textures::place(&shapes)?;
     let (atlas, mut clusters) = place_clusters(scene)?;
     let transfer = PackedTransfer::new(scene);
     if let Some(transfer) = &transfer {
@@ -518,7 +491,7 @@ pub fn pack_scene(scene: &Scene) -> Result<PackedScene, LimitError> {
             .iter()
             .map(|material| pack_material(material, &textures))
             .collect(),
-        texels,
+        pages,
         textures,
         atlas,
         distance_clamp: scene.visibility.distance_clamp,
@@ -533,12 +506,14 @@ pub fn pack_material(material: &relight_format::Material, textures: &[PackedText
             let texture = textures.get(slot.texture as usize)?;
             let [[a, b, c], [d, e, f]] = slot.transform;
             Some(TextureSlot {
-                offset: texture.offset,
+                place: texture.place,
                 width: texture.shape.width,
                 height: texture.shape.height,
                 srgb: u32::from(texture.shape.encoding == TextureEncoding::Srgb),
-                transform_u: [a, b, c, 0.0],
-                transform_v: [d, e, f, 0.0],
+                transform_u: [a, b, c],
+                coarser: texture.coarser,
+                transform_v: [d, e, f],
+                last_level: textures::level_count(texture.shape) - 1,
             })
         })
         .unwrap_or(TextureSlot::zeroed())
@@ -546,9 +521,10 @@ pub fn pack_material(material: &relight_format::Material, textures: &[PackedText
     let ratio = |slot: &relight_format::TextureSlot| {
         let texture = textures.get(slot.texture as usize);
         let texture = texture.filter(|t| t.shape == relight_format::RATIO_SHAPE);
-        texture.map_or(0, |texture| texture.offset + 1)
+        texture.map_or(0, |texture| texture.place + 1)
     };
     let mut packed = Material {
+        textured: u32::from(material.slots().next().is_some()),
         normal_scale: material.normal_scale,
         base_color_texture: slot(material.base_color_texture.as_ref()),
         metallic_roughness_texture: slot(material.metallic_roughness_texture.as_ref()),
@@ -926,12 +902,14 @@ mod tests {
         check_layout!(
             module,
             TextureSlot {
-                offset,
+                place,
                 width,
                 height,
                 srgb,
                 transform_u,
+                coarser,
                 transform_v,
+                last_level,
             }
         );
         check_layout!(
@@ -964,7 +942,7 @@ mod tests {
                 normal_scale,
                 layer_count,
                 has_diffuse,
-                reserved,
+                textured,
                 base_color_texture,
                 metallic_roughness_texture,
                 normal_texture,
@@ -1150,11 +1128,11 @@ mod tests {
         assert_eq!((layer.alpha, material.normal_scale), ([0.7, 0.8], 0.9));
         let slot = layer.diffuse_texture;
         assert_eq!(
-            (slot.offset, slot.width, slot.height, slot.srgb),
-            (3, 2, 1, 1)
+            (slot.place, slot.width, slot.height, slot.srgb),
+            (packed.textures[1].place, 2, 1, 1)
         );
-        assert_eq!(slot.transform_v, [4.0, 5.0, 6.0, 0.0]);
+        assert_eq!((slot.transform_v, slot.last_level), ([4.0, 5.0, 6.0], 1));
+        assert_eq!(material.textured, 1);
         assert_eq!(material.normal_texture, TextureSlot::zeroed());
-        assert_eq!(packed.texels[4], u32::from_le_bytes([4, 5, 6, 7]));
     }
 }

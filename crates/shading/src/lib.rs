@@ -24,6 +24,7 @@ pub mod ssdf;
 pub mod surface;
 pub mod surfaces;
 pub mod tables;
+pub mod textures;
 pub mod tonemap;
 pub mod transfer;
 pub mod vertex_visibility;

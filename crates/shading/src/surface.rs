@@ -1,18 +1,19 @@
 //! What a pixel sees: position, shading frame and reflectance parameters at a point of a
 //! triangle.
 //!
-//! Textures are sampled here and in `wgsl/surface.wgsl` by the same arithmetic: bilinear,
-//! repeated, texel centres at (i + ½)/N, v down, sRGB decoded per texel before filtering.
+//! Textures are repeated, texel centres at (i + ½)/N, v down, sRGB decoded per texel before filtering: see
+//! [`crate::textures`].
 
 use glam::{Vec2, Vec3, Vec4, Vec4Swizzles as _};
 pub use relight_format::MAX_REFLECTIONS;
 use relight_format::math;
 use relight_format::{
     Blend, FittedLobe, Layer, Material, RATIO_NODES, RATIO_SHAPE, Scene, Specular, Surface,
-    Texture, TextureEncoding, TextureSlot, Vertex,
+    Texture, TextureSlot, Vertex,
 };
 
 use crate::reference::schlick;
+use crate::textures::{self, Filter, Footprint};
 
 /// Smallest roughness that is shaded, on the scale of GGX alpha. Its lobe falls to a third
 /// within 0.04 rad, little more than a texel of a 128 × 128 visibility bitmap.
@@ -350,11 +351,11 @@ pub fn surface_point(
     barycentrics: Vec3,
     eye: Vec3,
 ) -> SurfacePoint<'_> {
-    surface_seen(scene, triangle, barycentrics, eye.extend(1.0))
+    surface_seen(scene, triangle, barycentrics, eye.extend(1.0), None)
 }
 
 /// The same, seen from an eye in homogeneous coordinates: where w is 0, the unit direction towards
-/// a viewer at infinity.
+/// a viewer at infinity. Textures are filtered as a pixel there sees them, or looked up at the point.
 ///
 /// # Panics
 /// If `triangle` is not a triangle of `scene`.
@@ -362,12 +363,13 @@ pub fn surface_point(
     clippy::too_many_lines,
     reason = "stays beside its twin, surface.wgsl, line by line"
 )]
-pub fn surface_seen(
-    scene: &Scene,
+pub fn surface_seen<'a>(
+    scene: &'a Scene,
     triangle: usize,
     barycentrics: Vec3,
     eye: Vec4,
-) -> SurfacePoint<'_> {
+    filter: Option<Filter>,
+) -> SurfacePoint<'a> {
     let triangle = &scene.triangles[triangle];
     let material = &scene.materials[triangle.material as usize];
     let [a, b, c] = triangle
@@ -384,7 +386,13 @@ pub fn surface_seen(
     let uv = interpolate(|vertex| Vec2::from(vertex.uv).extend(0.0).extend(0.0)).xy();
     let [pa, pb, pc] = [a, b, c].map(|vertex| Vec3::from(vertex.position));
     let geometric_normal = unit_or((pb - pa).cross(pc - pa), Vec3::Y);
-    let sample = |slot: &TextureSlot| sample_slot(&scene.textures[slot.texture as usize], slot, uv);
+    let filter = filter.map(|filter| {
+        (
+            filter.mipmaps,
+            Footprint::new(filter.view, [a, b, c], position),
+        )
+    });
+    let sample = |slot: &TextureSlot| textures::sample(scene, slot, uv, filter);
 
     let smooth_normal = unit_or(vertex_normal, geometric_normal);
     let mut normal = smooth_normal;
@@ -511,57 +519,40 @@ pub fn surface_seen(
     }
 }
 
-/// Radiance that the surface emits at `barycentrics` of triangle `triangle`.
+/// Radiance that the surface emits at `barycentrics` of triangle `triangle`; textures as in
+/// [`surface_seen`].
 ///
 /// # Panics
 /// If `triangle` is not a triangle of `scene`.
-pub fn emission(scene: &Scene, triangle: usize, barycentrics: Vec3) -> Vec3 {
+pub fn emission(
+    scene: &Scene,
+    triangle: usize,
+    barycentrics: Vec3,
+    filter: Option<Filter>,
+) -> Vec3 {
     let triangle = &scene.triangles[triangle];
     let material = &scene.materials[triangle.material as usize];
     let emission = Vec3::from(material.emission);
     let Some(slot) = &material.emission_texture else {
         return emission;
     };
-    let [a, b, c] = triangle
+    let corners = triangle
         .vertices
-        .map(|vertex| Vec2::from(scene.vertices[vertex as usize].uv));
-    let uv = a * barycentrics.x + b * barycentrics.y + c * barycentrics.z;
-    emission * sample_slot(&scene.textures[slot.texture as usize], slot, uv).xyz()
-}
-
-/// RGBA of a texture slot at a vertex's texture coordinates.
-fn sample_slot(texture: &Texture, slot: &TextureSlot, uv: Vec2) -> Vec4 {
-    let [row_u, row_v] = slot.transform.map(Vec3::from);
-    let uv = Vec2::new(row_u.dot(uv.extend(1.0)), row_v.dot(uv.extend(1.0)));
-    let size = Vec2::new(texture.width as f32, texture.height as f32);
-    // In texels from the first texel's centre, -½ to N - ½.
-    let p = (uv - uv.floor()) * size - 0.5;
-    let low = p.floor();
-    let f = p - low;
-    // Adding N makes the first operand of the remainder positive.
-    let x0 = (low.x as i32 + texture.width as i32) as u32 % texture.width;
-    let y0 = (low.y as i32 + texture.height as i32) as u32 % texture.height;
-    let x1 = (x0 + 1) % texture.width;
-    let y1 = (y0 + 1) % texture.height;
-    let top = texel(texture, x0, y0).lerp(texel(texture, x1, y0), f.x);
-    let bottom = texel(texture, x0, y1).lerp(texel(texture, x1, y1), f.x);
-    top.lerp(bottom, f.y)
-}
-
-fn texel(texture: &Texture, x: u32, y: u32) -> Vec4 {
-    let start = (y as usize * texture.width as usize + x as usize) * 4;
-    let bytes: [u8; 4] = std::array::from_fn(|channel| texture.texels[start + channel]);
-    let value = Vec4::from(bytes.map(f32::from)) / 255.0;
-    match texture.encoding {
-        TextureEncoding::Linear => value,
-        TextureEncoding::Rgbe => decode_rgbe(bytes).extend(1.0),
-        TextureEncoding::Srgb => Vec3::new(
-            decode_srgb(value.x),
-            decode_srgb(value.y),
-            decode_srgb(value.z),
+        .map(|vertex| &scene.vertices[vertex as usize]);
+    let weights = barycentrics.to_array();
+    let uv = (corners.iter().zip(weights)).fold(Vec2::ZERO, |uv, (corner, weight)| {
+        uv + Vec2::from(corner.uv) * weight
+    });
+    let position = (corners.iter().zip(weights)).fold(Vec3::ZERO, |position, (corner, weight)| {
+        position + Vec3::from(corner.position) * weight
+    });
+    let filter = filter.map(|filter| {
+        (
+            filter.mipmaps,
+            Footprint::new(filter.view, corners, position),
         )
-        .extend(value.w),
-    }
+    });
+    emission * textures::sample(scene, slot, uv, filter).xyz()
 }
 
 /// Ward 1991, "Real pixels", without the half that is added to each byte there.
@@ -597,15 +588,6 @@ pub fn sample_ratio(texture: &Texture, wi: Vec3, wo: Vec3) -> Vec3 {
     let row = |y, z| at(0, y, z).lerp(at(1, y, z), f.x);
     let plane = |z| row(0, z).lerp(row(1, z), f.y);
     plane(0).lerp(plane(1), f.z)
-}
-
-/// IEC 61966-2-1.
-fn decode_srgb(encoded: f32) -> f32 {
-    if encoded <= 0.040_45 {
-        encoded / 12.92
-    } else {
-        math::powf((encoded + 0.055) / 1.055, 2.4)
-    }
 }
 
 /// `vector` at unit length, or `fallback` where it is zero or not a number.
@@ -656,7 +638,9 @@ pub fn wgsl_constants() -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use relight_format::{BakeReport, Cluster, Representation, Triangle, VisibilityParameters};
+    use relight_format::{
+        BakeReport, Cluster, Representation, TextureEncoding, Triangle, VisibilityParameters,
+    };
 
     /// A few roundings of numbers of order 1.
     const ROUNDING: f32 = 1e-5;

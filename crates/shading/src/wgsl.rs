@@ -5,7 +5,8 @@ use std::fmt::Write as _;
 use crate::surface::{Join, Model};
 use crate::{
     brdf, catcher, cells, glossy, gpu, local_light, occluders, polar, prefiltered, shade, slots,
-    sources, spherical_gaussian, surface, surfaces, tables, tonemap, transfer, vertex_visibility,
+    sources, spherical_gaussian, surface, surfaces, tables, textures, tonemap, transfer,
+    vertex_visibility,
 };
 
 /// What a shader module is for.
@@ -261,6 +262,7 @@ const LIBRARY: &[&str] = &[
     include_str!("wgsl/ssdf.wgsl"),
     include_str!("wgsl/polar.wgsl"),
     include_str!("wgsl/ambient.wgsl"),
+    include_str!("wgsl/textures.wgsl"),
     include_str!("wgsl/surface.wgsl"),
     include_str!("wgsl/brdf.wgsl"),
     include_str!("wgsl/reference.wgsl"),
@@ -401,6 +403,7 @@ fn constants() -> String {
     text += &polar::wgsl_constants();
     text += &cells::wgsl_constants();
     text += &surface::wgsl_constants();
+    text += &textures::wgsl_constants();
     text += &brdf::wgsl_constants();
     text += &glossy::wgsl_constants();
     text += &shade::wgsl_constants();

@@ -24,7 +24,8 @@ use rayon::prelude::*;
 use relight_bake::visibility::ray::RayCaster;
 use relight_format::Scene;
 use relight_shading::camera::View;
-use relight_shading::surface::{SurfacePoint, surface_point};
+use relight_shading::surface::{SurfacePoint, emission, surface_seen};
+use relight_shading::textures::{self, Mipmaps};
 
 use crate::image_file::Image;
 
@@ -87,6 +88,7 @@ pub struct Geometry<'a> {
     scene: &'a Scene,
     view: View,
     trees: Arc<Trees>,
+    mipmaps: Mipmaps,
 }
 
 /// What rays are traced through: worth keeping for as long as triangles and eye stay.
@@ -102,6 +104,8 @@ pub struct Trees {
 /// What is under a pixel.
 struct Seen<'a> {
     point: SurfacePoint<'a>,
+    /// Radiance that it emits.
+    emission: Vec3,
     /// Index in the scene.
     triangle: usize,
     barycentrics: Vec3,
@@ -149,17 +153,29 @@ impl<'a> Geometry<'a> {
 
     /// With trees of a scene of the same triangles for the same eye.
     pub fn of(scene: &'a Scene, view: View, trees: Arc<Trees>) -> Self {
-        Self { scene, view, trees }
+        let mipmaps = Mipmaps::new(scene);
+        Self {
+            scene,
+            view,
+            trees,
+            mipmaps,
+        }
     }
 
-    /// The surface seen through a point of the image, in pixels from its upper left corner.
-    fn seen(&self, x: f32, y: f32) -> Option<Seen<'_>> {
+    /// The surface seen through a point of the image, in pixels from its upper left corner. Of textures
+    /// a pixel's centre shows what all of the pixel sees, as the runtime does.
+    fn seen(&self, x: f32, y: f32, filter: Filter) -> Option<Seen<'_>> {
         let direction = self.view.corner + x * self.view.right + y * self.view.down;
         let hit = self.trees.facing.closest_hit(self.view.eye, direction)?;
         let triangle = self.trees.facing_triangles[hit.triangle];
-        let point = surface_point(self.scene, triangle, hit.barycentrics, self.view.eye);
+        let filter = (filter == Filter::Center).then_some(textures::Filter {
+            view: &self.view,
+            mipmaps: &self.mipmaps,
+        });
+        let eye = self.view.eye.extend(1.0);
         Some(Seen {
-            point,
+            point: surface_seen(self.scene, triangle, hit.barycentrics, eye, filter),
+            emission: emission(self.scene, triangle, hit.barycentrics, filter),
             triangle,
             barycentrics: hit.barycentrics,
         })
@@ -346,7 +362,7 @@ mod tests {
         let geometry = Geometry::new(&scene, test_scene::view(4));
         let Seen {
             point, triangle, ..
-        } = geometry.seen(2.0, 2.0).unwrap();
+        } = geometry.seen(2.0, 2.0, Filter::Box).unwrap();
         assert!(triangle < 2, "the plane's");
         assert!(point.position.distance(Vec3::new(0.5, 0.0, 0.0)) < 1e-5);
         assert!(geometry.visible(&point, Vec3::new(0.1, 1.0, 0.0)));
@@ -354,6 +370,10 @@ mod tests {
         let mut below = test_scene::view(4);
         below.eye.y = -2.0;
         below.corner.y = 1.0;
-        assert!(Geometry::new(&scene, below).seen(2.0, 2.0).is_none());
+        assert!(
+            Geometry::new(&scene, below)
+                .seen(2.0, 2.0, Filter::Box)
+                .is_none()
+        );
     }
 }

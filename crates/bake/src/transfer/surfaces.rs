@@ -83,7 +83,7 @@ impl Surfaces {
         Some(Emitter {
             position: a * barycentrics.x + b * barycentrics.y + c * barycentrics.z,
             normal: self.geometric_normal(triangle),
-            weight: emission(&self.scene, triangle, barycentrics) / density,
+            weight: emission(&self.scene, triangle, barycentrics, None) / density,
         })
     }
 
@@ -125,7 +125,7 @@ impl Surfaces {
         let behind = point.geometric_normal.dot(origin - point.position) < 0.0;
         // What is emitted leaves the front alone, as it is drawn.
         let emission = if self.emit() && !behind {
-            emission(&self.scene, triangle, barycentrics)
+            emission(&self.scene, triangle, barycentrics, None)
         } else {
             Vec3::ZERO
         };

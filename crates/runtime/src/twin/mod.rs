@@ -17,6 +17,7 @@ use relight_shading::sources::Lit;
 use relight_shading::ssdf::{Basis, SignedDistance, Ssdf};
 use relight_shading::surface::{SurfacePoint, emission, surface_seen};
 use relight_shading::surfaces::{self, Item, Sample, Surfaces};
+use relight_shading::textures::{Filter, Mipmaps};
 use relight_shading::tonemap;
 use relight_shading::transfer::{Bounced, PackedTransfer};
 use relight_shading::vertex_visibility::Corners;
@@ -50,6 +51,7 @@ impl<'a> From<&'a Scene> for Placed<'a> {
 /// for as long as its geometry and visibility stay.
 pub struct Prepared {
     basis: Basis,
+    mipmaps: Mipmaps,
     transfer: Option<PackedTransfer>,
     /// For the first frame with sources.
     occluders: OnceLock<Occluders>,
@@ -62,6 +64,7 @@ impl Prepared {
     pub fn new(scene: &Scene) -> Self {
         Self {
             basis: Basis::new(scene),
+            mipmaps: Mipmaps::new(scene),
             transfer: PackedTransfer::new(scene),
             occluders: OnceLock::new(),
             fractions: Mutex::new(Vec::new()),
@@ -136,7 +139,8 @@ fn render_while(
         }
         let scene = stage.instances[seen.instance].scene;
         let direct = shade::shade(&seen.point, lighting, field, &frame.method);
-        let emitted = emission(scene, seen.triangle, seen.barycentrics);
+        let filter = stage.instances[seen.instance].filter();
+        let emitted = emission(scene, seen.triangle, seen.barycentrics, Some(filter));
         let bounced = bounced[seen.instance].as_ref().map_or(Vec3::ZERO, |light| {
             light.at(scene, seen).reflected(&seen.point, field)
         });
@@ -330,6 +334,14 @@ struct Staged<'a> {
 }
 
 impl Staged<'_> {
+    /// What textures are seen through.
+    fn filter(&self) -> Filter<'_> {
+        Filter {
+            view: &self.local.view,
+            mipmaps: &self.prepared.mipmaps,
+        }
+    }
+
     /// What the vertices of a triangle see.
     fn corners(&self, triangle: usize, barycentrics: Vec3) -> Option<Corners<'_>> {
         let fractions = self.fractions.as_ref()?;
@@ -471,7 +483,7 @@ impl<'a> Stage<'a> {
             let eye = local.view.homogeneous_eye();
             let seen = Seen {
                 instance,
-                point: surface_seen(scene, triangle, weights, eye),
+                point: surface_seen(scene, triangle, weights, eye, Some(staged.filter())),
                 triangle,
                 barycentrics: weights,
             };

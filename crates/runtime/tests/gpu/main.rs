@@ -14,6 +14,7 @@ mod scenes;
 #[path = "../../examples/support/mod.rs"]
 #[allow(clippy::duplicate_mod, reason = "every example has it as well")]
 mod support;
+mod textures;
 
 use std::process::ExitCode;
 use std::sync::{Mutex, PoisonError};
@@ -118,6 +119,14 @@ fn main() -> ExitCode {
             materials_change_without_upload,
         ),
         with_gpu("passes_are_timed", passes_are_timed),
+        with_gpu(
+            "textures::fifteen_maps_of_2048_are_drawn",
+            textures::fifteen_maps_of_2048_are_drawn,
+        ),
+        with_gpu(
+            "textures::distant_textures_are_averaged",
+            textures::distant_textures_are_averaged,
+        ),
         with_gpu(
             "background::backgrounds_match_twin",
             background::backgrounds_match_twin,

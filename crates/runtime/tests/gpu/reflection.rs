@@ -11,9 +11,10 @@ use relight_runtime::offscreen::Gpu;
 use relight_runtime::wgpu;
 use relight_shading::brdf::{MAX_SPECULAR_LOBES, specular_lobes};
 use relight_shading::camera::View;
-use relight_shading::gpu::{self, pack_scene};
+use relight_shading::gpu::{self, PackedScene, pack_scene};
 use relight_shading::shade::gpu_tables;
-use relight_shading::surface::{MAX_REFLECTIONS, Reflection, sample_ratio, surface_point};
+use relight_shading::surface::{MAX_REFLECTIONS, Reflection, sample_ratio, surface_seen};
+use relight_shading::textures::{Filter, Mipmaps};
 use relight_shading::wgsl::{Entry, source};
 use wgpu::util::DeviceExt as _;
 
@@ -49,7 +50,11 @@ const WORDS: usize = 4 + MAX_REFLECTIONS * REFLECTION_WORDS;
 #[allow(clippy::too_many_lines, reason = "one comparison after the other")]
 pub fn surface_and_lobes_match_twins(gpu: &mut Gpu) -> Result<(), Failed> {
     let scene = scene();
-    let eye = Vec3::from(scenes::camera().position);
+    let view = view();
+    let filter = Filter {
+        view: &view,
+        mipmaps: &Mipmaps::new(&scene),
+    };
     let mut random = Random(3);
     let queries: Vec<_> = (0..QUERIES)
         .map(|_| {
@@ -65,11 +70,12 @@ pub fn surface_and_lobes_match_twins(gpu: &mut Gpu) -> Result<(), Failed> {
     let (mut worst_ratio, mut ratios) = (0f32, 0);
     let (mut worst_surface, mut worst_lobe, mut different, mut lobes_seen) = (0f32, 0f32, 0, 0);
     for (query, answer) in queries.iter().zip(answers.chunks_exact(WORDS)) {
-        let point = surface_point(
+        let point = surface_seen(
             &scene,
             query.triangle as usize,
             query.barycentrics.into(),
-            eye,
+            view.homogeneous_eye(),
+            Some(filter),
         );
         let reflections: Vec<_> = point.appearance.reflections.to_vec();
         let expected = [
@@ -155,6 +161,7 @@ pub fn surface_and_lobes_match_twins(gpu: &mut Gpu) -> Result<(), Failed> {
 
 /// Random triangles in front of the camera, every surface kind and every texture slot.
 fn scene() -> Scene {
+    let eye = Vec3::from(scenes::camera().position);
     let mut random = Random(2);
     let mut scene = scenes::sphere_over_plane();
     scene.textures = (0..4)
@@ -180,7 +187,6 @@ fn scene() -> Scene {
     let cluster = scene.triangles[0].cluster;
     scene.vertices.clear();
     scene.triangles.clear();
-    let eye = Vec3::from(scenes::camera().position);
     for material in 0..MATERIALS {
         let first = scene.vertices.len() as u32;
         // Facing the eye, more or less, up to grazing.
@@ -342,14 +348,13 @@ fn answers(gpu: &Gpu, scene: &Scene, queries: &[Query]) -> Result<Vec<Vec4>, Fai
     };
     let storage = |contents: &[u8]| buffer(contents, wgpu::BufferUsages::STORAGE);
     let packed = pack_scene(scene)?;
-    let view = View::new(&scenes::camera(), 1, 1, 1.0);
-    let frame = gpu::Frame::new(&view, &packed.atlas, packed.distance_clamp);
+    let frame = gpu::Frame::new(&view(), &packed.atlas, packed.distance_clamp);
     let frame = buffer(bytemuck::bytes_of(&frame), wgpu::BufferUsages::UNIFORM);
     let tables = storage(bytemuck::cast_slice(&gpu_tables()));
     let vertices = storage(bytemuck::cast_slice(&packed.vertices));
     let triangles = storage(bytemuck::cast_slice(&packed.triangles));
     let materials = storage(bytemuck::cast_slice(&packed.materials));
-    let texels = storage(bytemuck::cast_slice(&packed.texels));
+    let texels = texels(gpu, scene, &packed);
     let input = storage(bytemuck::cast_slice(queries));
     let size = (queries.len() * WORDS * 16) as u64;
     let output = device.create_buffer(&wgpu::BufferDescriptor {
@@ -366,25 +371,23 @@ fn answers(gpu: &Gpu, scene: &Scene, queries: &[Query]) -> Result<Vec<Vec4>, Fai
     });
     let groups = [
         (0, vec![(0, &frame), (2, &tables)]),
-        (
-            1,
-            vec![
-                (0, &vertices),
-                (1, &triangles),
-                (4, &materials),
-                (5, &texels),
-            ],
-        ),
+        (1, vec![(0, &vertices), (1, &triangles), (4, &materials)]),
         (3, vec![(0, &input), (1, &output)]),
     ]
     .map(|(index, buffers)| {
-        let entries: Vec<_> = buffers
+        let mut entries: Vec<_> = buffers
             .into_iter()
             .map(|(binding, buffer)| wgpu::BindGroupEntry {
                 binding,
                 resource: buffer.as_entire_binding(),
             })
             .collect();
+        if index == 1 {
+            entries.push(wgpu::BindGroupEntry {
+                binding: 5,
+                resource: wgpu::BindingResource::TextureView(&texels),
+            });
+        }
         let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: None,
             layout: &pipeline.get_bind_group_layout(index),
@@ -404,4 +407,47 @@ fn answers(gpu: &Gpu, scene: &Scene, queries: &[Query]) -> Result<Vec<Vec4>, Fai
     encoder.copy_buffer_to_buffer(&output, 0, &read_back, 0, size);
     gpu.queue.submit([encoder.finish()]);
     Ok(bytemuck::pod_collect_to_vec(&gpu.read_buffer(&read_back)?))
+}
+
+/// Pixels so wide that textures are seen at several levels.
+fn view() -> View {
+    View::new(&scenes::camera(), 48, 36, 1.0)
+}
+
+/// All textures' texels, as an app without our renderer would upload them.
+fn texels(gpu: &Gpu, scene: &Scene, packed: &PackedScene) -> wgpu::TextureView {
+    let size = wgpu::Extent3d {
+        width: packed.pages.width,
+        height: packed.pages.height,
+        depth_or_array_layers: packed.pages.layers,
+    };
+    let mut words = vec![0u32; (packed.pages.bytes() / 4) as usize];
+    for (texture, place) in scene.textures.iter().zip(&packed.textures) {
+        place.visit(texture, |[x, y, layer], level| {
+            let rows = bytemuck::pod_collect_to_vec::<u8, u32>(&level.texels);
+            for (row, texels) in (y..).zip(rows.chunks_exact(level.width as usize)) {
+                let first = ((layer * size.height + row) * size.width + x) as usize;
+                words[first..first + texels.len()].copy_from_slice(texels);
+            }
+        });
+    }
+    let texture = gpu.device.create_texture_with_data(
+        &gpu.queue,
+        &wgpu::TextureDescriptor {
+            label: None,
+            size,
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format: wgpu::TextureFormat::R32Uint,
+            usage: wgpu::TextureUsages::TEXTURE_BINDING,
+            view_formats: &[],
+        },
+        wgpu::util::TextureDataOrder::LayerMajor,
+        bytemuck::cast_slice(&words),
+    );
+    texture.create_view(&wgpu::TextureViewDescriptor {
+        dimension: Some(wgpu::TextureViewDimension::D2Array),
+        ..Default::default()
+    })
 }

@@ -134,18 +134,23 @@ struct Cluster {
     bounced: u32,
 }
 
-// A texture as a range of `texels`, one RGBA8 word each (red in the low byte), row 0 first.
+// A texture in `texels`, one RGBA8 word each (red in the low byte), row 0 first.
 struct TextureSlot {
-    // First texel.
-    offset: u32,
+    // First texel: column | row << TEXTURES_SIDE_BITS | layer << 2 TEXTURES_SIDE_BITS.
+    place: u32,
     // 0: no texture.
     width: u32,
     height: u32,
     // 1: red, green and blue are sRGB encoded. 0: all channels are linear.
     srgb: u32,
-    // u and v of the texture are dot(row.xyz, vec3(u, v, 1)) of the vertex.
-    transform_u: vec4<f32>,
-    transform_v: vec4<f32>,
+    // u and v of the texture are dot(row, vec3(u, v, 1)) of the vertex.
+    transform_u: vec3<f32>,
+    // As `place`, of the texture at half its size; the next halves stand to its right, one above the
+    // other.
+    coarser: u32,
+    transform_v: vec3<f32>,
+    // How often it is halved.
+    last_level: u32,
 }
 
 // One reflection of a layer, with the Lambertian base that comes with it.
@@ -163,7 +168,7 @@ struct Layer {
     weight: f32,
     // Roughness along tangent and bitangent; Blinn-Phong: exponent in both.
     alpha: vec2<f32>,
-    // One more than the first texel of the reflection's ratio; 0: none.
+    // One more than the place of the reflection's ratio; 0: none.
     ratio: u32,
     reserved: u32,
     diffuse_texture: TextureSlot,
@@ -188,7 +193,8 @@ struct Material {
     layer_count: u32,
     // 0: no Lambertian base anywhere.
     has_diffuse: u32,
-    reserved: f32,
+    // 0: no textures.
+    textured: u32,
     base_color_texture: TextureSlot,
     metallic_roughness_texture: TextureSlot,
     normal_texture: TextureSlot,
@@ -226,7 +232,8 @@ struct Material {
 // Two i16 per word, the first in the low half; c / 32767 is the coefficient.
 @group(1) @binding(3) var<storage, read> coefficients: array<u32>;
 @group(1) @binding(4) var<storage, read> materials: array<Material>;
-@group(1) @binding(5) var<storage, read> texels: array<u32>;
+// textures::PageLayout.
+@group(1) @binding(5) var texels: texture_2d_array<u32>;
 // rgba8snorm tiles, each with a one-texel gutter that continues the octahedral map.
 @group(1) @binding(6) var basis_atlas: texture_2d_array<f32>;
 @group(1) @binding(7) var basis_sampler: sampler;

@@ -8,7 +8,7 @@ struct Reflection {
     // Colour at grazing incidence.
     grazing: vec3<f32>,
     alpha: vec2<f32>,
-    // One more than the first texel of what the value is multiplied by; 0: nothing.
+    // One more than the place of what the value is multiplied by; 0: nothing.
     ratio: u32,
 }
 
@@ -80,10 +80,13 @@ fn surface_shape(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32
     var normal = smooth_normal;
     var tangent = surface_orthogonal_unit(vertex_tangent.xyz, normal);
     let handedness = select(1.0, -1.0, vertex_tangent.w < 0.0);
+    if materials[material_index].textured != 0u {
+        textures_enter(a, b, c, position);
+    }
     let normal_texture = materials[material_index].normal_texture;
     if normal_texture.width != 0u {
         let normal_scale = materials[material_index].normal_scale;
-        let mapped = surface_sample(normal_texture, uv).xyz * 2.0 - 1.0;
+        let mapped = textures_sample(normal_texture, uv).xyz * 2.0 - 1.0;
         let bitangent = cross(normal, tangent) * handedness;
         let scaled = tangent * (mapped.x * normal_scale)
             + bitangent * (mapped.y * normal_scale)
@@ -129,7 +132,7 @@ fn surface_point(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32
     var strength = 1.0;
     let anisotropy_texture = materials[material_index].anisotropy_texture;
     if anisotropy_texture.width != 0u {
-        let texel = surface_sample(anisotropy_texture, uv);
+        let texel = textures_sample(anisotropy_texture, uv);
         strength = texel.z;
         direction = texel.xy * 2.0 - 1.0;
         if dot(direction, direction) < SURFACE_DEGENERATE_LENGTH_SQUARED {
@@ -141,13 +144,13 @@ fn surface_point(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32
         var color = materials[material_index].color;
         let color_texture = materials[material_index].base_color_texture;
         if color_texture.width != 0u {
-            color *= surface_sample(color_texture, uv).xyz;
+            color *= textures_sample(color_texture, uv).xyz;
         }
         var metallic = materials[material_index].metallic;
         var roughness = materials[material_index].roughness;
         let factor_texture = materials[material_index].metallic_roughness_texture;
         if factor_texture.width != 0u {
-            let factors = surface_sample(factor_texture, uv);
+            let factors = textures_sample(factor_texture, uv);
             metallic *= factors.z;
             roughness *= factors.y;
         }
@@ -229,7 +232,9 @@ fn surface_emission(corners: vec3<u32>, material_index: u32, barycentrics: vec3<
     let b = vertices[corners.y];
     let c = vertices[corners.z];
     let uv = vec2(a.u, a.v) * barycentrics.x + vec2(b.u, b.v) * barycentrics.y + vec2(c.u, c.v) * barycentrics.z;
-    return emission * surface_sample(slot, uv).xyz;
+    let position = a.position * barycentrics.x + b.position * barycentrics.y + c.position * barycentrics.z;
+    textures_enter(a, b, c, position);
+    return emission * textures_sample(slot, uv).xyz;
 }
 
 // Reflection `k` of the invocation's surface point, as the layers above leave it.
@@ -251,7 +256,7 @@ fn surface_layer_weight(i: u32) -> f32 {
     if texture.width == 0u {
         return weight;
     }
-    return weight * surface_sample(texture, reflection_uv).x;
+    return weight * textures_sample(texture, reflection_uv).x;
 }
 
 fn surface_layer_diffuse(i: u32) -> vec3<f32> {
@@ -260,7 +265,7 @@ fn surface_layer_diffuse(i: u32) -> vec3<f32> {
     if texture.width == 0u {
         return diffuse;
     }
-    return diffuse * surface_sample(texture, reflection_uv).xyz;
+    return diffuse * textures_sample(texture, reflection_uv).xyz;
 }
 
 // A layer's reflection by itself, its parameters not yet clamped.
@@ -274,11 +279,11 @@ fn surface_layer_reflection(i: u32) -> Reflection {
     );
     let specular_texture = materials[reflection_material].layers[i].specular_texture;
     if specular_texture.width != 0u {
-        reflection.specular *= surface_sample(specular_texture, reflection_uv).xyz;
+        reflection.specular *= textures_sample(specular_texture, reflection_uv).xyz;
     }
     let roughness_texture = materials[reflection_material].layers[i].roughness_texture;
     if roughness_texture.width != 0u {
-        let roughness = surface_sample(roughness_texture, reflection_uv).xy;
+        let roughness = textures_sample(roughness_texture, reflection_uv).xy;
         switch reflection.model {
             case MODEL_BLINN_PHONG: {
                 // A quotient by zero need not be infinite here.
@@ -359,53 +364,33 @@ fn surface_ratio(ratio: u32, wi: vec3<f32>, wo: vec3<f32>) -> vec3<f32> {
     let position = coordinates * vec3<f32>(SURFACE_RATIO_NODES - 1u);
     let low = min(vec3<u32>(position), SURFACE_RATIO_NODES - 2u);
     let f = position - vec3<f32>(low);
-    let row = SURFACE_RATIO_NODES.x;
-    let plane = row * SURFACE_RATIO_NODES.y;
-    let first = ratio - 1u + low.z * plane + low.y * row + low.x;
-    let near = mix(surface_ratio_row(first, f.x), surface_ratio_row(first + row, f.x), f.y);
-    let next = first + plane;
-    let far = mix(surface_ratio_row(next, f.x), surface_ratio_row(next + row, f.x), f.y);
+    // Planes stand one below the other.
+    let plane = SURFACE_RATIO_NODES.y;
+    let first = vec2(low.x, low.z * plane + low.y);
+    let next = first + vec2(0u, plane);
+    let below = vec2(0u, 1u);
+    let near = mix(
+        surface_ratio_row(ratio, first, f.x),
+        surface_ratio_row(ratio, first + below, f.x),
+        f.y,
+    );
+    let far = mix(
+        surface_ratio_row(ratio, next, f.x),
+        surface_ratio_row(ratio, next + below, f.x),
+        f.y,
+    );
     return mix(near, far, f.z);
 }
 
-fn surface_ratio_row(first: u32, f: f32) -> vec3<f32> {
-    return mix(surface_rgbe(texels[first]), surface_rgbe(texels[first + 1u]), f);
+fn surface_ratio_row(ratio: u32, first: vec2<u32>, f: f32) -> vec3<f32> {
+    let a = surface_rgbe(textures_word(ratio - 1u, first));
+    return mix(a, surface_rgbe(textures_word(ratio - 1u, first + vec2(1u, 0u))), f);
 }
 
 // Ward 1991.
 fn surface_rgbe(texel: u32) -> vec3<f32> {
     let bytes = vec3<f32>(vec3(texel & 0xffu, (texel >> 8u) & 0xffu, (texel >> 16u) & 0xffu));
     return ldexp(bytes, vec3(i32(texel >> 24u) - SURFACE_RGBE_BIAS));
-}
-
-fn surface_sample(slot: TextureSlot, vertex_uv: vec2<f32>) -> vec4<f32> {
-    let uv = vec2(
-        dot(slot.transform_u.xyz, vec3(vertex_uv, 1.0)),
-        dot(slot.transform_v.xyz, vec3(vertex_uv, 1.0)),
-    );
-    let size = vec2(f32(slot.width), f32(slot.height));
-    // In texels from the first texel's centre, -1/2 to N - 1/2.
-    let p = (uv - floor(uv)) * size - 0.5;
-    let low = floor(p);
-    let f = p - low;
-    // Adding N makes the first operand of the remainder positive.
-    let x0 = u32(i32(low.x) + i32(slot.width)) % slot.width;
-    let y0 = u32(i32(low.y) + i32(slot.height)) % slot.height;
-    let x1 = (x0 + 1u) % slot.width;
-    let y1 = (y0 + 1u) % slot.height;
-    let top = mix(surface_texel(slot, x0, y0), surface_texel(slot, x1, y0), f.x);
-    let bottom = mix(surface_texel(slot, x0, y1), surface_texel(slot, x1, y1), f.x);
-    return mix(top, bottom, f.y);
-}
-
-fn surface_texel(slot: TextureSlot, x: u32, y: u32) -> vec4<f32> {
-    let value = unpack4x8unorm(texels[slot.offset + y * slot.width + x]);
-    if slot.srgb == 0u {
-        return value;
-    }
-    let dark = value.xyz / 12.92;
-    let bright = pow((value.xyz + 0.055) / 1.055, vec3(2.4));
-    return vec4(select(bright, dark, value.xyz <= vec3(0.04045)), value.w);
 }
 
 fn surface_unit_or(vector: vec3<f32>, fallback: vec3<f32>) -> vec3<f32> {

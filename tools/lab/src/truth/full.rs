@@ -89,8 +89,8 @@ pub fn render(
     estimate_image(size, row_done, &|| true, |x, y| {
         let seed = hash(hash(options.seed, x), y);
         let at = |[u, v]: [f32; 2]| -> Option<Reflector> {
-            let seen = geometry.seen(x as f32 + u, y as f32 + v)?;
-            Some(paths.reflector(seen.point, seen.triangle, seen.barycentrics))
+            let seen = geometry.seen(x as f32 + u, y as f32 + v, options.filter)?;
+            Some(paths.reflector(seen.point, seen.triangle, seen.emission))
         };
         let center = (options.filter == Filter::Center).then(|| at([0.5; 2]));
         std::array::from_fn(|replica| -> Estimate {
@@ -351,7 +351,9 @@ mod tests {
         });
         let patch = test_scene::scene([0.5; 3], &test_scene::plane());
         let geometry = Geometry::new(&patch, test_scene::view(8));
-        let Seen { point, .. } = geometry.seen(4.0, 4.0).expect("the patch is seen");
+        let Seen { point, .. } = geometry
+            .seen(4.0, 4.0, Filter::Box)
+            .expect("the patch is seen");
         // Something between the patch and the light, or behind the light.
         for (height, expected) in [(1.0, 0.0), (5.0, 1.0)] {
             let lid = [[
@@ -457,7 +459,7 @@ mod tests {
         let view = test_scene::view(4);
         let tangent = |scene: &Scene| {
             let geometry = Geometry::new(scene, view);
-            let point = geometry.seen(2.0, 2.0).unwrap().point;
+            let point = geometry.seen(2.0, 2.0, Filter::Box).unwrap().point;
             assert_eq!(point.bitangent, point.normal.cross(point.tangent));
             point.tangent
         };

@@ -148,11 +148,11 @@ fn estimate(
     estimate_image(size, row_done, wanted, |x, y| {
         let seed = hash(hash(options.seed, x), y);
         let at = |[u, v]: [f32; 2]| -> Option<(Mixture, Option<Ssdf>, Reflector)> {
-            let seen = geometry.seen(x as f32 + u, y as f32 + v)?;
+            let seen = geometry.seen(x as f32 + u, y as f32 + v, options.filter)?;
             let field = (basis.as_ref()).map(|basis| {
                 Ssdf::interpolate(geometry.scene, basis, seen.triangle, seen.barycentrics)
             });
-            let reflector = paths.reflector(seen.point, seen.triangle, seen.barycentrics);
+            let reflector = paths.reflector(seen.point, seen.triangle, seen.emission);
             Some((Mixture::new(&seen.point, lighting), field, reflector))
         };
         let center = (options.filter == Filter::Center).then(|| at([0.5; 2]));

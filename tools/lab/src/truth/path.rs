@@ -74,19 +74,19 @@ impl Draws {
 }
 
 impl<'a, L: DistantLight> Paths<'a, L> {
-    /// The point and its material's exact reflection and emission.
+    /// The point and its material's exact reflection, and the radiance that it emits.
     pub fn reflector(
         &self,
         point: SurfacePoint<'a>,
         triangle: usize,
-        barycentrics: Vec3,
+        emission: Vec3,
     ) -> Reflector<'a> {
         let scene = self.geometry.scene;
         let material = scene.triangles[triangle].material as usize;
         Reflector {
             point,
             table: self.measured.get(material).and_then(Option::as_ref),
-            emission: emission(scene, triangle, barycentrics),
+            emission,
         }
     }
 
@@ -179,7 +179,8 @@ impl<'a, L: DistantLight> Paths<'a, L> {
             point.normal = -point.normal;
             point.bitangent = -point.bitangent;
         }
-        let mut next = self.reflector(point, hit.triangle, hit.barycentrics);
+        let emission = emission(geometry.scene, hit.triangle, hit.barycentrics, None);
+        let mut next = self.reflector(point, hit.triangle, emission);
         if behind {
             next.emission = Vec3::ZERO;
         }

@@ -1,0 +1,157 @@
+//! Textures of materials: many, large, and far away.
+
+use glam::{Quat, Vec3};
+use relight_format::{
+    Camera, FieldOfView, Material, Scene, Surface, Texture, TextureEncoding, TextureSlot,
+};
+use relight_runtime::offscreen::Gpu;
+use relight_runtime::{Frame, Image, Method, SphericalGaussian, twin};
+
+use crate::{FRAME_RELATIVE_RMSE, Outcome, POLAR, frame, lights, relative_rmse, scenes};
+
+/// Sides of a pixel that the reference is averaged over.
+const FINE: u32 = 8;
+/// Part of the error of one point per pixel that is left, at most: .14 is measured, and 2.4 % of error.
+const LEFT: f32 = 0.2;
+
+/// Of the scene's spheres and plane, materials with base colour, roughness and normals of their own.
+fn textured(side: u32) -> Scene {
+    let mut scene = scenes::sphere_over_plane();
+    scene.textures.clear();
+    let slot = |texture| {
+        Some(TextureSlot {
+            texture,
+            transform: [[1.5, 0.2, 0.1], [-0.3, 2.0, 0.4]],
+        })
+    };
+    let material = |index: u32| Material {
+        base_color_texture: slot(3 * index),
+        metallic_roughness_texture: slot(3 * index + 1),
+        normal_texture: slot(3 * index + 2),
+        surface: Surface::MetallicRoughness {
+            base_color: [0.9; 3],
+            metallic: 0.5,
+            roughness: 1.0,
+            anisotropy_strength: 0.0,
+            anisotropy_rotation: 0.0,
+        },
+        ..scenes::sphere_over_plane().materials[0].clone()
+    };
+    scene.materials = (0..5).map(material).collect();
+    for index in 0..15u32 {
+        let normal = index % 3 == 2;
+        let texel = |i: u32| {
+            let [x, y] = [i % side, i / side].map(|x| x * 64 / side);
+            let wave = (17 * index + 5 * x) ^ (11 * y);
+            if normal {
+                [
+                    118 + (wave % 20) as u8,
+                    118 + (wave / 3 % 20) as u8,
+                    250,
+                    255,
+                ]
+            } else {
+                [
+                    wave as u8 | 0x40,
+                    (3 * wave) as u8 | 0x60,
+                    (7 * wave) as u8,
+                    255,
+                ]
+            }
+        };
+        scene.textures.push(Texture {
+            width: side,
+            height: side,
+            encoding: if index % 3 == 0 {
+                TextureEncoding::Srgb
+            } else {
+                TextureEncoding::Linear
+            },
+            texels: (0..side * side).flat_map(texel).collect(),
+        });
+    }
+    for (index, triangle) in scene.triangles.iter_mut().enumerate() {
+        triangle.material = (index / 2 % 5) as u16;
+    }
+    scene
+}
+
+/// 240 MiB of them, at WebGPU's default limits.
+pub fn fifteen_maps_of_2048_are_drawn(gpu: &mut Gpu) -> Outcome {
+    let scene = textured(2048);
+    let lights = lights();
+    let frame = frame(&lights, POLAR);
+    let uploaded = gpu.upload(&scene)?;
+    let (width, height) = (120, 90);
+    let found = gpu.render(&uploaded, &frame, width, height)?.linear;
+    let expected = twin::render(&scene, &frame, width, height)?;
+    let error = relative_rmse(&found, &expected);
+    println!("relative RMSE {error:e}");
+    assert!(error <= FRAME_RELATIVE_RMSE, "{error}");
+    Ok(())
+}
+
+/// A checkerboard that goes far away, under light that is nearly the same from everywhere.
+pub fn distant_textures_are_averaged(gpu: &mut Gpu) -> Outcome {
+    let mut scene = scenes::sphere_over_plane();
+    let slot = scene.materials[0].base_color_texture.as_mut();
+    slot.expect("the checkerboard").transform = [[9.0, 4.0, 0.0], [-4.0, 9.0, 0.0]];
+    let lights = [SphericalGaussian {
+        axis: Vec3::Y,
+        sharpness: 0.5,
+        amplitude: Vec3::ONE,
+    }];
+    let camera = Camera {
+        position: [0.0, 0.25, 2.2],
+        target: [0.0, 0.1, 0.0],
+        up: [0.0, 1.0, 0.0],
+        field_of_view: FieldOfView::X(0.9),
+    };
+    let frame = Frame {
+        camera: camera.into(),
+        rotation: Quat::IDENTITY,
+        ..frame(&lights, Method::Ambient)
+    };
+    let (width, height) = (120, 60);
+    let fine = twin::render(&scene, &frame, FINE * width, FINE * height)?;
+    let at = |x: u32, y: u32| fine.pixels[(y * FINE * width + x) as usize];
+    let each = |pixel: &dyn Fn(u32, u32) -> [f32; 4]| Image {
+        width,
+        height,
+        pixels: (0..width * height)
+            .map(|i| pixel(i % width, i / width))
+            .collect(),
+    };
+    let averaged = each(&|x, y| {
+        let mut sum = [0.0; 4];
+        for fine_y in FINE * y..FINE * (y + 1) {
+            for fine_x in FINE * x..FINE * (x + 1) {
+                let pixel = at(fine_x, fine_y);
+                (sum.iter_mut().zip(pixel)).for_each(|(sum, value)| *sum += value);
+            }
+        }
+        sum.map(|sum| sum / (FINE * FINE) as f32)
+    });
+    let points = each(&|x, y| at(FINE * x + FINE / 2, FINE * y + FINE / 2));
+    let uploaded = gpu.upload(&scene)?;
+    let found = gpu.render(&uploaded, &frame, width, height)?.linear;
+    let expected = twin::render(&scene, &frame, width, height)?;
+    let error = relative_rmse(&found, &expected);
+    let [of_points, of_filter] = [&points, &expected].map(|image| relative_rmse(image, &averaged));
+    println!("relative RMSE {error:e}; of points {of_points}, of the filter {of_filter}");
+    if let Some(folder) = std::env::var_os("RELIGHT_TEST_PICTURES") {
+        let folder = std::path::PathBuf::from(folder);
+        for (name, image) in [
+            ("points", &points),
+            ("filtered", &found),
+            ("averaged", &averaged),
+        ] {
+            let display = twin::tonemap(image, 1.0);
+            let path = folder.join(format!("textures_{name}.png"));
+            image::save_buffer(path, &display, width, height, image::ColorType::Rgba8)?;
+        }
+    }
+    assert!(error <= FRAME_RELATIVE_RMSE, "{error}");
+    assert!(of_filter <= LEFT * of_points, "{of_filter} of {of_points}");
+    Ok(())
+}

@@ -58,6 +58,14 @@ pub enum Error {
     /// A view that is drawn before [`Renderer::prepare`](crate::Renderer::prepare) has filled it.
     #[error("view: expected a call of prepare before composite, found none")]
     NotPrepared,
+    /// Other numbers of instances, or of their placements, than a view was prepared with.
+    #[error("instances: expected the {expected} that the view was prepared with, found {found}")]
+    InstanceCount {
+        /// The view's.
+        expected: usize,
+        /// What was given.
+        found: usize,
+    },
     /// Matrices through which pixels have no rays.
     #[error("camera: expected matrices that are finite and regular, found {matrix}")]
     Camera {
@@ -92,6 +100,9 @@ pub enum Error {
     /// A scene or material that no asset could hold: a number or an index out of its range.
     #[error("asset: {0}")]
     Asset(#[from] relight_format::Error),
+    /// An upload that was no longer wanted.
+    #[error("upload: stopped, as it was asked to")]
+    Cancelled,
     /// No adapter offers the limits asked for.
     #[error("no graphics adapter with the limits asked for among {found:?}")]
     NoAdapter {

@@ -74,9 +74,15 @@
 //! - Scenes and places: [`Renderer::prepare`] takes [`Instance`]s, each with a [`Placement`]. They hide
 //!   one another. **They neither shadow nor light one another**: visibility is baked per scene. What
 //!   must throw a shadow on something is baked with it.
-//! - Threads: renderers, scenes and lights may be shared. [`Renderer::upload`] and
-//!   [`EnvironmentLight::new`] take time and belong on a thread of their own.
+//! - Threads: renderers, scenes and lights may be shared. [`Renderer::upload_while`], which can be stopped, and
+//!   [`EnvironmentLight::new`] take time and belong on a thread of their own. An asset is replaced by
+//!   assigning the new scene to the old one; [`Renderer::upload_bytes`] says before what it takes.
 //! - Targets: [`Renderer::with_options`] shares pipelines and scenes with a renderer for other passes.
+//!
+//! # For an app's own temporal antialiasing
+//!
+//! After [`Renderer::prepare`], [`Renderer::motion`] takes the camera and the placements of the frame before and fills
+//! [`View::motion`]; [`View::depth`] is beside it. Jitter is in the projection matrix.
 //!
 //! # What may go wrong
 //!
@@ -87,10 +93,14 @@
 //! # Versions
 //!
 //! The major version of this crate follows that of `wgpu`, which is re-exported: [`wgpu`]. `relight-shading` has
-//! the same stages as WGSL and packed buffers without any type of `wgpu`, for engines on another version or API.
+//! the same stages as WGSL (`wgsl::source`, `wgsl::KERNELS`) and packed buffers (`gpu::pack_scene`, `textures`) without
+//! any type of `wgpu`, for engines on another version or API.
 //! `public-api.txt` in the repository lists what may be named.
 //!
 //! # Features
+//!
+//! `vulkan` (on by default), `metal`, `dx12` and `webgpu` are those of `wgpu`: an app whose own `wgpu` has its
+//! backends needs none of them.
 //!
 //! Without a GPU, `twin::render` draws the same frame (feature `twin`). `offscreen` opens a device and
 //! waits for pictures, for tools and tests. Both are on by default; an app needs neither.
@@ -100,7 +110,9 @@ mod composite;
 mod error;
 mod frame;
 mod image;
+mod loading;
 mod lobes;
+mod motion;
 mod occluders;
 #[cfg(feature = "offscreen")]
 pub mod offscreen;
@@ -120,6 +132,8 @@ pub use background::Background;
 pub use error::Error;
 pub use frame::{EnvironmentLight, Frame};
 pub use image::Image;
+pub use loading::UploadProgress;
+pub use motion::Before;
 pub use options::{Options, Output};
 pub use pass_times::PassTimes;
 pub use placement::{Instance, Placement};

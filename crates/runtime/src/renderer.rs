@@ -3,7 +3,6 @@
 use std::ops::Range;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
-use relight_format::Scene;
 use relight_shading::gpu::{self, LimitError};
 use relight_shading::prefiltered::{self, Prefiltered};
 use relight_shading::shade::{self, Method};
@@ -12,6 +11,7 @@ use wgpu::util::DeviceExt as _;
 
 use crate::frame::LocalFrame;
 use crate::lobes::{self, LobePasses, Slots};
+use crate::motion::MotionPass;
 use crate::pass_times::{Pass, PassTimes, Recording, Timestamps};
 use crate::resources::{Numbered, Resources, first_ids};
 use crate::transfer::filled_buffer;
@@ -80,6 +80,7 @@ struct Kernels {
     diffuse: OnceLock<wgpu::ComputePipeline>,
     cells: OnceLock<wgpu::ComputePipeline>,
     sources: OnceLock<wgpu::ComputePipeline>,
+    motion: OnceLock<MotionPass>,
 }
 
 /// The same for everything that may be used together: scenes, views and renderers of one device,
@@ -179,18 +180,20 @@ impl Renderer {
         })
     }
 
-    /// Copies a scene to the GPU, on any thread. The error names the limit that it exceeds, or what
-    /// is out of its range in a scene that was not read from an asset.
-    pub fn upload(&self, scene: &Scene) -> Result<GpuScene, Error> {
+    /// Groups 1 that scenes are bound in, in the order of [`GpuScene`]'s.
+    pub(crate) fn scene_layouts(&self) -> [&wgpu::BindGroupLayout; 5] {
         let [materials, visibility] = &self.lobes.scenes;
-        let layouts = [
+        [
             &self.scene_layout,
             &self.source_layouts[1],
             &self.vertex_layouts[1],
             materials,
             visibility,
-        ];
-        GpuScene::new(&self.device, &self.queue, layouts, &self.owner, scene)
+        ]
+    }
+
+    pub(crate) fn owner(&self) -> &Owner {
+        &self.owner
     }
 
     /// Images of `width` × `height` pixels, for one camera.
@@ -422,6 +425,8 @@ impl Renderer {
                 if let Some(open) = &instance.scene.open {
                     view.open[index].fill(self, open, frame, local, *numbered, &image)?;
                 }
+            } else {
+                view.resources[index].leave();
             }
         }
         Ok(catches)
@@ -597,7 +602,7 @@ impl Renderer {
         .map_err(Error::Frame)
     }
 
-    fn check_view(&self, view: &View) -> Result<(), Error> {
+    pub(crate) fn check_view(&self, view: &View) -> Result<(), Error> {
         if view.owner == self.owner {
             Ok(())
         } else {
@@ -674,6 +679,11 @@ impl Renderer {
         let layouts = self.source_layouts.each_ref();
         (self.kernels.sources)
             .get_or_init(|| compute_pipeline(&self.device, &layouts, &wgsl::SOURCES))
+    }
+
+    pub(crate) fn motion_pass(&self) -> &MotionPass {
+        let layouts = [&self.frame_layout, &self.scene_layout];
+        (self.kernels.motion).get_or_init(|| MotionPass::new(&self.device, layouts))
     }
 
     /// What is bound where vertices see nothing of lights.
@@ -845,7 +855,7 @@ fn dispatch_bands(
 }
 
 /// Nothing is shaded where nothing is seen.
-fn clear(encoder: &mut wgpu::CommandEncoder, image: &wgpu::TextureView) {
+pub(crate) fn clear(encoder: &mut wgpu::CommandEncoder, image: &wgpu::TextureView) {
     encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
         label: Some("relight clear"),
         color_attachments: &[Some(wgpu::RenderPassColorAttachment {

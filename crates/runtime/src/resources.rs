@@ -9,8 +9,9 @@ use relight_shading::sources;
 use relight_shading::vertex_visibility;
 
 use crate::frame::LocalFrame;
+use crate::loading::check_storage;
 use crate::transfer::filled_buffer;
-use crate::upload::{ProductsOfLight, check_storage};
+use crate::upload::ProductsOfLight;
 use crate::vertex_lights::VertexLights;
 use crate::view::Region;
 use crate::{Error, Frame, GpuScene, Renderer};
@@ -19,9 +20,10 @@ use crate::{Error, Frame, GpuScene, Renderer};
 /// that WebGPU allows a device to ask for.
 pub(crate) const UNIFORM_STRIDE: usize = 512;
 
-/// A buffer that is filled again and again.
+/// A buffer that is filled again and again, and what it holds: what stays the same is not written
+/// again.
 #[derive(Debug, Default)]
-pub(crate) struct Slot(Option<wgpu::Buffer>);
+pub(crate) struct Slot(Option<(wgpu::Buffer, Vec<u8>)>);
 
 impl Slot {
     /// Fills it, by the next submission; makes a new one if it does not fit. Returns whether it is
@@ -33,21 +35,26 @@ impl Slot {
         contents: &[u8],
         usage: wgpu::BufferUsages,
     ) -> Result<bool, Error> {
-        match &self.0 {
-            Some(buffer) if buffer.size() >= contents.len() as u64 => {
+        match &mut self.0 {
+            Some((_, held)) if held == contents => Ok(false),
+            Some((buffer, held)) if buffer.size() >= contents.len() as u64 => {
                 renderer.queue().write_buffer(buffer, 0, contents);
+                held.clear();
+                held.extend_from_slice(contents);
                 Ok(false)
             }
             _ => {
                 let usage = usage | wgpu::BufferUsages::COPY_DST;
-                self.0 = Some(filled_buffer(renderer.device(), label, contents, usage)?);
+                let buffer = filled_buffer(renderer.device(), label, contents, usage)?;
+                self.0 = Some((buffer, contents.to_vec()));
                 Ok(true)
             }
         }
     }
 
     pub(crate) fn buffer(&self) -> &wgpu::Buffer {
-        self.0.as_ref().expect("filled before it is bound")
+        let (buffer, _) = self.0.as_ref().expect("filled before it is bound");
+        buffer
     }
 }
 
@@ -97,6 +104,11 @@ impl Resources {
             vertex_lights,
             ..Self::default()
         };
+    }
+
+    /// It is not seen.
+    pub(crate) fn leave(&mut self) {
+        self.bands.clear();
     }
 
     /// Fills everything for one frame.

@@ -14,10 +14,10 @@ use relight_shading::transfer::{self, DistantLight, PackedTransfer};
 use wgpu::util::{DeviceExt as _, TextureDataOrder};
 
 use crate::frame::{bounds, near_plane};
+use crate::loading::{Loading, check_storage};
 use crate::lobes::SCENE_BINDINGS;
 use crate::renderer::{Owner, buffer_entry, texture_entry};
-use crate::transfer::filled_buffer;
-use crate::{Error, occluders};
+use crate::{Error, Renderer, UploadProgress, occluders};
 
 /// Bindings of group 1 that kernels of vertices need.
 pub(crate) const VERTEX_BINDINGS: [u32; 6] = [0, 1, 2, 3, 6, 7];
@@ -46,6 +46,7 @@ pub struct GpuScene {
     pub(crate) owner: Owner,
     /// Without what hides light, where materials catch shadows.
     pub(crate) open: Option<Box<GpuScene>>,
+    bytes: u64,
     queue: wgpu::Queue,
     materials: wgpu::Buffer,
     textures: Vec<PackedTexture>,
@@ -53,6 +54,68 @@ pub struct GpuScene {
     bounced: Option<PackedTransfer>,
     /// Where light does not bounce.
     no_products: wgpu::TextureView,
+}
+
+impl Renderer {
+    /// Copies a scene to the GPU, on any thread. The error names the limit that it exceeds, or what
+    /// is out of its range in a scene that was not read from an asset.
+    ///
+    /// The bytes are handed over at the next submission, which waits for them: while others draw,
+    /// [`Self::upload_while`] is for scenes of more than a few megabytes. To replace an asset, assign the new
+    /// scene to the old one, whatever its size: views find out, and frames that are not done keep what they
+    /// were recorded with.
+    pub fn upload(&self, scene: &Scene) -> Result<GpuScene, Error> {
+        let loading = Loading::at_once(self.device(), self.queue());
+        GpuScene::new(
+            loading,
+            self.queue(),
+            self.scene_layouts(),
+            self.owner(),
+            scene,
+        )
+    }
+
+    /// The same beside a thread that draws: submits as it goes, a megabyte of textures or one buffer at a time,
+    /// and stops with [`Error::Cancelled`] once `wanted`, which is asked after each, says so. It
+    /// belongs on a thread of its own, where it takes as long as packing the scene and copying it.
+    pub fn upload_while(
+        &self,
+        scene: &Scene,
+        wanted: &mut dyn FnMut(UploadProgress) -> bool,
+    ) -> Result<GpuScene, Error> {
+        let at_most = self.upload_bytes(scene)?;
+        let loading = Loading::by_pieces(self.device(), self.queue(), at_most, wanted);
+        GpuScene::new(
+            loading,
+            self.queue(),
+            self.scene_layouts(),
+            self.owner(),
+            scene,
+        )
+    }
+
+    /// What a scene will take of the GPU's memory, at most: [`GpuScene::bytes`] says it after. Nothing is copied
+    /// or made.
+    pub fn upload_bytes(&self, scene: &Scene) -> Result<u64, Error> {
+        // Kernels index with what it holds; whoever made it need not have read it.
+        scene.validate()?;
+        // A binary tree has fewer nodes than twice its leaves.
+        let node = size_of::<gpu::OccluderNode>() as u64;
+        let triangle = size_of::<gpu::OccluderTriangle>() as u64;
+        let rays = (scene.triangles.len().max(1) as u64) * (2 * node + triangle);
+        let mut bytes = scene_bytes(scene, true)? + rays;
+        if catcher::catches(&scene.materials) {
+            bytes += scene_bytes(&catcher::open_scene(scene), false)? + 2 * node + triangle;
+        }
+        Ok(bytes)
+    }
+}
+
+/// What buffers and textures of a valid scene take, but for what rays meet.
+fn scene_bytes(scene: &Scene, textures: bool) -> Result<u64, Error> {
+    let words = PackedTransfer::new(scene).map_or(1, |packed| packed.words().len());
+    let words = 4 * word_count(words) as u64;
+    Ok(words + gpu::packed_bytes(scene, textures).map_err(Error::Scene)?)
 }
 
 /// What groups of a scene have of some bounced light.
@@ -65,8 +128,8 @@ pub(crate) struct ProductsOfLight {
 
 impl GpuScene {
     /// Uploads a scene; one that no asset could hold is refused.
-    pub(crate) fn new(
-        device: &wgpu::Device,
+    fn new(
+        mut loading: Loading,
         queue: &wgpu::Queue,
         layouts: [&wgpu::BindGroupLayout; 5],
         owner: &Owner,
@@ -74,13 +137,14 @@ impl GpuScene {
     ) -> Result<Self, Error> {
         // Kernels index with what it holds; whoever made it need not have read it.
         scene.validate()?;
-        let mut uploaded = Self::visible(device, queue, layouts, owner, scene, None)?;
+        let mut uploaded = Self::visible(&mut loading, queue, layouts, owner, scene, None)?;
         if catcher::catches(&scene.materials) {
             let open = catcher::open_scene(scene);
             let texels = Some(&uploaded.texels);
-            let open = Self::visible(device, queue, layouts, owner, &open, texels)?;
+            let open = Self::visible(&mut loading, queue, layouts, owner, &open, texels)?;
             uploaded.open = Some(Box::new(open));
         }
+        uploaded.bytes = loading.bytes();
         Ok(uploaded)
     }
 
@@ -90,7 +154,7 @@ impl GpuScene {
         reason = "one buffer or texture after the other, in the order of the bindings"
     )]
     fn visible(
-        device: &wgpu::Device,
+        loading: &mut Loading,
         queue: &wgpu::Queue,
         [
             layout,
@@ -103,67 +167,39 @@ impl GpuScene {
         scene: &Scene,
         open_of: Option<&wgpu::TextureView>,
     ) -> Result<Self, Error> {
+        let device = loading.device();
         let packed = pack_scene(scene).map_err(Error::Scene)?;
         let atlas = packed.atlas;
-        let limits = device.limits();
-        let side = u64::from(atlas.width.max(atlas.height));
-        for (limit, needed, allowed) in [
-            (
-                "max_texture_dimension_2d",
-                side,
-                limits.max_texture_dimension_2d,
-            ),
-            (
-                "max_texture_array_layers",
-                u64::from(atlas.layers),
-                limits.max_texture_array_layers,
-            ),
-            // One vertex shader invocation per triangle corner.
-            (
-                "32-bit vertex index",
-                3 * packed.triangles.len() as u64,
-                u32::MAX,
-            ),
-        ] {
-            LimitError::check(limit, needed, u64::from(allowed)).map_err(Error::Scene)?;
-        }
-        let vertices = storage(device, "vertices", &packed.vertices)?;
-        let triangles = storage(device, "triangles", &packed.triangles)?;
-        let clusters = storage(device, "clusters", &packed.clusters)?;
-        let coefficients = storage(device, "coefficients", &packed.coefficients)?;
-        let materials = storage(device, "materials", &packed.materials)?;
+        // One vertex shader invocation per triangle corner.
+        let corners = 3 * packed.triangles.len() as u64;
+        LimitError::check("32-bit vertex index", corners, u64::from(u32::MAX))
+            .map_err(Error::Scene)?;
+        loading.ask()?;
+        let vertices = loading.storage("vertices", &packed.vertices)?;
+        let triangles = loading.storage("triangles", &packed.triangles)?;
+        let clusters = loading.storage("clusters", &packed.clusters)?;
+        let coefficients = loading.storage("coefficients", &packed.coefficients)?;
+        let materials = loading.storage("materials", &packed.materials)?;
         let texels = match open_of {
             Some(texels) => texels.clone(),
-            None => texel_texture(device, queue, scene, &packed)?,
+            None => texel_texture(loading, scene, &packed)?,
         };
         let words = packed
             .transfer
             .as_ref()
             .map_or(&[0][..], PackedTransfer::words);
-        let words = bounced_texture(device, queue, wgpu::TextureFormat::R32Uint, words, 0)
-            .map_err(Error::Scene)?;
+        let words = word_texture(loading, words)?;
         let colors = wgpu::TextureFormat::Rgba32Float;
         let no_products =
             bounced_texture(device, queue, colors, &[[0.0; 4]], [0.0; 4]).map_err(Error::Scene)?;
-        let texture = device.create_texture_with_data(
-            queue,
-            &wgpu::TextureDescriptor {
-                label: Some("relight basis atlas"),
-                size: wgpu::Extent3d {
-                    width: atlas.width,
-                    height: atlas.height,
-                    depth_or_array_layers: atlas.layers,
-                },
-                mip_level_count: 1,
-                sample_count: 1,
-                dimension: wgpu::TextureDimension::D2,
-                format: wgpu::TextureFormat::Rgba8Snorm,
-                usage: wgpu::TextureUsages::TEXTURE_BINDING,
-                view_formats: &[],
-            },
-            TextureDataOrder::LayerMajor,
-            bytemuck::cast_slice(&packed.basis),
-        );
+        let format = wgpu::TextureFormat::Rgba8Snorm;
+        let size = [atlas.width, atlas.height, atlas.layers];
+        let texture = loading.texture("relight basis atlas", format, size)?;
+        let basis: &[u8] = bytemuck::cast_slice(&packed.basis);
+        let layer = 4 * atlas.width as usize * atlas.height as usize;
+        for (z, texels) in (0..).zip(basis.chunks(layer)) {
+            loading.rows(&texture, [0, 0, z], atlas.width, texels)?;
+        }
         let view = texture.create_view(&wgpu::TextureViewDescriptor {
             dimension: Some(wgpu::TextureViewDimension::D2Array),
             ..Default::default()
@@ -212,7 +248,7 @@ impl GpuScene {
         } else {
             occluders::none()
         };
-        let sources = source_group(device, source_layout, shared, &texels, &occluders)?;
+        let sources = source_group(loading, source_layout, shared, &texels, &occluders)?;
         Ok(Self {
             bind_group,
             sources,
@@ -230,6 +266,7 @@ impl GpuScene {
             bounds: bounds(scene),
             owner: owner.clone(),
             open: None,
+            bytes: 0,
             queue: queue.clone(),
             materials,
             textures: packed.textures,
@@ -237,6 +274,11 @@ impl GpuScene {
             bounced: packed.transfer,
             no_products,
         })
+    }
+
+    /// What it takes of the GPU's memory, but for what the device adds to each resource.
+    pub fn bytes(&self) -> u64 {
+        self.bytes
     }
 
     /// Reflections of a material, at most.
@@ -311,19 +353,20 @@ impl GpuScene {
 /// Group 1 of the pass for sources: vertices, triangles, materials and textures, and what blocks
 /// rays.
 fn source_group(
-    device: &wgpu::Device,
+    loading: &mut Loading,
     layout: &wgpu::BindGroupLayout,
     shared: [&wgpu::Buffer; 3],
     texels: &wgpu::TextureView,
     occluders: &Occluders,
 ) -> Result<Result<wgpu::BindGroup, LimitError>, Error> {
+    let device = loading.device();
     let largest = size_of_val(occluders.nodes()).max(size_of_val(occluders.triangles()));
     if let Err(error) = check_storage(device, largest as u64) {
         // A scene that is drawn without sources needs none of it.
         return Ok(Err(error));
     }
-    let nodes = storage(device, "occluder nodes", occluders.nodes())?;
-    let triangles = storage(device, "occluder triangles", occluders.triangles())?;
+    let nodes = loading.storage("occluder nodes", occluders.nodes())?;
+    let triangles = loading.storage("occluder triangles", occluders.triangles())?;
     let buffers = shared.into_iter().chain([&nodes, &triangles]);
     let entries: Vec<_> = buffers
         .zip([0, 1, 4, 8, 9])
@@ -339,68 +382,42 @@ fn source_group(
 
 /// All levels of all textures.
 fn texel_texture(
-    device: &wgpu::Device,
-    queue: &wgpu::Queue,
+    loading: &mut Loading,
     scene: &Scene,
     packed: &PackedScene,
 ) -> Result<wgpu::TextureView, Error> {
     let pages = packed.pages;
-    let limits = device.limits();
-    for (limit, needed, allowed) in [
-        (
-            "max_texture_dimension_2d",
-            pages.width.max(pages.height),
-            limits.max_texture_dimension_2d,
-        ),
-        (
-            "max_texture_array_layers",
-            pages.layers,
-            limits.max_texture_array_layers,
-        ),
-    ] {
-        LimitError::check(limit, u64::from(needed), u64::from(allowed)).map_err(Error::Scene)?;
-    }
-    let texture = device.create_texture(&wgpu::TextureDescriptor {
-        label: Some("relight textures"),
-        size: wgpu::Extent3d {
-            width: pages.width,
-            height: pages.height,
-            depth_or_array_layers: pages.layers,
-        },
-        mip_level_count: 1,
-        sample_count: 1,
-        dimension: wgpu::TextureDimension::D2,
-        format: wgpu::TextureFormat::R32Uint,
-        usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
-        view_formats: &[],
-    });
-    for (texture_of_scene, place) in scene.textures.iter().zip(&packed.textures) {
-        place.visit(texture_of_scene, |[x, y, z], level| {
-            queue.write_texture(
-                wgpu::TexelCopyTextureInfo {
-                    texture: &texture,
-                    mip_level: 0,
-                    origin: wgpu::Origin3d { x, y, z },
-                    aspect: wgpu::TextureAspect::All,
-                },
-                &level.texels,
-                wgpu::TexelCopyBufferLayout {
-                    offset: 0,
-                    bytes_per_row: Some(4 * level.width),
-                    rows_per_image: None,
-                },
-                wgpu::Extent3d {
-                    width: level.width,
-                    height: level.height,
-                    depth_or_array_layers: 1,
-                },
-            );
-        });
+    let size = [pages.width, pages.height, pages.layers];
+    let format = wgpu::TextureFormat::R32Uint;
+    let texture = loading.texture("relight textures", format, size)?;
+    for (of_scene, place) in scene.textures.iter().zip(&packed.textures) {
+        place.visit(of_scene, |corner, level| {
+            loading.rows(&texture, corner, level.width, &level.texels)
+        })?;
     }
     Ok(texture.create_view(&wgpu::TextureViewDescriptor {
         dimension: Some(wgpu::TextureViewDimension::D2Array),
         ..Default::default()
     }))
+}
+
+/// What bounced light is packed into.
+fn word_texture(loading: &mut Loading, words: &[u32]) -> Result<wgpu::TextureView, Error> {
+    let width = transfer::TEXTURE_WIDTH;
+    let mut words = words.to_vec();
+    words.resize(word_count(words.len()), 0);
+    let size = [width, words.len() as u32 / width, 1];
+    let format = wgpu::TextureFormat::R32Uint;
+    let texture = loading.texture("relight bounced light", format, size)?;
+    loading.rows(&texture, [0; 3], width, bytemuck::cast_slice(&words))?;
+    Ok(texture.create_view(&wgpu::TextureViewDescriptor::default()))
+}
+
+/// Words of whole rows that so many take.
+fn word_count(words: usize) -> usize {
+    words
+        .max(1)
+        .next_multiple_of(transfer::TEXTURE_WIDTH as usize)
 }
 
 /// A texture of texels in order, [`transfer::TEXTURE_WIDTH`] per row.
@@ -437,24 +454,4 @@ fn bounced_texture<T: Pod>(
         bytemuck::cast_slice(&padded),
     );
     Ok(texture.create_view(&wgpu::TextureViewDescriptor::default()))
-}
-
-/// A read-only storage buffer of at least one element: a binding must not be empty.
-fn storage<T: Pod>(device: &wgpu::Device, label: &str, data: &[T]) -> Result<wgpu::Buffer, Error> {
-    let one = [T::zeroed()];
-    let data = if data.is_empty() { &one } else { data };
-    check_storage(device, size_of_val(data) as u64).map_err(Error::Scene)?;
-    let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST;
-    filled_buffer(device, label, bytemuck::cast_slice(data), usage)
-}
-
-/// Checks that a storage buffer of `bytes` can be created and bound.
-pub(crate) fn check_storage(device: &wgpu::Device, bytes: u64) -> Result<(), LimitError> {
-    let limits = device.limits();
-    LimitError::check(
-        "max_storage_buffer_binding_size",
-        bytes,
-        limits.max_storage_buffer_binding_size,
-    )?;
-    LimitError::check("max_buffer_size", bytes, limits.max_buffer_size)
 }

@@ -5,6 +5,7 @@ use relight_shading::surfaces::TILE;
 
 use crate::composite::Drawing;
 use crate::lobes::{LobePasses, Slots};
+use crate::motion::Motion;
 use crate::renderer::Owner;
 use crate::resources::{Resources, Slot};
 use crate::{Error, Renderer};
@@ -35,6 +36,7 @@ pub struct View {
     pub(crate) open: Vec<Resources>,
     pub(crate) drawing: Drawing,
     pub(crate) world: World,
+    pub(crate) motion: Motion,
 }
 
 /// The camera that instances share, for the pass for surfaces.
@@ -54,6 +56,7 @@ impl View {
             open: Vec::new(),
             drawing: Drawing::default(),
             world: World::default(),
+            motion: Motion::default(),
         }
     }
 
@@ -73,6 +76,7 @@ impl View {
         if size != self.size {
             self.size = size;
             self.images = None;
+            self.motion = Motion::default();
             self.drawing = Drawing::default();
         }
         Ok(())
@@ -109,6 +113,14 @@ impl View {
         (self.images.as_ref())
             .filter(|images| images.antialias())
             .map(|images| &images.shown)
+    }
+
+    /// Where everything was in the frame before, as [`Renderer::motion`] found it last (rg32float): what to add to
+    /// a pixel's place, in widths and heights of the picture, to the right and down. 0 on the background;
+    /// [`relight_shading::motion::NOWHERE`] for what was behind the camera. With antialiasing, of the pixel's
+    /// first surface. `None` before that.
+    pub fn motion(&self) -> Option<&wgpu::Texture> {
+        self.motion.texture()
     }
 
     /// The depth of the last frame prepared (depth32float): reversed, from 1 in front to 0 on the

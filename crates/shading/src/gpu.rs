@@ -369,6 +369,20 @@ pub struct Composite {
     pub rotation: [[f32; 4]; 3],
 }
 
+/// Where a scene was in the frame before (uniform, 80 bytes).
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct Motion {
+    /// The scene's own space to that frame's clip space, column after column.
+    pub before: [[f32; 4]; 4],
+    /// Columns and rows of the picture.
+    pub size: [f32; 2],
+    /// Zero.
+    pub reserved_0: u32,
+    /// Zero.
+    pub reserved_1: u32,
+}
+
 /// Nothing behind the scene.
 pub const BACKGROUND_NONE: u32 = 0;
 /// One colour.
@@ -497,6 +511,27 @@ pub fn pack_scene(scene: &Scene) -> Result<PackedScene, LimitError> {
         distance_clamp: scene.visibility.distance_clamp,
         transfer,
     })
+}
+
+/// What [`pack_scene`] makes of a valid scene takes as buffers and textures of a GPU, but for light that bounces;
+/// with all levels of its textures or without.
+pub fn packed_bytes(scene: &Scene, textures: bool) -> Result<u64, LimitError> {
+    fn of<T>(count: usize) -> u64 {
+        // Bindings must not be empty.
+        count.max(1) as u64 * size_of::<T>() as u64
+    }
+    let (atlas, _) = place_clusters(scene)?;
+    let mut bytes = of::<Vertex>(scene.vertices.len())
+        + of::<[u32; 4]>(scene.triangles.len())
+        + of::<Cluster>(scene.clusters.len())
+        + of::<u32>(scene.coefficients.len().div_ceil(2))
+        + of::<Material>(scene.materials.len())
+        + 4 * u64::from(atlas.width) * u64::from(atlas.height) * u64::from(atlas.layers);
+    if textures {
+        let shapes: Vec<_> = scene.textures.iter().map(Texture::shape).collect();
+        bytes += textures::place(&shapes)?.0.bytes();
+    }
+    Ok(bytes)
 }
 
 /// Packs one material; a slot that names a texture beyond `textures` becomes no texture.
@@ -794,6 +829,16 @@ mod tests {
                 color,
                 reserved_3,
                 rotation,
+            }
+        );
+        let module = naga::front::wgsl::parse_str(&source(Entry::Motion)).expect("valid WGSL");
+        check_layout!(
+            module,
+            Motion {
+                before,
+                size,
+                reserved_0,
+                reserved_1,
             }
         );
         let module = naga::front::wgsl::parse_str(&source(Entry::Library)).expect("valid WGSL");

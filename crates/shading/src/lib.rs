@@ -11,6 +11,7 @@ pub mod cells;
 pub mod glossy;
 pub mod gpu;
 pub mod local_light;
+pub mod motion;
 pub mod occluders;
 pub mod octahedral;
 pub mod polar;

@@ -386,8 +386,12 @@ impl PackedTexture {
     }
 
     /// Every level of the texture that it was made for: its first texel as in [`Self::level`], and its
-    /// texels, row after row.
-    pub fn visit(&self, texture: &Texture, mut visit: impl FnMut([u32; 3], &Texture)) {
+    /// texels, row after row. Ends with the first error.
+    pub fn visit<E>(
+        &self,
+        texture: &Texture,
+        mut visit: impl FnMut([u32; 3], &Texture) -> Result<(), E>,
+    ) -> Result<(), E> {
         let mut made: Option<Texture> = None;
         for level in 0..level_count(self.shape) {
             if level > 0 {
@@ -399,9 +403,10 @@ impl PackedTexture {
                 made.as_ref()
             };
             if let Some(texture) = texture {
-                visit(self.level(level).0, texture);
+                visit(self.level(level).0, texture)?;
             }
         }
+        Ok(())
     }
 
     /// The two rectangles that it takes: the finest level, and the others if there are any.

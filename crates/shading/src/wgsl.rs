@@ -4,8 +4,8 @@ use std::fmt::Write as _;
 
 use crate::surface::{Join, Model};
 use crate::{
-    brdf, catcher, cells, glossy, gpu, local_light, occluders, polar, prefiltered, shade, slots,
-    sources, spherical_gaussian, surface, surfaces, tables, textures, tonemap, transfer,
+    brdf, catcher, cells, glossy, gpu, local_light, motion, occluders, polar, prefiltered, shade,
+    slots, sources, spherical_gaussian, surface, surfaces, tables, textures, tonemap, transfer,
     vertex_visibility,
 };
 
@@ -42,6 +42,8 @@ pub enum Entry {
     /// Visibility buffer to what sources add to the radiance: `sources_main`, workgroups of 8 × 8
     /// pixels.
     Sources,
+    /// Visibility buffer to where it was in the frame before: `motion_main`, workgroups of 8 × 8 pixels.
+    Motion,
     /// Linear radiance into a target: `composite_vertex`; `composite_fragment` or, where the target
     /// has depth, `composite_depth_fragment`. What is behind it: `background_vertex`,
     /// `background_fragment`.
@@ -56,7 +58,7 @@ pub enum Entry {
 
 impl Entry {
     /// All of them.
-    pub const ALL: [Self; 16] = [
+    pub const ALL: [Self; 17] = [
         Self::VisibilityBuffer,
         Self::SurfaceSamples,
         Self::Surfaces,
@@ -70,6 +72,7 @@ impl Entry {
         Self::Shade,
         Self::ShadeCells,
         Self::Sources,
+        Self::Motion,
         Self::Composite,
         Self::CompositeSurfaces,
         Self::Library,
@@ -241,6 +244,14 @@ pub const SOURCES: Kernel = Kernel {
     constants: &[],
 };
 
+/// [`Entry::Motion`].
+pub const MOTION: Kernel = Kernel {
+    name: "motion",
+    entry: Entry::Motion,
+    entry_point: "motion_main",
+    constants: &[],
+};
+
 /// [`Entry::Surfaces`]; before shading, with antialiasing.
 pub const SURFACES: Kernel = Kernel {
     name: "surfaces",
@@ -355,6 +366,12 @@ pub fn source(entry: Entry) -> String {
             source += include_str!("wgsl/occluders.wgsl");
             source += include_str!("wgsl/sources.wgsl");
         }
+        Entry::Motion => {
+            source += include_str!("wgsl/bindings.wgsl");
+            source += include_str!("wgsl/camera.wgsl");
+            source += include_str!("wgsl/seen.wgsl");
+            source += include_str!("wgsl/motion.wgsl");
+        }
         Entry::Composite => {
             source.extend(COMPOSITE.iter().copied());
             source += include_str!("wgsl/composite_pixels.wgsl");
@@ -400,6 +417,7 @@ fn constants() -> String {
     text += &tables::wgsl_constants();
     text += &prefiltered::wgsl_constants();
     text += &local_light::wgsl_constants();
+    text += &motion::wgsl_constants();
     text += &polar::wgsl_constants();
     text += &cells::wgsl_constants();
     text += &surface::wgsl_constants();

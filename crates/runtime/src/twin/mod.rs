@@ -10,6 +10,7 @@ use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use relight_format::Scene;
 use relight_shading::catcher;
+use relight_shading::motion;
 use relight_shading::occluders::Occluders;
 use relight_shading::prefiltered::Prefiltered;
 use relight_shading::shade::{self, Lighting, Method, Reflections};
@@ -27,7 +28,7 @@ pub use visibility_buffer::visibility_buffer;
 
 use crate::frame::{LocalFrame, bounds, near_plane};
 use crate::resources::first_ids;
-use crate::{Error, Frame, Image, Placement, occluders};
+use crate::{Before, Error, Frame, Image, Placement, occluders};
 
 /// A scene in a place.
 #[derive(Clone, Copy, Debug)]
@@ -309,6 +310,51 @@ pub fn map_pixels<T: Default + Send>(
     let prepared = Prepared::new(scene);
     let stage = Stage::new(&[scene.into()], &[&prepared], &[], &frame, size, &|| true)?;
     Ok(stage.map(|seen, lighting, field| shade(&seen.point, lighting, field)))
+}
+
+/// Where what is seen at every pixel's centre was in the frame before, row by row, as
+/// [`crate::View::motion`] has it; zero where nothing is seen. Instances stood at `before`'s placements.
+pub fn motion(
+    instances: &[Placed],
+    frame: &Frame,
+    before: &Before,
+    size: [u32; 2],
+) -> Result<Vec<[f32; 2]>, Error> {
+    if before.placements.len() != instances.len() {
+        return Err(Error::InstanceCount {
+            expected: instances.len(),
+            found: before.placements.len(),
+        });
+    }
+    let frame = Frame {
+        antialias: false,
+        method: Method::Ambient,
+        ..frame.clone()
+    };
+    let prepared: Vec<Prepared> = (instances.iter())
+        .map(|placed| Prepared::new(placed.scene))
+        .collect();
+    let prepared: Vec<&Prepared> = prepared.iter().collect();
+    let stage = Stage::new(instances, &prepared, &[], &frame, size, &|| true)?;
+    let camera = before.camera.matrix(size[0], size[1], 1.0);
+    let mut matrices = Vec::with_capacity(instances.len());
+    for placement in before.placements {
+        placement.check()?;
+        matrices.push(camera * placement.matrix());
+    }
+    let picture = Vec2::new(size[0] as f32, size[1] as f32);
+    let found = |item: &Item| {
+        if item.id == 0 {
+            return [0.0; 2];
+        }
+        let (instance, triangle) = find(&stage.instances, item.id);
+        let Staged { scene, local, .. } = &stage.instances[instance];
+        let [a, b, c] = corners(scene, triangle);
+        let weights = local.view.ray(item.at).barycentrics([a, b, c]);
+        let position = a * weights.x + b * weights.y + c * weights.z;
+        motion::motion(&matrices[instance], position, item.at / picture).to_array()
+    };
+    Ok(stage.items.par_iter().map(found).collect())
 }
 
 /// A frame ready to be shaded.

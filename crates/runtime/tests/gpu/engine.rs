@@ -5,8 +5,8 @@ use glam::camera::rh::view::look_at_mat4;
 use glam::{Mat4, Quat, Vec3};
 use relight_runtime::offscreen::Gpu;
 use relight_runtime::{
-    Background, Error, Frame, Image, Instance, Method, Options, Output, Placement, Renderer, View,
-    Viewpoint, twin, wgpu,
+    Background, Before, Error, Frame, Image, Instance, Method, Options, Output, Placement,
+    Renderer, View, Viewpoint, twin, wgpu,
 };
 use relight_shading::camera::View as Projection;
 
@@ -1054,4 +1054,121 @@ pub fn times_are_known_without_waiting(gpu: &mut Gpu) -> Outcome {
         );
         Ok(())
     })
+}
+
+/// Motion is that of the twin, for instances that moved, turned and grew, under a camera that did; what stands
+/// still does not move, with antialiasing either.
+#[allow(clippy::too_many_lines, reason = "one comparison after the other")]
+pub fn motion_matches_twin(gpu: &mut Gpu) -> Outcome {
+    let lights = lights();
+    let scene = scenes::sphere_over_plane();
+    let uploaded = gpu.upload(&scene)?;
+    let now = placements();
+    let instances: Vec<Instance> = (now.iter())
+        .map(|&placement| Instance {
+            scene: &uploaded,
+            placement,
+        })
+        .collect();
+    let placed: Vec<twin::Placed> = (now.iter())
+        .map(|&placement| twin::Placed {
+            scene: &scene,
+            placement,
+        })
+        .collect();
+    let earlier: Vec<Placement> = (now.iter())
+        .map(|placement| Placement {
+            rotation: (placement.rotation * Quat::from_rotation_y(0.1)).normalize(),
+            translation: placement.translation + Vec3::new(0.05, 0.02, -0.1),
+            scale: placement.scale * 0.97,
+        })
+        .collect();
+    let projection = |shift: f32| {
+        let jitter = Mat4::from_translation(Vec3::new(shift, -0.5 * shift, 0.0));
+        matrices(jitter * project::perspective(0.8, aspect(), NEAR_PLANE, 50.0))
+    };
+    let camera = projection(0.0);
+    let mut view = gpu.renderer.view(SIZE)?;
+    let mut motion = |before: &Before, antialias| -> Result<Vec<[f32; 2]>, Error> {
+        let frame = Frame {
+            camera,
+            antialias,
+            ..frame(&lights, Method::Ambient)
+        };
+        let descriptor = wgpu::CommandEncoderDescriptor::default();
+        let mut encoder = gpu.device.create_command_encoder(&descriptor);
+        (gpu.renderer).prepare(&mut encoder, &mut view, &instances, &frame)?;
+        (gpu.renderer).motion(&mut encoder, &mut view, &instances, before)?;
+        gpu.queue.submit([encoder.finish()]);
+        let texture = view.motion().expect("just found");
+        let bytes = relight_runtime::offscreen::read_texture(&gpu.device, &gpu.queue, texture)?;
+        Ok(bytemuck::pod_collect_to_vec(&bytes))
+    };
+    let before = Before {
+        camera: projection(0.03),
+        placements: &earlier,
+    };
+    let found = motion(&before, false)?;
+    let frame = Frame {
+        camera,
+        ..frame(&lights, Method::Ambient)
+    };
+    let expected = twin::motion(&placed, &frame, &before, SIZE)?;
+    let moved = expected
+        .iter()
+        .filter(|motion| **motion != [0.0; 2])
+        .count();
+    assert!(moved * 3 > expected.len(), "{moved} pixels move");
+    let off = |a: &[f32; 2], b: &[f32; 2]| (a[0] - b[0]).abs().max((a[1] - b[1]).abs());
+    let different = (found.iter().zip(&expected))
+        .filter(|(a, b)| off(a, b) > 1e-5)
+        .count();
+    println!("{different} of {moved} pixels differ");
+    assert!(different as f32 <= DIFFERENT_PIXELS * found.len() as f32 + 1.0);
+    let still = Before {
+        camera,
+        placements: &now,
+    };
+    for antialias in [false, true] {
+        let found = motion(&still, antialias)?;
+        let most = found
+            .iter()
+            .map(|motion| off(motion, &[0.0; 2]))
+            .fold(0.0, f32::max);
+        println!("what stands still moves by {most:e}, antialiased: {antialias}");
+        // A hundredth of a pixel: places outside of their triangle by a rounding are moved onto it.
+        assert!(most * (SIZE[0] as f32) < 0.01, "{most}");
+    }
+    // Where the camera was beyond them they were nowhere.
+    let behind = Before {
+        camera: Viewpoint::Matrices {
+            view: look_at_mat4(
+                Vec3::new(0.0, 0.0, -90.0),
+                Vec3::new(0.0, 0.0, -95.0),
+                Vec3::Y,
+            ),
+            projection: project::perspective(0.8, aspect(), NEAR_PLANE, 50.0),
+        },
+        placements: &now,
+    };
+    let found = motion(&behind, false)?;
+    assert!(found.iter().filter(|motion| **motion == [4.0; 2]).count() * 3 > found.len());
+    let fewer = motion(
+        &Before {
+            placements: &now[1..],
+            ..still
+        },
+        false,
+    );
+    assert!(
+        matches!(
+            fewer,
+            Err(Error::InstanceCount {
+                expected: 3,
+                found: 2
+            })
+        ),
+        "{fewer:?}"
+    );
+    Ok(())
 }

@@ -8,6 +8,7 @@ mod examples;
 #[path = "../../../format/tests/format/generate.rs"]
 #[allow(dead_code, reason = "the tests of the format use the rest")]
 mod generate;
+mod loading;
 mod probe;
 mod reflection;
 mod scenes;
@@ -120,6 +121,19 @@ fn main() -> ExitCode {
         ),
         with_gpu("passes_are_timed", passes_are_timed),
         with_gpu(
+            "loading::uploads_tell_and_stop",
+            loading::uploads_tell_and_stop,
+        ),
+        with_gpu("loading::scenes_are_replaced", loading::scenes_are_replaced),
+        with_gpu(
+            "loading::others_draw_meanwhile",
+            loading::others_draw_meanwhile,
+        ),
+        with_gpu(
+            "loading::a_thousand_instances_cost_their_pixels",
+            loading::a_thousand_instances_cost_their_pixels,
+        ),
+        with_gpu(
             "textures::fifteen_maps_of_2048_are_drawn",
             textures::fifteen_maps_of_2048_are_drawn,
         ),
@@ -154,6 +168,7 @@ fn main() -> ExitCode {
             "engine::antialiased_edges_blend",
             engine::antialiased_edges_blend,
         ),
+        with_gpu("engine::motion_matches_twin", engine::motion_matches_twin),
         with_gpu("engine::instances_match_twin", engine::instances_match_twin),
         with_gpu(
             "engine::turning_the_world_changes_nothing",

@@ -423,13 +423,16 @@ fn texels(gpu: &Gpu, scene: &Scene, packed: &PackedScene) -> wgpu::TextureView {
     };
     let mut words = vec![0u32; (packed.pages.bytes() / 4) as usize];
     for (texture, place) in scene.textures.iter().zip(&packed.textures) {
-        place.visit(texture, |[x, y, layer], level| {
-            let rows = bytemuck::pod_collect_to_vec::<u8, u32>(&level.texels);
-            for (row, texels) in (y..).zip(rows.chunks_exact(level.width as usize)) {
-                let first = ((layer * size.height + row) * size.width + x) as usize;
-                words[first..first + texels.len()].copy_from_slice(texels);
-            }
-        });
+        place
+            .visit(texture, |[x, y, layer], level| {
+                let rows = bytemuck::pod_collect_to_vec::<u8, u32>(&level.texels);
+                for (row, texels) in (y..).zip(rows.chunks_exact(level.width as usize)) {
+                    let first = ((layer * size.height + row) * size.width + x) as usize;
+                    words[first..first + texels.len()].copy_from_slice(texels);
+                }
+                Ok::<(), std::convert::Infallible>(())
+            })
+            .expect("nothing fails");
     }
     let texture = gpu.device.create_texture_with_data(
         &gpu.queue,

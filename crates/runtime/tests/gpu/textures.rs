@@ -15,7 +15,7 @@ const FINE: u32 = 8;
 const LEFT: f32 = 0.2;
 
 /// Of the scene's spheres and plane, materials with base colour, roughness and normals of their own.
-fn textured(side: u32) -> Scene {
+pub fn textured(side: u32) -> Scene {
     let mut scene = scenes::sphere_over_plane();
     scene.textures.clear();
     let slot = |texture| {

@@ -9,11 +9,15 @@ struct Ray {
 // The ray of a place of the image of visibility: through the centre of its pixel, or through the
 // point of the image that `at` names, in eighths of a pixel, row << 16 | column.
 fn seen_ray(pixel: vec2<u32>, at: u32) -> Ray {
-    var point = vec2<f32>(pixel) + 0.5;
+    return camera_ray(seen_point(pixel, at));
+}
+
+// That place, in pixels from the upper left corner.
+fn seen_point(pixel: vec2<u32>, at: u32) -> vec2<f32> {
     if at != 0u {
-        point = vec2(f32(at & 0xffffu), f32(at >> 16u)) * 0.125;
+        return vec2(f32(at & 0xffffu), f32(at >> 16u)) * 0.125;
     }
-    return camera_ray(point);
+    return vec2<f32>(pixel) + 0.5;
 }
 
 fn camera_ray(point: vec2<f32>) -> Ray {

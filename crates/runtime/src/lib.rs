@@ -92,7 +92,8 @@
 //!
 //! # Versions
 //!
-//! The major version of this crate follows that of `wgpu`, which is re-exported: [`wgpu`]. `relight-shading` has
+//! The major version of this crate follows that of `wgpu`, which is re-exported: [`wgpu`], as is [`glam`], whose vectors
+//! and matrices cameras and placements are made of. `relight-shading` has
 //! the same stages as WGSL (`wgsl::source`, `wgsl::KERNELS`) and packed buffers (`gpu::pack_scene`, `textures`) without
 //! any type of `wgpu`, for engines on another version or API.
 //! `public-api.txt` in the repository lists what may be named.
@@ -110,6 +111,7 @@ mod composite;
 mod error;
 mod frame;
 mod image;
+mod layouts;
 mod loading;
 mod lobes;
 mod motion;
@@ -150,4 +152,4 @@ pub use relight_shading::spherical_gaussian::SphericalGaussian;
 pub use renderer::Renderer;
 pub use upload::GpuScene;
 pub use view::View;
-pub use wgpu;
+pub use {glam, wgpu};

@@ -7,7 +7,7 @@ use relight_shading::shade::Method;
 use relight_shading::slots;
 use relight_shading::wgsl::{AROUND, IMAGES, INTEGRALS, Kernel, PRODUCTS, REFLECTIONS, SHADE};
 
-use crate::renderer::{
+use crate::layouts::{
     STORAGE, compute_pipeline, image_entries, layout_entry, scene_entries, texture_entry,
 };
 use crate::{Frame, GpuScene};

@@ -5,7 +5,8 @@ use relight_shading::camera::Viewpoint;
 use relight_shading::gpu;
 use relight_shading::wgsl::MOTION;
 
-use crate::renderer::{clear, compute_pipeline, image_entries, layout_entry, texture_entry};
+use crate::layouts::{compute_pipeline, image_entries, layout_entry, texture_entry};
+use crate::renderer::clear;
 use crate::resources::{Slot, UNIFORM_STRIDE};
 use crate::{Error, Instance, Placement, Renderer, View};
 

@@ -14,9 +14,10 @@ use relight_shading::transfer::{self, DistantLight, PackedTransfer};
 use wgpu::util::{DeviceExt as _, TextureDataOrder};
 
 use crate::frame::{bounds, near_plane};
+use crate::layouts::{buffer_entry, texture_entry};
 use crate::loading::{Loading, check_storage};
 use crate::lobes::SCENE_BINDINGS;
-use crate::renderer::{Owner, buffer_entry, texture_entry};
+use crate::renderer::Owner;
 use crate::{Error, Renderer, UploadProgress, occluders};
 
 /// Bindings of group 1 that kernels of vertices need.

@@ -1,0 +1,390 @@
+//! Layouts of the groups of `bindings.wgsl`, and pipelines made of them.
+
+use relight_shading::gpu;
+use relight_shading::wgsl::{Entry, Kernel, source};
+
+use crate::upload::VERTEX_BINDINGS;
+use crate::view::{DEPTH_FORMAT, RADIANCE_FORMAT, SAMPLES_FORMAT, VISIBILITY_FORMAT};
+
+const BOTH: wgpu::ShaderStages = wgpu::ShaderStages::VERTEX.union(wgpu::ShaderStages::COMPUTE);
+
+pub(crate) fn layout_entry(
+    binding: u32,
+    visibility: wgpu::ShaderStages,
+    ty: wgpu::BindingType,
+) -> wgpu::BindGroupLayoutEntry {
+    wgpu::BindGroupLayoutEntry {
+        binding,
+        visibility,
+        ty,
+        count: None,
+    }
+}
+
+pub(crate) const STORAGE: wgpu::BindingType = wgpu::BindingType::Buffer {
+    ty: wgpu::BufferBindingType::Storage { read_only: true },
+    has_dynamic_offset: false,
+    min_binding_size: None,
+};
+
+/// Group 0 of bindings.wgsl.
+pub(crate) fn frame_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    let uniform = wgpu::BindingType::Buffer {
+        ty: wgpu::BufferBindingType::Uniform,
+        has_dynamic_offset: true,
+        min_binding_size: None,
+    };
+    let local_lights = wgpu::BindingType::Buffer {
+        ty: wgpu::BufferBindingType::Uniform,
+        has_dynamic_offset: false,
+        min_binding_size: None,
+    };
+    let prefiltered = wgpu::BindingType::Texture {
+        sample_type: wgpu::TextureSampleType::Uint,
+        view_dimension: wgpu::TextureViewDimension::D2,
+        multisampled: false,
+    };
+    let products = wgpu::BindingType::Texture {
+        // 32-bit floats cannot be filtered at default limits, and are not.
+        sample_type: wgpu::TextureSampleType::Float { filterable: false },
+        view_dimension: wgpu::TextureViewDimension::D2,
+        multisampled: false,
+    };
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("relight frame"),
+        entries: &[
+            layout_entry(0, BOTH, uniform),
+            layout_entry(1, wgpu::ShaderStages::COMPUTE, STORAGE),
+            layout_entry(2, wgpu::ShaderStages::COMPUTE, STORAGE),
+            layout_entry(3, wgpu::ShaderStages::COMPUTE, local_lights),
+            layout_entry(4, wgpu::ShaderStages::COMPUTE, prefiltered),
+            layout_entry(7, wgpu::ShaderStages::COMPUTE, products),
+            layout_entry(8, wgpu::ShaderStages::COMPUTE, products),
+        ],
+    })
+}
+
+/// Group 1 of bindings.wgsl.
+pub(crate) fn scene_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("relight scene"),
+        entries: &scene_entries(),
+    })
+}
+
+pub(crate) fn scene_entries() -> [wgpu::BindGroupLayoutEntry; 9] {
+    let compute = wgpu::ShaderStages::COMPUTE;
+    let atlas = wgpu::BindingType::Texture {
+        sample_type: wgpu::TextureSampleType::Float { filterable: true },
+        view_dimension: wgpu::TextureViewDimension::D2Array,
+        multisampled: false,
+    };
+    let sampler = wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering);
+    let words = wgpu::BindingType::Texture {
+        sample_type: wgpu::TextureSampleType::Uint,
+        view_dimension: wgpu::TextureViewDimension::D2,
+        multisampled: false,
+    };
+    let texels = wgpu::BindingType::Texture {
+        sample_type: wgpu::TextureSampleType::Uint,
+        view_dimension: wgpu::TextureViewDimension::D2Array,
+        multisampled: false,
+    };
+    [
+        layout_entry(0, BOTH, STORAGE),
+        layout_entry(1, BOTH, STORAGE),
+        layout_entry(2, compute, STORAGE),
+        layout_entry(3, compute, STORAGE),
+        layout_entry(4, compute, STORAGE),
+        layout_entry(5, compute, texels),
+        layout_entry(6, compute, atlas),
+        layout_entry(7, compute, sampler),
+        layout_entry(10, compute, words),
+    ]
+}
+
+pub(crate) fn buffer_entry(binding: u32, buffer: &wgpu::Buffer) -> wgpu::BindGroupEntry<'_> {
+    wgpu::BindGroupEntry {
+        binding,
+        resource: buffer.as_entire_binding(),
+    }
+}
+
+pub(crate) fn texture_entry(binding: u32, texture: &wgpu::TextureView) -> wgpu::BindGroupEntry<'_> {
+    wgpu::BindGroupEntry {
+        binding,
+        resource: wgpu::BindingResource::TextureView(texture),
+    }
+}
+
+pub(crate) fn frame_uniform_entry(uniforms: &wgpu::Buffer) -> wgpu::BindGroupEntry<'_> {
+    wgpu::BindGroupEntry {
+        binding: 0,
+        resource: wgpu::BindingResource::Buffer(wgpu::BufferBinding {
+            buffer: uniforms,
+            offset: 0,
+            size: std::num::NonZeroU64::new(size_of::<gpu::Frame>() as u64),
+        }),
+    }
+}
+
+/// Group 0 of bindings.wgsl as sources need it.
+pub(crate) fn source_frame_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    let uniform = |has_dynamic_offset| wgpu::BindingType::Buffer {
+        ty: wgpu::BufferBindingType::Uniform,
+        has_dynamic_offset,
+        min_binding_size: None,
+    };
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("relight sources"),
+        entries: &[
+            layout_entry(0, wgpu::ShaderStages::COMPUTE, uniform(true)),
+            layout_entry(5, wgpu::ShaderStages::COMPUTE, STORAGE),
+            layout_entry(6, wgpu::ShaderStages::COMPUTE, uniform(false)),
+        ],
+    })
+}
+
+/// Group 1 of bindings.wgsl as sources need it.
+pub(crate) fn source_scene_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    let entry = |binding| layout_entry(binding, wgpu::ShaderStages::COMPUTE, STORAGE);
+    let texels = scene_entries().into_iter().find(|entry| entry.binding == 5);
+    let entries = [0, 1, 4, 8, 9].map(entry).into_iter().chain(texels);
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("relight occluders"),
+        entries: &entries.collect::<Vec<_>>(),
+    })
+}
+
+/// Group 2 of bindings.wgsl as sources need it.
+pub(crate) fn source_image_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    let [visibility, ..] = image_entries();
+    let found = wgpu::BindingType::StorageTexture {
+        access: wgpu::StorageTextureAccess::WriteOnly,
+        format: RADIANCE_FORMAT,
+        view_dimension: wgpu::TextureViewDimension::D2Array,
+    };
+    // Groups of images bind one after the other.
+    let found = layout_entry(1, wgpu::ShaderStages::COMPUTE, found);
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("relight source images"),
+        entries: &[visibility, found],
+    })
+}
+
+/// Group 2 of bindings.wgsl as irradiance needs it.
+pub(crate) fn diffuse_image_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    let [visibility, radiance, ..] = image_entries();
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("relight irradiance images"),
+        entries: &[visibility, radiance],
+    })
+}
+
+/// Group 0 of bindings.wgsl as vertices need it.
+pub(crate) fn vertex_frame_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    let uniform = wgpu::BindingType::Buffer {
+        ty: wgpu::BufferBindingType::Uniform,
+        has_dynamic_offset: true,
+        min_binding_size: None,
+    };
+    let compute = wgpu::ShaderStages::COMPUTE;
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("relight vertices"),
+        entries: &[
+            layout_entry(0, compute, uniform),
+            layout_entry(1, compute, STORAGE),
+            layout_entry(2, compute, STORAGE),
+        ],
+    })
+}
+
+/// Group 1 of bindings.wgsl as vertices need it.
+pub(crate) fn vertex_scene_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    let entries: Vec<_> = (scene_entries().into_iter())
+        .filter(|entry| VERTEX_BINDINGS.contains(&entry.binding))
+        .collect();
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("relight vertices"),
+        entries: &entries,
+    })
+}
+
+/// Group 2 of bindings.wgsl as vertices need it.
+pub(crate) fn vertex_image_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    let [visibility, found, ..] = image_entries();
+    let states = wgpu::BindingType::Buffer {
+        ty: wgpu::BufferBindingType::Storage { read_only: false },
+        has_dynamic_offset: false,
+        min_binding_size: None,
+    };
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("relight light fractions"),
+        entries: &[
+            visibility,
+            layout_entry(4, wgpu::ShaderStages::COMPUTE, states),
+            wgpu::BindGroupLayoutEntry {
+                binding: 5,
+                ..found
+            },
+        ],
+    })
+}
+
+/// Group 0 of surfaces.wgsl.
+pub(crate) fn surface_frame_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    let uniform = wgpu::BindingType::Buffer {
+        ty: wgpu::BufferBindingType::Uniform,
+        has_dynamic_offset: false,
+        min_binding_size: None,
+    };
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("relight world"),
+        entries: &[layout_entry(0, wgpu::ShaderStages::COMPUTE, uniform)],
+    })
+}
+
+/// Group 1 of surfaces.wgsl.
+pub(crate) fn surface_image_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    let samples = |sample_type| wgpu::BindingType::Texture {
+        sample_type,
+        view_dimension: wgpu::TextureViewDimension::D2,
+        multisampled: true,
+    };
+    let written = |format| wgpu::BindingType::StorageTexture {
+        access: wgpu::StorageTextureAccess::WriteOnly,
+        format,
+        view_dimension: wgpu::TextureViewDimension::D2,
+    };
+    let compute = wgpu::ShaderStages::COMPUTE;
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("relight surfaces"),
+        entries: &[
+            layout_entry(0, compute, samples(wgpu::TextureSampleType::Uint)),
+            layout_entry(1, compute, samples(wgpu::TextureSampleType::Depth)),
+            layout_entry(2, compute, written(wgpu::TextureFormat::Rg32Uint)),
+            layout_entry(3, compute, written(wgpu::TextureFormat::R32Uint)),
+        ],
+    })
+}
+
+/// Group 2 of bindings.wgsl.
+pub(crate) fn image_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("relight images"),
+        entries: &image_entries(),
+    })
+}
+
+pub(crate) fn image_entries() -> [wgpu::BindGroupLayoutEntry; 4] {
+    let texture = |sample_type| wgpu::BindingType::Texture {
+        sample_type,
+        view_dimension: wgpu::TextureViewDimension::D2,
+        multisampled: false,
+    };
+    let radiance = wgpu::BindingType::StorageTexture {
+        access: wgpu::StorageTextureAccess::WriteOnly,
+        format: RADIANCE_FORMAT,
+        view_dimension: wgpu::TextureViewDimension::D2,
+    };
+    let sources = wgpu::TextureSampleType::Float { filterable: false };
+    let layers = wgpu::BindingType::Texture {
+        sample_type: sources,
+        view_dimension: wgpu::TextureViewDimension::D2Array,
+        multisampled: false,
+    };
+    let compute = wgpu::ShaderStages::COMPUTE;
+    [
+        layout_entry(0, compute, texture(wgpu::TextureSampleType::Uint)),
+        layout_entry(1, compute, radiance),
+        layout_entry(2, compute, layers),
+        layout_entry(3, compute, texture(sources)),
+    ]
+}
+
+fn shader(device: &wgpu::Device, entry: Entry) -> wgpu::ShaderModule {
+    device.create_shader_module(wgpu::ShaderModuleDescriptor {
+        label: Some("relight"),
+        source: wgpu::ShaderSource::Wgsl(source(entry).into()),
+    })
+}
+
+fn pipeline_layout(
+    device: &wgpu::Device,
+    groups: &[&wgpu::BindGroupLayout],
+) -> wgpu::PipelineLayout {
+    let groups: Vec<_> = groups.iter().copied().map(Some).collect();
+    device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+        label: Some("relight"),
+        bind_group_layouts: &groups,
+        immediate_size: 0,
+    })
+}
+
+/// Triangles to visibility; with `samples`, four per pixel and what tells surfaces apart.
+pub(crate) fn visibility_pipeline(
+    device: &wgpu::Device,
+    groups: [&wgpu::BindGroupLayout; 2],
+    samples: bool,
+) -> wgpu::RenderPipeline {
+    let (entry, [vertex, fragment], format, count) = if samples {
+        let names = ["surface_samples_vertex", "surface_samples_fragment"];
+        (Entry::SurfaceSamples, names, SAMPLES_FORMAT, 4)
+    } else {
+        let names = ["visibility_buffer_vertex", "visibility_buffer_fragment"];
+        (Entry::VisibilityBuffer, names, VISIBILITY_FORMAT, 1)
+    };
+    let module = shader(device, entry);
+    device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+        label: Some("relight visibility buffer"),
+        layout: Some(&pipeline_layout(device, &groups)),
+        vertex: wgpu::VertexState {
+            module: &module,
+            entry_point: Some(vertex),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            buffers: &[],
+        },
+        primitive: wgpu::PrimitiveState {
+            front_face: wgpu::FrontFace::Ccw,
+            cull_mode: Some(wgpu::Face::Back),
+            ..Default::default()
+        },
+        depth_stencil: Some(wgpu::DepthStencilState {
+            format: DEPTH_FORMAT,
+            depth_write_enabled: Some(true),
+            depth_compare: Some(wgpu::CompareFunction::Greater),
+            stencil: wgpu::StencilState::default(),
+            bias: wgpu::DepthBiasState::default(),
+        }),
+        multisample: wgpu::MultisampleState {
+            count,
+            ..Default::default()
+        },
+        fragment: Some(wgpu::FragmentState {
+            module: &module,
+            entry_point: Some(fragment),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            targets: &[Some(format.into())],
+        }),
+        multiview_mask: None,
+        cache: None,
+    })
+}
+
+pub(crate) fn compute_pipeline(
+    device: &wgpu::Device,
+    groups: &[&wgpu::BindGroupLayout],
+    kernel: &Kernel,
+) -> wgpu::ComputePipeline {
+    device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+        label: Some(kernel.name),
+        layout: Some(&pipeline_layout(device, groups)),
+        module: &shader(device, kernel.entry),
+        entry_point: Some(kernel.entry_point),
+        compilation_options: wgpu::PipelineCompilationOptions {
+            constants: kernel.constants,
+            ..Default::default()
+        },
+        cache: None,
+    })
+}

@@ -6,10 +6,11 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
+use glam::Vec3;
 use libtest_mimic::Trial;
 use relight_format::{Limits, read_environment, read_scene};
 use relight_lab::demo;
-use relight_runtime::{EnvironmentLight, Frame, Image, Method, twin};
+use relight_runtime::{EnvironmentLight, Frame, Image, LocalLight, Method, twin};
 use relight_shading::wgsl::{Entry, source};
 
 use relight_viewer::state::Document;
@@ -339,7 +340,7 @@ const APPLICATION: &str = r#"<!doctype html><meta charset="utf-8">
 <body style="margin:0"><script>
 localStorage.setItem("relight.viewer", JSON.stringify({ resolution: 0.06, lobes: 12, background: "Off" }));
 </script>
-<iframe src="app.html?scene=scene.relight&environment=light.relight" width="760" height="640" style="border:0"></iframe>
+<iframe src="app.html" width="760" height="640" style="border:0"></iframe>
 <script type="module">
 const told = (body) => fetch("told", { method: "POST", body });
 const frame = document.querySelector("iframe");
@@ -403,6 +404,29 @@ try {
 
   // Room for the material's section.
   for (const section of ["Scene", "Environment", "Method", "Picture"]) await press_widget(section);
+  await press_widget("Lights in the scene");
+  await press_widget("Add");
+  await until("a light", () => state().lights?.length);
+  const placed = state().lights[0].position;
+  let handle;
+  page.find("handle of light 1");
+  await until("its handle", () => { handle = page.find("handle of light 1"); return handle; });
+  const [x, y] = [(handle[0] + handle[2]) / 2, (handle[1] + handle[3]) / 2];
+  pointer("mousemove", x, y, 0);
+  await sleep(120);
+  pointer("pointerdown", x, y, 1);
+  for (const step of [10, 20, 30]) {
+    await sleep(120);
+    pointer("mousemove", x + step, y + step, 1);
+  }
+  await sleep(120);
+  pointer("pointerup", x + 30, y + 30, 0);
+  await until("the light has moved", () => {
+    const moved = state().lights[0].position;
+    return Math.hypot(...moved.map((value, axis) => value - placed[axis])) > 0.01;
+  });
+  await press_widget("Lights in the scene");
+  await until("the picture under it", () => state().settled);
   let found;
   page.find("picture of the scene");
   await until("the picture", () => { found = page.find("picture of the scene"); return found; });
@@ -461,6 +485,11 @@ fn application(browser: &str) -> Outcome {
         built_page().join("index.html"),
         folder.path().join("app.html"),
     )?;
+    // What a page shows of itself.
+    for (from, to) in [("scene", "demo"), ("light", "demo-environment")] {
+        let [from, to] = [from, to].map(|name| folder.path().join(format!("{name}.relight")));
+        std::fs::rename(from, to)?;
+    }
     let sky = demo::sky(64, 32);
     let mut image = relight_lab::image_file::Image::new(64, 32);
     for (pixel, [r, g, b]) in image.pixels.iter_mut().zip(&sky.pixels) {
@@ -516,7 +545,19 @@ fn application(browser: &str) -> Outcome {
         relight_lab::camera::load(&file)?.target,
         camera.camera().target
     );
-    let polar = Frame::under(camera.camera(), &light);
+    let number = |value: &serde_json::Value| value.as_f64().unwrap_or(f64::NAN) as f32;
+    let vector = |value: &serde_json::Value| Vec3::from([0, 1, 2].map(|axis| number(&value[axis])));
+    let local = &state["lights"][0];
+    let local_lights = vec![LocalLight {
+        position: vector(&local["position"]),
+        radius: number(&local["radius"]),
+        radiance: vector(&local["radiance"]),
+        spot: None,
+    }];
+    let polar = Frame {
+        local_lights: &local_lights,
+        ..Frame::under(camera.camera(), &light)
+    };
     let ambient = Frame {
         method: Method::Ambient,
         ..polar.clone()

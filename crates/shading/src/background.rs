@@ -110,6 +110,14 @@ impl Panorama {
         }
     }
 
+    /// The texels of [`Self::levels`], made before, on another machine or by another process; `None`
+    /// where there are not as many as any number of levels has.
+    pub fn from_texels(texels: &[u32]) -> Option<Self> {
+        let count = relight_format::Prefiltered::texel_count;
+        let levels = (1..=MOST_LEVELS).find(|levels| count(*levels) == texels.len())?;
+        Some(Self(Prefiltered::of_texels(levels, texels.into())))
+    }
+
     /// The levels, as shaders have them.
     pub fn levels(&self) -> &Prefiltered {
         &self.0
@@ -259,6 +267,10 @@ mod tests {
         assert!(Panorama::from_lat_long([3, 3], &pixels).is_none());
         assert!(Panorama::from_lat_long([0, 0], &[]).is_none());
         assert!(Panorama::from_lat_long([1, 1], &[[f32::NAN, -1.0, 3.0]]).is_some());
+        let texels = panorama.levels().texels();
+        let again = Panorama::from_texels(texels).expect("the same");
+        assert_eq!(again.radiance(Vec3::Z, 40.0), panorama.radiance(Vec3::Z, 40.0));
+        assert!(Panorama::from_texels(&texels[1..]).is_none() && Panorama::from_texels(&[]).is_none());
     }
 
     #[test]

@@ -114,10 +114,9 @@ impl Page {
         });
     }
 
-    /// A worker fitted an image, which is here as linear RGB, row 0 first.
-    pub fn light(&self, number: u32, asset: Vec<u8>, width: u32, height: u32, pixels: &[f32]) {
-        let (pixels, _) = pixels.as_chunks();
-        let image = Panorama::from_lat_long([width, height], pixels);
+    /// A worker fitted an image, whose texels for the background may be there already.
+    pub fn light(&self, number: u32, asset: Vec<u8>, texels: &[u32]) {
+        let image = Panorama::from_texels(texels);
         self.tell(Message::Light {
             number,
             asset,
@@ -170,6 +169,15 @@ impl Page {
             .map(|answer| answer.after.as_secs_f64() * 1e3)
             .collect();
         let document = viewer.document.as_ref();
+        let lights: Vec<_> = (document.iter().flat_map(|document| &document.local_lights))
+            .map(|light| {
+                json!({
+                    "position": light.position.to_array(),
+                    "radius": light.radius,
+                    "radiance": light.radiance.to_array(),
+                })
+            })
+            .collect();
         let state = json!({
             "settled": viewer.is_settled(),
             "scene": document.map(|document| document.scene.name.as_str()),
@@ -178,6 +186,7 @@ impl Page {
             "lobes": viewer.light.lobes.len(),
             "layout": format!("{:?}", viewer.settings.layout),
             "yaw": viewer.turn.yaw,
+            "lights": lights,
             "pictures": pictures,
             "screen": viewer.screen().map(|(size, _)| size),
             "jobs": jobs,

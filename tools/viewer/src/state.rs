@@ -258,8 +258,10 @@ pub struct Light {
     pub prefiltered: Option<Prefiltered>,
     /// Suns, lamps and windows, apart from the lobes.
     pub sources: Option<Arc<Sources>>,
-    /// All of it, for backgrounds: the image itself, where one was loaded.
-    pub panorama: Option<Panorama>,
+    /// All of it, for backgrounds: the image itself, once it is there.
+    pub panorama: Panorama,
+    /// Whether it is the image that shows.
+    shows_image: bool,
 }
 
 impl Light {
@@ -277,8 +279,18 @@ impl Light {
             prefiltered: Prefiltered::new(&environment.prefiltered, &lobes),
             sources: Sources::new(&environment).map(Arc::new),
             lobes,
-            panorama: panorama.or_else(|| Some(Panorama::of_environment(&environment))),
+            shows_image: panorama.is_some(),
+            panorama: panorama.unwrap_or_else(|| Panorama::of_environment(&environment)),
             environment: environment.into(),
+        }
+    }
+
+    /// Shows the image of a light that is another fit of the same file until its own is there.
+    pub fn keep_image(&mut self, before: &Self) {
+        let same = self.name == before.name && self.source == before.source;
+        if same && before.shows_image && !self.shows_image {
+            self.panorama = before.panorama.clone();
+            self.shows_image = true;
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use std::sync::atomic::AtomicBool;
 
-use js_sys::{Float32Array, Function, Uint8Array};
+use js_sys::{Function, Uint8Array, Uint32Array};
 use relight_bake::environment::hdr::{self, Reading};
 use relight_bake::environment::{self, FitOptions};
 use relight_bake::measured::{Table, fit};
@@ -12,7 +12,7 @@ use send_wrapper::SendWrapper;
 use wasm_bindgen::prelude::wasm_bindgen;
 use wasm_bindgen::{JsError, JsValue};
 
-use crate::jobs::fit_stages_to;
+use crate::jobs::{fit_stages_to, panorama_of};
 
 static NEVER: AtomicBool = AtomicBool::new(false);
 
@@ -21,7 +21,7 @@ fn failed(error: impl std::fmt::Display) -> JsError {
 }
 
 /// Fits an image with few lobes, then with all of them. Calls `report(stage, fraction)` often, and
-/// `deliver(asset, width, height, pixels)` after each of the two.
+/// `deliver(asset, texels)` after each of the two, the second time with those of its [`Panorama`].
 #[wasm_bindgen]
 pub fn fit_light(
     bytes: &[u8],
@@ -41,7 +41,8 @@ pub fn fit_light(
         report: &tell,
         stop: &NEVER,
     };
-    for lobes in fit_stages_to(lobes) {
+    let stages = fit_stages_to(lobes);
+    for (index, lobes) in stages.iter().copied().enumerate() {
         let options = FitOptions {
             lobes,
             ..FitOptions::default()
@@ -50,12 +51,13 @@ pub fn fit_light(
         let mut fitted = fitted.environment;
         name.clone_into(&mut fitted.report.source);
         let asset = format::write_environment(&fitted).map_err(failed)?;
-        let _ = deliver.call4(
+        let panorama = panorama_of(&image, index, &stages);
+        let texels = panorama.iter().flat_map(|image| image.levels().texels().iter().copied());
+        let texels: Vec<u32> = texels.collect();
+        let _ = deliver.call2(
             &JsValue::NULL,
             &Uint8Array::from(&asset[..]),
-            &image.width.into(),
-            &image.height.into(),
-            &Float32Array::from(image.pixels.as_flattened()),
+            &Uint32Array::from(&texels[..]),
         );
     }
     Ok(())

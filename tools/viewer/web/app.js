@@ -1,5 +1,6 @@
 // Files, workers and downloads for the application. What can be asked of the page stands in its
-// address: scene and environment (files to fetch), poster (an image until there is a picture).
+// address: scene and environment (files to fetch; those of the demo where none is named, if they lie
+// beside the page), poster (an image until there is a picture).
 import init, { Page } from "./relight_viewer.js";
 
 const query = new URLSearchParams(location.search);
@@ -55,8 +56,9 @@ const hooks = {
 
 const open = async (file) => page.open(file.name, new Uint8Array(await file.arrayBuffer()));
 
-// Fetches a file with progress, as one of the application's jobs.
-const fetched = async (address) => {
+// Fetches a file with progress, as one of the application's jobs. One that nobody asked for may be
+// missing.
+const fetched = async (address, asked) => {
   const number = nextFetch;
   nextFetch += 1;
   const name = address.split(/[?#]/)[0].split("/").pop();
@@ -65,7 +67,12 @@ const fetched = async (address) => {
   page.fetching(number, name);
   try {
     const response = await fetch(address, { signal: abort.signal });
-    if (!response.ok) throw new Error(`the server says ${response.status} ${response.statusText}`);
+    if (!response.ok && asked) throw new Error(`the server says ${response.status} ${response.statusText}`);
+    if (!response.ok) {
+      end(number);
+      page.ended(number);
+      return;
+    }
     const whole = Number(response.headers.get("content-length")) || 0;
     const parts = [];
     let count = 0;
@@ -116,9 +123,9 @@ const start = async () => {
   });
   // Browsers open what is dropped beside the canvas.
   for (const type of ["dragover", "drop"]) addEventListener(type, (event) => event.preventDefault());
-  for (const name of ["environment", "scene"]) {
+  for (const [name, demo] of [["environment", "demo-environment.relight"], ["scene", "demo.relight"]]) {
     const address = query.get(name);
-    if (address) await fetched(address);
+    await fetched(address ?? demo, address !== null);
   }
   // For tests, and for those who look how fast it is.
   window.relight = page;

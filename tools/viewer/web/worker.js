@@ -6,7 +6,7 @@ onmessage = async ({ data: { module, kind, name, bytes, lobes } }) => {
     await init({ module_or_path: module });
     if (kind === "light") {
       const report = (...progress) => postMessage({ progress });
-      const deliver = (...light) => postMessage({ light }, [light[0].buffer, light[3].buffer]);
+      const deliver = (...light) => postMessage({ light }, [light[0].buffer, light[1].buffer]);
       fit_light(bytes, name, lobes, report, deliver);
     } else {
       const material = fit_material(bytes, name);

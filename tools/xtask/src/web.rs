@@ -26,7 +26,7 @@ const PAGES: [Page; 2] = [
         files: &["embed.html", "embed.css", "embed.js"],
     },
 ];
-/// Assets that `cargo demo` bakes, shown by the page where they are there.
+/// Assets that `cargo demo` bakes, shown by the page where nothing else is asked for.
 const ASSETS: [&str; 2] = ["demo.relight", "demo-environment.relight"];
 
 /// What is wrong where pages cannot be compiled on this machine at all.
@@ -50,13 +50,23 @@ pub fn for_tests(root: &Path) -> crate::Outcome {
 
 /// Builds the pages into `out/web`, and serves it if that is asked for.
 pub fn run(root: &Path, serve: bool) -> ExitCode {
-    match build(root).and_then(|folder| if serve { forever(&folder) } else { Ok(()) }) {
+    let built = demo(root).and_then(|()| build(root));
+    match built.and_then(|folder| if serve { forever(&folder) } else { Ok(()) }) {
         Ok(()) => ExitCode::SUCCESS,
         Err(message) => {
             eprintln!("xtask: {message}");
             ExitCode::FAILURE
         }
     }
+}
+
+/// Bakes the demo, if that was not done before.
+fn demo(root: &Path) -> Result<(), String> {
+    let folder = root.join("out/demo");
+    if ASSETS.iter().all(|name| folder.join(name).exists()) {
+        return Ok(());
+    }
+    run_to_end(&mut crate::cargo(root, "demo"))
 }
 
 fn build(root: &Path) -> Result<PathBuf, String> {
@@ -175,10 +185,6 @@ fn forever(folder: &Path) -> Result<(), String> {
         .map_err(|error| error.to_string())?;
     let address = listener.local_addr().map_err(|error| error.to_string())?;
     println!("xtask: http://{address}/");
-    if ASSETS.iter().all(|name| folder.join(name).exists()) {
-        let [scene, environment] = ASSETS;
-        println!("xtask: http://{address}/?scene={scene}&environment={environment}");
-    }
     for stream in listener.incoming().flatten() {
         let folder = folder.to_owned();
         // A browser that hangs up, or says nothing, is none of the others' business.

@@ -128,9 +128,10 @@ impl Viewer {
                     self.inspection = None;
                 }
             }
-            Loaded::Light(light) => {
+            Loaded::Light(mut light) => {
                 #[cfg(not(target_family = "wasm"))]
                 self.watch[1].set(light.source.as_slice());
+                light.keep_image(&self.light);
                 self.light = light;
             }
             Loaded::Material {

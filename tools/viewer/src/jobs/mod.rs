@@ -13,8 +13,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
+use relight_bake::environment::hdr::LatLong;
 use relight_format::{self as format, Limits, MaterialAsset, Scene, Specular, Surface, Texture};
-use relight_runtime::LocalLight;
+use relight_runtime::{LocalLight, Panorama};
 use web_time::Instant;
 
 #[cfg(target_family = "wasm")]
@@ -241,6 +242,15 @@ pub fn fit_stages_to(lobes: usize) -> Vec<usize> {
     let mut stages = vec![DRAFT_LOBES.min(lobes), lobes];
     stages.dedup();
     stages
+}
+
+/// What is seen of an image behind the scene once the fit is at this stage: nothing of its own until the
+/// last, as it takes longer than the first fit of a large image.
+pub fn panorama_of(image: &LatLong, stage: usize, stages: &[usize]) -> Option<Panorama> {
+    let is_last = stage + 1 == stages.len();
+    is_last
+        .then(|| Panorama::from_lat_long([image.width, image.height], &image.pixels))
+        .flatten()
 }
 
 /// The surface of a material asset, and its textures: those that need no texture coordinates.

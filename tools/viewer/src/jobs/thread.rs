@@ -16,11 +16,10 @@ use relight_bake::scene;
 use relight_bake::scene::load::{self, SceneInput};
 use relight_format::{self as format, Limits};
 use relight_lab::demo;
-use relight_runtime::Panorama;
 
 use super::{
     Event, FileKind, Kind, Loaded, Plan, Status, Tracker, bake_plan, file_name, fit_plan,
-    surface_of,
+    panorama_of, surface_of,
 };
 use crate::state::{Light, Quality};
 
@@ -389,9 +388,8 @@ fn fit_stages(
     stages: &[usize],
     context: &Context,
 ) -> anyhow::Result<()> {
-    let panorama = Panorama::from_lat_long([image.width, image.height], &image.pixels);
     (context.plan)(fit_plan(stages));
-    for lobes in stages.iter().copied() {
+    for (index, lobes) in stages.iter().copied().enumerate() {
         let options = FitOptions {
             lobes,
             ..FitOptions::default()
@@ -399,7 +397,8 @@ fn fit_stages(
         let mut fitted = environment::fit(image, &options, context.monitor)?.environment;
         name.clone_into(&mut fitted.report.source);
         let source = source.map(Path::to_owned);
-        let light = Light::new(name.to_owned(), source, fitted, panorama.clone());
+        let panorama = panorama_of(image, index, stages);
+        let light = Light::new(name.to_owned(), source, fitted, panorama);
         (context.deliver)(Loaded::Light(light));
     }
     Ok(())

@@ -269,8 +269,13 @@ mod tests {
         assert!(Panorama::from_lat_long([1, 1], &[[f32::NAN, -1.0, 3.0]]).is_some());
         let texels = panorama.levels().texels();
         let again = Panorama::from_texels(texels).expect("the same");
-        assert_eq!(again.radiance(Vec3::Z, 40.0), panorama.radiance(Vec3::Z, 40.0));
-        assert!(Panorama::from_texels(&texels[1..]).is_none() && Panorama::from_texels(&[]).is_none());
+        assert_eq!(
+            again.radiance(Vec3::Z, 40.0),
+            panorama.radiance(Vec3::Z, 40.0)
+        );
+        assert!(
+            Panorama::from_texels(&texels[1..]).is_none() && Panorama::from_texels(&[]).is_none()
+        );
     }
 
     #[test]

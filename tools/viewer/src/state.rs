@@ -259,7 +259,7 @@ pub struct Light {
     /// Suns, lamps and windows, apart from the lobes.
     pub sources: Option<Arc<Sources>>,
     /// All of it, for backgrounds: the image itself, once it is there.
-    pub panorama: Panorama,
+    pub panorama: Option<Panorama>,
     /// Whether it is the image that shows.
     shows_image: bool,
 }
@@ -280,7 +280,7 @@ impl Light {
             sources: Sources::new(&environment).map(Arc::new),
             lobes,
             shows_image: panorama.is_some(),
-            panorama: panorama.unwrap_or_else(|| Panorama::of_environment(&environment)),
+            panorama: panorama.or_else(|| Some(Panorama::of_environment(&environment))),
             environment: environment.into(),
         }
     }

@@ -124,7 +124,7 @@ pub fn still(
         .finished(shot, size, passes)
         .map_err(anyhow::Error::msg)?;
     let sky = Sky {
-        panorama: Some(&light.panorama),
+        panorama: light.panorama.as_ref(),
         rotation: shot.rotation,
     };
     Ok(compose::compose(

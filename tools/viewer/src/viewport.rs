@@ -244,7 +244,7 @@ fn light_handles(ui: &Ui, viewer: &mut Viewer, rect: Rect) -> bool {
         let area = Rect::from_center_size(at, Vec2::splat(2.0 * HANDLE));
         let response = ui.interact(area, ui.scope_id().with(("light", index)), Sense::drag());
         let name = format!("handle of light {}", index + 1);
-        response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Slider, true, name));
+        response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Slider, true, &name));
         if response.dragged() {
             let drag = response.drag_delta();
             light.position += drag.x * per_point * view.right.normalize_or_zero()

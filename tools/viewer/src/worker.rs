@@ -52,7 +52,9 @@ pub fn fit_light(
         name.clone_into(&mut fitted.report.source);
         let asset = format::write_environment(&fitted).map_err(failed)?;
         let panorama = panorama_of(&image, index, &stages);
-        let texels = panorama.iter().flat_map(|image| image.levels().texels().iter().copied());
+        let texels = panorama
+            .iter()
+            .flat_map(|image| image.levels().texels().iter().copied());
         let texels: Vec<u32> = texels.collect();
         let _ = deliver.call2(
             &JsValue::NULL,

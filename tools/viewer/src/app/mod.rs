@@ -185,7 +185,7 @@ impl Viewer {
         let threads = rayon::ThreadPoolBuilder::new().build().ok();
         let compose = move |task: Composition| {
             let sky = Sky {
-                panorama: Some(&task.light.panorama),
+                panorama: task.light.panorama.as_ref(),
                 rotation: task.rotation,
             };
             let images = [0, 1].map(|i: usize| task.images[i].as_deref());

@@ -3,10 +3,12 @@
 use egui::{DragValue, Ui};
 use glam::Vec3;
 use relight_runtime::{LocalLight, MAX_LOCAL_LIGHTS, Spot};
+use relight_shading::camera::View;
 
 use crate::app::Viewer;
 
 pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
+    let position = place(viewer);
     let Some(document) = &mut viewer.document else {
         return;
     };
@@ -16,11 +18,7 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
     if lights.len() < MAX_LOCAL_LIGHTS as usize && ui.button("Add").clicked() {
         let radius = 0.02 * size;
         lights.push(LocalLight {
-            position: Vec3::new(
-                0.5 * (low.x + high.x),
-                high.y + 0.1 * size,
-                0.5 * (low.z + high.z),
-            ),
+            position,
             radius,
             // As bright one scene's size away as a wall of radiance 1.
             radiance: Vec3::splat(0.5 * (size / radius).powi(2) / std::f32::consts::PI),
@@ -41,6 +39,16 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
         lights.remove(index);
     }
     ui.weak("drag a light's handle in the picture to move it");
+}
+
+/// Where a light begins: half of the way to what is looked at, in the upper half of the picture, so
+/// that its handle can be taken.
+fn place(viewer: &Viewer) -> Vec3 {
+    let [width, height] = viewer.size.map(|side| side.max(1));
+    let view = View::new(&viewer.orbit.camera(), width, height, 1.0);
+    let distance = 0.5 * (view.eye - viewer.orbit.target).length();
+    let half = 0.5 * height as f32 * distance * view.down.length();
+    view.eye.lerp(viewer.orbit.target, 0.5) - 0.5 * half * view.down.normalize_or_zero()
 }
 
 fn edit(ui: &mut Ui, light: &mut LocalLight, size: f32) {

@@ -289,7 +289,7 @@ impl Light {
     pub fn keep_image(&mut self, before: &Self) {
         let same = self.name == before.name && self.source == before.source;
         if same && before.shows_image && !self.shows_image {
-            self.panorama = before.panorama.clone();
+            self.panorama.clone_from(&before.panorama);
             self.shows_image = true;
         }
     }

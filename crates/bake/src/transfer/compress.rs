@@ -172,17 +172,21 @@ fn principal(samples: &DMatrix<f32>) -> (DMatrix<f32>, DMatrix<f32>) {
             -1.0
         }
     });
+    let across_samples = samples.transpose();
     let mut range = product(samples, &chance).qr().q();
     for _ in 0..ITERATIONS {
-        let across = samples.tr_mul(&range).qr().q();
+        let across = product(&across_samples, &range).qr().q();
         range = product(samples, &across).qr().q();
     }
-    let projected = range.tr_mul(samples);
+    let projected = product(&range.transpose(), samples);
     let eigen = product(&projected, &projected.transpose()).symmetric_eigen();
     let mut order: Vec<usize> = (0..width).collect();
     order.sort_by(|&a, &b| eigen.eigenvalues[b].total_cmp(&eigen.eigenvalues[a]));
     let turn = DMatrix::from_fn(width, width, |i, j| eigen.eigenvectors[(i, order[j])]);
-    (product(&range, &turn), turn.tr_mul(&projected))
+    (
+        product(&range, &turn),
+        product(&turn.transpose(), &projected),
+    )
 }
 
 fn squares(values: &DMatrix<f32>) -> f64 {

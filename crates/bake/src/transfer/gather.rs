@@ -4,7 +4,8 @@ use std::f32::consts::PI;
 
 use glam::{Mat4, Vec3, Vec4};
 
-use super::radiosity::{Radiosity, hash, hemisphere};
+use super::radiosity::{Radiosity, add_colored, hash};
+use crate::simd;
 use crate::visibility::ray::RayCaster;
 
 /// Pull of the radiance's slope towards none, as a part of what the rays weigh: where few rays
@@ -43,12 +44,11 @@ impl Radiosity {
             .into_iter()
             .fold(0, |seed, x| hash(seed, x.to_bits()));
         let area = 2.0 * PI / rays as f32;
-        for ray in hemisphere(receiver.normal, rays, seed) {
+        for ray in self.hemisphere(receiver.normal, rays, seed) {
             let Some(met) = self.meet(caster, receiver.origin, ray.direction) else {
                 continue;
             };
             let sender = self.sender(caster, &met, 1.0, ray.number);
-            self.radiance(&sender, &mut values);
             let row = ray.direction.extend(1.0);
             let weight = ray.cosine * area;
             let [x, y, z] = ray.direction.to_array();
@@ -61,10 +61,14 @@ impl Radiosity {
                 weight * y,
                 weight * z,
             ];
-            for (output, (sums, factor)) in sums.chunks_exact_mut(block).zip(factors).enumerate() {
-                for (sum, value) in sums.iter_mut().zip(&values) {
-                    *sum += factor * value;
+            let (known, color) = self.radiance(&sender, &mut values);
+            simd::arch().dispatch(|| {
+                for (sums, factor) in sums.chunks_exact_mut(block).zip(factors) {
+                    add_colored(sums, known, factor * color);
                 }
+            });
+            for (output, (sums, factor)) in sums.chunks_exact_mut(block).zip(factors).enumerate() {
+                self.add_emitted(sums, factor * sender.beyond);
                 // Mirrors see what emits where rays meet it.
                 if output >= 3 {
                     self.add_emitted(sums, factor * sender.emission);

@@ -4,7 +4,7 @@ use relight_format::math;
 use std::f32::consts::PI;
 use std::time::{Duration, Instant};
 
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use relight_shading::transfer::Harmonics;
 
@@ -12,6 +12,7 @@ use super::Options;
 use super::points::{Point, Points};
 use super::surfaces::{Met, Surfaces};
 use crate::monitor::{Interrupted, Monitor};
+use crate::simd;
 use crate::visibility::ray::RayCaster;
 
 /// Without a number given, bounces end where the next adds less than this to what is there,
@@ -42,6 +43,8 @@ const SKY_BLUR: f32 = 0.35;
 /// How far above the surface what stands between neighbours is looked for, as a part of their
 /// distance.
 const ABOVE: f32 = 0.1;
+/// Directions about a circle that random ones are drawn from.
+const TURNS: usize = 256;
 
 /// Light of the scene after all bounces.
 pub struct Radiosity {
@@ -50,6 +53,10 @@ pub struct Radiosity {
     harmonics: Harmonics,
     /// What [`SKY_BLUR`] leaves of each harmonic.
     blurs: Vec<f32>,
+    /// Unit vectors evenly about a circle.
+    turns: Vec<Vec2>,
+    /// Where the rays of a hemisphere turn to, one after the other.
+    spiral: Vec<Vec2>,
     columns: usize,
     ray_offset: f32,
     /// Irradiance of every point: per channel `columns` numbers.
@@ -71,7 +78,7 @@ pub struct Sender {
     /// Radiance of its own, times what its light counts here.
     pub(super) emission: Vec3,
     /// Radiance of surfaces that are seen by way of those that no point stands for, likewise.
-    beyond: Vec3,
+    pub(super) beyond: Vec3,
 }
 
 /// Where the light that something sends on is known.
@@ -117,6 +124,12 @@ impl Radiosity {
                     std::iter::repeat_n(math::exp(-0.5 * exponent), 2 * degree as usize + 1)
                 })
                 .collect(),
+            turns: (0..TURNS)
+                .map(|i| turned(2.0 * PI * (i as f32 + 0.5) / TURNS as f32))
+                .collect(),
+            spiral: (0..options.point_rays.max(options.vertex_rays))
+                .map(|i| turned(GOLDEN * i as f32))
+                .collect(),
             columns,
             ray_offset,
             irradiance: Vec::new(),
@@ -139,7 +152,7 @@ impl Radiosity {
         let behind = |(index, point): (usize, &Point)| {
             let start = Instant::now();
             let origin = point.position + self.ray_offset * point.geometric_normal;
-            let rays = hemisphere(point.normal, count, index as u32);
+            let rays = self.hemisphere(point.normal, count, index as u32);
             let met = rays.filter_map(|ray| self.meet(caster, origin, ray.direction));
             (met.filter(|met| met.behind).count(), start.elapsed())
         };
@@ -172,7 +185,7 @@ impl Radiosity {
                 let mut values = vec![0.0; this.harmonics.count()];
                 let mut radiance = vec![0.0; length];
                 let mut senders = Vec::new();
-                for ray in hemisphere(point.normal, count, index as u32) {
+                for ray in this.hemisphere(point.normal, count, index as u32) {
                     let weight = ray.cosine * (2.0 * PI / count as f32);
                     let Some(met) = this.meet(caster, origin, ray.direction) else {
                         this.harmonics.evaluate(ray.direction, &mut values);
@@ -184,14 +197,12 @@ impl Radiosity {
                         continue;
                     };
                     let sender = this.sender(caster, &met, weight, ray.number);
+                    this.add_emitted(direct, sender.beyond);
                     if let End::Point(point) = sender.end {
                         senders.push((point, sender.weight));
-                        this.add_emitted(direct, sender.beyond);
                     } else {
-                        this.radiance(&sender, &mut radiance);
-                        for (sum, value) in direct.iter_mut().zip(&radiance) {
-                            *sum += value;
-                        }
+                        let (values, weight) = this.radiance(&sender, &mut radiance);
+                        add_colored(direct, values, weight);
                     }
                 }
                 let emitted = this.emitted(caster, origin, point.normal, index as u32);
@@ -221,17 +232,12 @@ impl Radiosity {
             monitor.step("bounces", 0.0)?;
             let mut next = vec![0.0; last.len()];
             (next.par_chunks_exact_mut(length).zip(senders)).for_each(|(sums, senders)| {
-                for (point, weight) in senders {
-                    let from = &last[*point as usize * length..][..length];
-                    for ((sums, from), weight) in (sums.chunks_exact_mut(self.columns))
-                        .zip(from.chunks_exact(self.columns))
-                        .zip((weight / PI).to_array())
-                    {
-                        for (sum, value) in sums.iter_mut().zip(from) {
-                            *sum += weight * value;
-                        }
+                simd::arch().dispatch(|| {
+                    for (point, weight) in senders {
+                        let from = &last[*point as usize * length..][..length];
+                        add_colored(sums, from, weight / PI);
                     }
-                }
+                });
             });
             let squares = |values: &[f32]| -> f64 {
                 values.iter().map(|x| f64::from(*x) * f64::from(*x)).sum()
@@ -327,10 +333,8 @@ impl Radiosity {
                 return sender;
             }
             let origin = met.position + self.ray_offset * met.normal;
-            let (height, turn) = (unit(hash(number, 6)), 2.0 * PI * unit(hash(number, 7)));
-            let (x, y) = met.normal.any_orthonormal_pair();
-            let (sine, cosine) = math::sin_cos(turn);
-            let aside = height.sqrt() * (cosine * x + sine * y);
+            let height = unit(hash(number, 6));
+            let aside = height.sqrt() * self.aside(met.normal, hash(number, 7));
             let direction = (aside + (1.0 - height).sqrt() * met.normal).normalize();
             let Some(next) = self.meet(caster, origin, direction) else {
                 sender.end = End::Sky(direction);
@@ -348,17 +352,44 @@ impl Radiosity {
     /// The point that stands for what a ray met: one of those about it, by chance, that has the
     /// same side and from which nothing parts it.
     fn standing_for(&self, caster: &RayCaster, met: &Met, number: u32) -> Option<usize> {
-        let (u, v) = (unit(hash(number, 1)), unit(hash(number, 2)));
-        let radius = BLUR * self.points.spacing() * u.sqrt();
-        let (x, y) = met.normal.any_orthonormal_pair();
-        let (sine, cosine) = math::sin_cos(2.0 * PI * v);
-        let aside = radius * (cosine * x + sine * y);
+        let radius = BLUR * self.points.spacing() * unit(hash(number, 1)).sqrt();
+        let aside = radius * self.aside(met.normal, hash(number, 2));
         [1.0, -0.5, 0.0].into_iter().find_map(|part| {
             let index = (self.points).nearest(met.position + part * aside, met.normal)?;
             let point = &self.points.as_slice()[index];
             let near = point.position.distance(met.position) < REACH * self.points.spacing()
                 && point.geometric_normal.dot(met.normal) > ALIKE;
             (near && !self.parted(caster, met, index)).then_some(index)
+        })
+    }
+
+    /// A direction along a surface, by chance, of unit length.
+    fn aside(&self, normal: Vec3, bits: u32) -> Vec3 {
+        let (x, y) = normal.any_orthonormal_pair();
+        let turn = self.turns[(bits >> 8) as usize % TURNS];
+        turn.x * x + turn.y * y
+    }
+
+    /// `count` directions over the hemisphere about `normal`, evenly in solid angle (a Fibonacci
+    /// spiral), turned by chance; at most as many as points or vertices have rays.
+    pub(super) fn hemisphere(
+        &self,
+        normal: Vec3,
+        count: u32,
+        seed: u32,
+    ) -> impl Iterator<Item = HemisphereRay> {
+        let (x, y) = normal.any_orthonormal_pair();
+        let turn = turned(2.0 * PI * unit(hash(seed, 3)));
+        let shift = unit(hash(seed, 4));
+        (0..count).zip(&self.spiral).map(move |(i, along)| {
+            let cosine = (i as f32 + shift) / count as f32;
+            let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
+            let aside = sine * turn.rotate(*along);
+            HemisphereRay {
+                direction: (normal * cosine + aside.x * x + aside.y * y).normalize(),
+                cosine,
+                number: hash(seed, 5 + i),
+            }
         })
     }
 
@@ -374,14 +405,18 @@ impl Radiosity {
         )
     }
 
-    /// What a sender sends, per channel `columns` numbers: its radiance, times its weight,
-    /// without what it emits itself.
-    pub(super) fn radiance(&self, sender: &Sender, values: &mut [f32]) {
-        let factors = match sender.end {
+    /// What a sender's light is known as, per channel `columns` numbers, and what that counts: its
+    /// radiance but for what is emitted on the way. `values` hold what is not known beforehand.
+    pub(super) fn radiance<'a>(
+        &'a self,
+        sender: &Sender,
+        values: &'a mut [f32],
+    ) -> (&'a [f32], Vec3) {
+        match sender.end {
             End::Point(point) => {
                 let length = 3 * self.columns;
-                values.copy_from_slice(&self.irradiance[point as usize * length..][..length]);
-                sender.weight / PI
+                let known = &self.irradiance[point as usize * length..][..length];
+                (known, sender.weight / PI)
             }
             End::Sky(direction) => {
                 values.fill(0.0);
@@ -391,15 +426,9 @@ impl Radiosity {
                 }
                 values.copy_within(..self.columns, self.columns);
                 values.copy_within(..self.columns, 2 * self.columns);
-                sender.weight
-            }
-        };
-        for (values, factor) in (values.chunks_exact_mut(self.columns)).zip(factors.to_array()) {
-            for value in values {
-                *value *= factor;
+                (values, sender.weight)
             }
         }
-        self.add_emitted(values, sender.beyond);
     }
 
     /// Numbers per channel.
@@ -449,26 +478,24 @@ pub(super) struct HemisphereRay {
     pub number: u32,
 }
 
-/// `count` directions over the hemisphere about `normal`, evenly in solid angle (a Fibonacci
-/// spiral), turned by chance.
-pub(super) fn hemisphere(
-    normal: Vec3,
-    count: u32,
-    seed: u32,
-) -> impl Iterator<Item = HemisphereRay> {
-    const GOLDEN: f32 = 2.399_963_2;
-    let (x, y) = normal.any_orthonormal_pair();
-    let (turn, shift) = (2.0 * PI * unit(hash(seed, 3)), unit(hash(seed, 4)));
-    (0..count).map(move |i| {
-        let cosine = (i as f32 + shift) / count as f32;
-        let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
-        let (s, c) = math::sin_cos(turn + GOLDEN * i as f32);
-        HemisphereRay {
-            direction: (normal * cosine + sine * (c * x + s * y)).normalize(),
-            cosine,
-            number: hash(seed, 5 + i),
+/// The golden angle, radians: what a Fibonacci spiral turns by.
+const GOLDEN: f32 = 2.399_963_2;
+
+fn turned(angle: f32) -> Vec2 {
+    let (sine, cosine) = math::sin_cos(angle);
+    Vec2::new(cosine, sine)
+}
+
+/// Adds values per channel, times its weight. Inlined into what is compiled for the processor.
+#[inline(always)]
+pub(super) fn add_colored(sums: &mut [f32], values: &[f32], weight: Vec3) {
+    let columns = values.len() / 3;
+    for (channel, weight) in weight.to_array().into_iter().enumerate() {
+        let at = channel * columns..(channel + 1) * columns;
+        for (sum, value) in sums[at.clone()].iter_mut().zip(&values[at]) {
+            *sum += weight * value;
         }
-    })
+    }
 }
 
 /// A 32-bit hash of two numbers (PCG output function, O'Neill 2014).
@@ -504,7 +531,7 @@ pub(super) mod tests {
                     normal,
                     tangent: u.normalize(),
                     bitangent_sign: 1.0,
-                    uv: glam::Vec2::new(s, t),
+                    uv: Vec2::new(s, t),
                 });
             }
             for vertices in [[0, 1, 2], [0, 2, 3]] {

@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 use relight_format as format;
-use relight_shading::surface::{emission, surface_point};
+use relight_shading::surface::{Join, emission, surface_point, visit_layers};
 use relight_shading::transfer::albedo;
 
 use crate::mesh::Mesh;
@@ -10,6 +10,8 @@ use crate::mesh::Mesh;
 /// The imported mesh with its materials and textures.
 pub struct Surfaces {
     scene: format::Scene,
+    /// By material: albedo, where it is the same everywhere and from all sides.
+    plain: Vec<Option<Vec3>>,
     /// Triangles that emit, with the running sum of what their areas emit.
     emitters: Vec<(usize, f64)>,
 }
@@ -45,9 +47,21 @@ impl Surfaces {
     pub fn new(mesh: &Mesh) -> Self {
         let scene = bare_scene(mesh);
         let mut surfaces = Self {
+            plain: vec![None; scene.materials.len()],
             scene,
             emitters: Vec::new(),
         };
+        let mut known = vec![false; surfaces.plain.len()];
+        for index in 0..surfaces.triangle_count() {
+            let material = usize::from(surfaces.scene.triangles[index].material);
+            if !known[material] && is_plain(&surfaces.scene.materials[material]) {
+                let [corner, ..] = surfaces.corners(index);
+                let eye = corner + surfaces.geometric_normal(index);
+                let point = surface_point(&surfaces.scene, index, Vec3::splat(1.0 / 3.0), eye);
+                surfaces.plain[material] = Some(albedo(&point));
+            }
+            known[material] = true;
+        }
         let mut sum = 0.0;
         for triangle in 0..surfaces.triangle_count() {
             let power = surfaces.power(triangle);
@@ -121,8 +135,13 @@ impl Surfaces {
 
     /// What a ray from `origin` meets at a point of a triangle.
     pub fn meet(&self, triangle: usize, barycentrics: Vec3, origin: Vec3) -> Met {
-        let point = surface_point(&self.scene, triangle, barycentrics, origin);
-        let behind = point.geometric_normal.dot(origin - point.position) < 0.0;
+        let material = usize::from(self.scene.triangles[triangle].material);
+        let [a, b, c] = self.corners(triangle);
+        let position = a * barycentrics.x + b * barycentrics.y + c * barycentrics.z;
+        let normal = self.geometric_normal(triangle);
+        let behind = normal.dot(origin - position) < 0.0;
+        let albedo = self.plain[material]
+            .unwrap_or_else(|| albedo(&surface_point(&self.scene, triangle, barycentrics, origin)));
         // What is emitted leaves the front alone, as it is drawn.
         let emission = if self.emit() && !behind {
             emission(&self.scene, triangle, barycentrics, None)
@@ -130,17 +149,37 @@ impl Surfaces {
             Vec3::ZERO
         };
         Met {
-            position: point.position,
-            normal: if behind {
-                -point.geometric_normal
-            } else {
-                point.geometric_normal
-            },
-            albedo: albedo(&point),
+            position,
+            normal: if behind { -normal } else { normal },
+            albedo,
             emission,
             behind,
         }
     }
+}
+
+/// Whether the albedo of a material is the same everywhere and from all sides.
+fn is_plain(material: &format::Material) -> bool {
+    if let format::Surface::MetallicRoughness { .. } = material.surface {
+        let textures = [
+            &material.base_color_texture,
+            &material.metallic_roughness_texture,
+            &material.anisotropy_texture,
+        ];
+        return textures.into_iter().all(Option::is_none);
+    }
+    let mut plain = true;
+    visit_layers(material, |layer| {
+        let textures = [
+            layer.diffuse_texture,
+            layer.specular_texture,
+            layer.roughness_texture,
+            layer.weight_texture,
+        ];
+        // What a coat lets through depends on the view.
+        plain &= layer.join != Join::Coat && textures.iter().all(Option::is_none);
+    });
+    plain
 }
 
 /// A mesh as the runtime would see it, without visibility.

@@ -15,6 +15,8 @@ use crate::simd::product;
 const RELATIVE_GAIN: f64 = 0.03;
 const RELATIVE_GAIN_OF_RADIANCE: f64 = 0.05;
 const SKY_GAIN: f64 = 0.002;
+/// A vertex's squared light counts as at most so many times that of the chunk's middle one.
+const BRIGHTEST: f64 = 16.0;
 /// Steps of weights are not finer than this part of what an open sky gives, and of the basis
 /// than that.
 const WEIGHT_STEP: f32 = 0.005;
@@ -86,6 +88,7 @@ pub fn compress(vertices: &[Vec<f32>], outputs: usize) -> Compressed {
         vertices[column][row] * factor(row)
     });
     let squared = squares(&samples);
+    let counted = counted(&samples);
     let mean = samples.column_mean();
     for mut column in samples.column_iter_mut() {
         column -= &mean;
@@ -98,19 +101,31 @@ pub fn compress(vertices: &[Vec<f32>], outputs: usize) -> Compressed {
         RELATIVE_GAIN
     };
     let least =
-        (gain.powi(2) * squared).max(SKY_GAIN.powi(2) * SKY_SQUARED * vertices.len() as f64);
+        (gain.powi(2) * counted).max(SKY_GAIN.powi(2) * SKY_SQUARED * vertices.len() as f64);
     let mut rows = vec![mean.as_slice().to_vec()];
     let mut weights: Vec<Vec<i8>> = Vec::new();
+    let finest = 127.0 * WEIGHT_STEP * sky;
+    let energy = |values: &[f32]| -> f64 { values.iter().map(|x| f64::from(x * x)).sum() };
     for (index, coefficients) in coefficients.row_iter().enumerate() {
-        let energy: f64 = coefficients.iter().map(|x| f64::from(x * x)).sum();
-        if energy <= least || weights.len() == MAX_TRANSFER_RANK as usize {
+        let mut left: Vec<f32> = coefficients.iter().copied().collect();
+        if energy(&left) <= least {
             break;
         }
-        let largest = coefficients.amax().max(127.0 * WEIGHT_STEP * sky);
-        let quantise = |x: &f32| (x / largest * 127.0).round() as i8;
-        weights.push(coefficients.iter().map(quantise).collect());
-        let component = components.column(index);
-        rows.push(component.iter().map(|x| x * largest).collect());
+        // Where one vertex is far brighter than others, their weights take finer steps in another row.
+        let mut is_coarse = true;
+        while is_coarse && energy(&left) > least && weights.len() < MAX_TRANSFER_RANK as usize {
+            let brightest = left.iter().fold(0f32, |most, x| most.max(x.abs()));
+            is_coarse = brightest > finest;
+            let largest = brightest.max(finest);
+            let component = components.column(index);
+            rows.push(component.iter().map(|x| x * largest).collect());
+            let quantised = left.iter_mut().map(|x| {
+                let weight = (*x / largest * 127.0).round();
+                *x -= weight * largest / 127.0;
+                weight as i8
+            });
+            weights.push(quantised.collect());
+        }
     }
     let rank = weights.len();
     let mut group = Group {
@@ -187,6 +202,17 @@ fn principal(samples: &DMatrix<f32>) -> (DMatrix<f32>, DMatrix<f32>) {
         product(&range, &turn),
         product(&turn.transpose(), &projected),
     )
+}
+
+/// Sum of the squares of the columns, each as if it were at most [`BRIGHTEST`] times that of the middle
+/// one: what is brighter by far, next to lamps, does not decide how the others look.
+fn counted(samples: &DMatrix<f32>) -> f64 {
+    let mut all: Vec<f64> = (samples.column_iter())
+        .map(|column| column.iter().map(|x| f64::from(*x) * f64::from(*x)).sum())
+        .collect();
+    all.sort_by(f64::total_cmp);
+    let most = BRIGHTEST * all.get(all.len() / 2).copied().unwrap_or(0.0);
+    all.iter().map(|square| square.min(most)).sum()
 }
 
 fn squares(values: &DMatrix<f32>) -> f64 {

@@ -4,7 +4,8 @@ use std::f32::consts::PI;
 
 use glam::{Mat4, Vec3, Vec4};
 
-use super::radiosity::{Radiosity, add_colored, hash};
+use super::lamps::Emitted;
+use super::radiosity::{End, Radiosity, add_colored, hash};
 use crate::simd;
 use crate::visibility::ray::RayCaster;
 
@@ -44,10 +45,13 @@ impl Radiosity {
             .into_iter()
             .fold(0, |seed, x| hash(seed, x.to_bits()));
         let area = 2.0 * PI / rays as f32;
+        let lamps = self.lamps(receiver.origin, receiver.normal, rays);
+        let mut emitted = Emitted::default();
         for ray in self.hemisphere(receiver.normal, rays, seed) {
             let Some(met) = self.meet(caster, receiver.origin, ray.direction) else {
                 continue;
             };
+            emitted += lamps.met(&met, ray.direction);
             let sender = self.sender(caster, &met, 1.0, ray.number);
             let row = ray.direction.extend(1.0);
             let weight = ray.cosine * area;
@@ -67,8 +71,18 @@ impl Radiosity {
                     add_colored(sums, known, factor * color);
                 }
             });
+            // The rest of the emitted light that a point sends on comes by rays to it.
+            let mut beyond = sender.beyond;
+            if let End::Point(point) = sender.end
+                && sender.direct
+            {
+                let point = point as usize;
+                let rest = lamps.share(&met, ray.direction, point) - 1.0;
+                beyond += rest * color * self.emitted_at(point);
+            }
             for (output, (sums, factor)) in sums.chunks_exact_mut(block).zip(factors).enumerate() {
-                self.add_emitted(sums, factor * sender.beyond);
+                let passed = if output < 3 { beyond } else { sender.beyond };
+                self.add_emitted(sums, factor * passed);
                 // Mirrors see what emits where rays meet it.
                 if output >= 3 {
                     self.add_emitted(sums, factor * sender.emission);
@@ -76,7 +90,8 @@ impl Radiosity {
             }
             moments += Mat4::from_cols(row * row.x, row * row.y, row * row.z, row) * weight;
         }
-        let emitted = self.emitted(caster, receiver.origin, receiver.normal, seed);
+        emitted += lamps.drawn(caster, seed);
+        emitted += lamps.sent_on(caster, seed);
         for (sums, color) in sums.chunks_exact_mut(block).zip(emitted.0) {
             self.add_emitted(sums, color);
         }

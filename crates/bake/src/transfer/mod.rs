@@ -4,13 +4,16 @@
 //! Light reflected many times is smooth, so its bounces are followed between a few thousand
 //! points that lie evenly on the surface ([`points`], [`radiosity`]), which depend on the scene and
 //! the options alone: every shard has the same. Vertices then gather once more, by rays of their
-//! own ([`gather`]), chunk by chunk, and chunks are compressed ([`compress`]).
+//! own ([`gather`]), chunk by chunk, and chunks are compressed ([`compress`]). What emits, and what sends
+//! much of that on, is drawn from besides ([`emitters`]): rays at random seldom meet it.
 //!
 //! Surfaces send on light evenly in all directions, as much as their albedo is, mirrors' among
 //! it; as in D3DX's `ComputeBounce` each bounce is one pass over all points.
 
 pub mod compress;
+pub mod emitters;
 pub mod gather;
+mod lamps;
 pub mod points;
 pub mod radiosity;
 pub mod surfaces;

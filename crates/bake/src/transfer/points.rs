@@ -13,6 +13,8 @@ pub struct Point {
     pub geometric_normal: Vec3,
     /// Shading normal of the side.
     pub normal: Vec3,
+    /// Part of diffuse light that is sent on.
+    pub albedo: Vec3,
 }
 
 /// Normals a quarter turn apart are as far from each other as points at this many times √2 the
@@ -74,6 +76,7 @@ impl Points {
                     position,
                     geometric_normal,
                     normal,
+                    albedo: surfaces.albedo(triangle, barycentrics, position + normal),
                 };
                 points.push(front);
                 if both {

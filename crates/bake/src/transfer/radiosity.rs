@@ -9,6 +9,8 @@ use rayon::prelude::*;
 use relight_shading::transfer::Harmonics;
 
 use super::Options;
+use super::emitters::{Emitter, Emitters};
+use super::lamps::Emitted;
 use super::points::{Point, Points};
 use super::surfaces::{Met, Surfaces};
 use crate::monitor::{Interrupted, Monitor};
@@ -24,11 +26,6 @@ const MOST_BOUNCES: u32 = 64;
 const BACKS: f64 = 0.005;
 /// One of so many rays tells it.
 const FEW: u32 = 16;
-/// Rays from a point to surfaces that emit.
-const EMITTER_RAYS: u32 = 32;
-/// Light from nearer than this, in spacings of points, is taken to be from there: one over the
-/// square of the distance has no bound.
-const NEAREST_EMITTER: f32 = 0.05;
 /// Radius of the disc, in spacings of points, from which the point that stands for a place is
 /// drawn: neighbours share what lies between them.
 const BLUR: f32 = 0.6;
@@ -48,8 +45,8 @@ const TURNS: usize = 256;
 
 /// Light of the scene after all bounces.
 pub struct Radiosity {
-    surfaces: Surfaces,
-    points: Points,
+    pub(super) surfaces: Surfaces,
+    pub(super) points: Points,
     harmonics: Harmonics,
     /// What [`SKY_BLUR`] leaves of each harmonic.
     blurs: Vec<f32>,
@@ -57,10 +54,12 @@ pub struct Radiosity {
     turns: Vec<Vec2>,
     /// Where the rays of a hemisphere turn to, one after the other.
     spiral: Vec<Vec2>,
-    columns: usize,
-    ray_offset: f32,
+    pub(super) columns: usize,
+    pub(super) ray_offset: f32,
     /// Irradiance of every point: per channel `columns` numbers.
-    irradiance: Vec<f32>,
+    pub(super) irradiance: Vec<f32>,
+    /// What points send on of what is emitted, as triangles about them.
+    pub(super) relays: Emitters,
     /// Bounces followed, those at vertices among them.
     bounces: u32,
     /// What the last added, relative to all before.
@@ -72,9 +71,11 @@ pub struct Radiosity {
 
 /// What a ray meets, and what it sends on.
 pub struct Sender {
-    end: End,
+    pub(super) end: End,
     /// Albedos up to there, times what its light counts here.
     weight: Vec3,
+    /// Whether what the ray met is what the light is known of.
+    pub(super) direct: bool,
     /// Radiance of its own, times what its light counts here.
     pub(super) emission: Vec3,
     /// Radiance of surfaces that are seen by way of those that no point stands for, likewise.
@@ -82,7 +83,7 @@ pub struct Sender {
 }
 
 /// Where the light that something sends on is known.
-enum End {
+pub(super) enum End {
     /// At the point that stands for it.
     Point(u32),
     /// In a direction in which nothing is met.
@@ -133,6 +134,7 @@ impl Radiosity {
             columns,
             ray_offset,
             irradiance: Vec::new(),
+            relays: Emitters::default(),
             bounces: 1,
             last_bounce: 0.0,
             rays: 0,
@@ -143,6 +145,7 @@ impl Radiosity {
         }
         let (direct, senders) = all.first(caster, options, monitor)?;
         all.bounce(direct, &senders, options.bounces, monitor)?;
+        all.relays = all.relays();
         Ok(Some(all))
     }
 
@@ -185,6 +188,8 @@ impl Radiosity {
                 let mut values = vec![0.0; this.harmonics.count()];
                 let mut radiance = vec![0.0; length];
                 let mut senders = Vec::new();
+                let lamps = this.lamps(origin, point.normal, count);
+                let mut emitted = Emitted::default();
                 for ray in this.hemisphere(point.normal, count, index as u32) {
                     let weight = ray.cosine * (2.0 * PI / count as f32);
                     let Some(met) = this.meet(caster, origin, ray.direction) else {
@@ -196,6 +201,7 @@ impl Radiosity {
                         }
                         continue;
                     };
+                    emitted += lamps.met(&met, ray.direction);
                     let sender = this.sender(caster, &met, weight, ray.number);
                     this.add_emitted(direct, sender.beyond);
                     if let End::Point(point) = sender.end {
@@ -205,7 +211,7 @@ impl Radiosity {
                         add_colored(direct, values, weight);
                     }
                 }
-                let emitted = this.emitted(caster, origin, point.normal, index as u32);
+                emitted += lamps.drawn(caster, index as u32);
                 this.add_emitted(direct, emitted.dot_normal(point.normal));
                 Ok((senders, start.elapsed()))
             })
@@ -257,48 +263,37 @@ impl Radiosity {
         Ok(())
     }
 
-    /// What reaches a point at once from surfaces that emit, drawn from those: rays at random
-    /// would miss small ones.
-    pub(super) fn emitted(
-        &self,
-        caster: &RayCaster,
-        origin: Vec3,
-        normal: Vec3,
-        seed: u32,
-    ) -> Emitted {
-        let mut sum = Emitted::default();
+    /// Points as emitters of what they send on of what is emitted elsewhere.
+    fn relays(&self) -> Emitters {
         if !self.surfaces.emit() {
-            return sum;
+            return Emitters::default();
         }
-        let least = NEAREST_EMITTER * self.points.spacing();
-        for i in 0..EMITTER_RAYS {
-            let unit_at = |salt: u32| unit(hash(seed, salt + 3 * i));
-            let choice = (i as f32 + unit_at(1001)) / EMITTER_RAYS as f32;
-            let Some(emitter) = self
-                .surfaces
-                .emitter([choice, unit_at(2002), unit_at(3003)])
-            else {
-                break;
-            };
-            let offset = emitter.position - origin;
-            let distance = offset.length().max(f32::MIN_POSITIVE);
-            let direction = offset / distance;
-            let cosine = -direction.dot(emitter.normal);
-            if cosine <= 0.0 || direction.dot(normal) <= 0.0 {
-                continue;
+        // An equilateral triangle as large as the part of the surface that a point stands for.
+        let side = (4.0 / 3f32.sqrt()).sqrt() * self.points.spacing();
+        let relay = |(index, point): (usize, &Point)| {
+            let (x, y) = point.geometric_normal.any_orthonormal_pair();
+            let corner =
+                |turn: Vec2| point.position + side / 3f32.sqrt() * (turn.x * x + turn.y * y);
+            let third = turned(2.0 * PI / 3.0);
+            Emitter {
+                triangle: index as u32,
+                corners: [Vec2::X, third, third.rotate(third)].map(corner),
+                radiance: self.sent_on(index).element_sum(),
             }
-            let reached = caster
-                .closest_hit(origin, direction)
-                .is_none_or(|hit| hit.distance >= distance - 4.0 * self.ray_offset);
-            if reached {
-                let squared = distance.max(least).powi(2);
-                let light = emitter.weight * (cosine / (squared * EMITTER_RAYS as f32));
-                for (sum, along) in sum.0.iter_mut().zip(direction.to_array()) {
-                    *sum += light * along;
-                }
-            }
-        }
-        sum
+        };
+        let points = self.points.as_slice();
+        Emitters::new(points.iter().enumerate().map(relay).collect(), points.len())
+    }
+
+    /// Radiance that a point sends on of what is emitted elsewhere.
+    pub(super) fn sent_on(&self, point: usize) -> Vec3 {
+        self.points.as_slice()[point].albedo * self.emitted_at(point) / PI
+    }
+
+    /// Irradiance of a point from what is emitted.
+    pub(super) fn emitted_at(&self, point: usize) -> Vec3 {
+        let irradiance = &self.irradiance[point * 3 * self.columns..];
+        Vec3::from([1, 2, 3].map(|channel| irradiance[channel * self.columns - 1]))
     }
 
     /// Adds a colour to the column of what is emitted.
@@ -323,6 +318,7 @@ impl Radiosity {
         let mut sender = Sender {
             end: End::Point(0),
             weight: met.albedo * weight,
+            direct: true,
             emission: met.emission * weight,
             beyond: Vec3::ZERO,
         };
@@ -340,6 +336,7 @@ impl Radiosity {
                 sender.end = End::Sky(direction);
                 return sender;
             };
+            sender.direct = false;
             sender.beyond += sender.weight * next.emission;
             sender.weight *= next.albedo;
             met = next;
@@ -458,17 +455,6 @@ impl Radiosity {
     }
 }
 
-/// Vector irradiance, x, y and z, of a colour.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Emitted(pub [Vec3; 3]);
-
-impl Emitted {
-    /// Irradiance of a surface with the given normal.
-    fn dot_normal(&self, normal: Vec3) -> Vec3 {
-        self.0[0] * normal.x + self.0[1] * normal.y + self.0[2] * normal.z
-    }
-}
-
 /// One of the rays over a hemisphere.
 pub(super) struct HemisphereRay {
     pub direction: Vec3,
@@ -506,7 +492,7 @@ pub(super) fn hash(a: u32, b: u32) -> u32 {
     (x >> 22) ^ x
 }
 
-fn unit(bits: u32) -> f32 {
+pub(super) fn unit(bits: u32) -> f32 {
     (bits >> 8) as f32 / 16_777_216.0
 }
 

@@ -5,6 +5,7 @@ use relight_format as format;
 use relight_shading::surface::{Join, emission, surface_point, visit_layers};
 use relight_shading::transfer::albedo;
 
+use super::emitters::{Emitter, Emitters};
 use crate::mesh::Mesh;
 
 /// The imported mesh with its materials and textures.
@@ -12,24 +13,14 @@ pub struct Surfaces {
     scene: format::Scene,
     /// By material: albedo, where it is the same everywhere and from all sides.
     plain: Vec<Option<Vec3>>,
-    /// Triangles that emit, with the running sum of what their areas emit.
-    emitters: Vec<(usize, f64)>,
-}
-
-/// A point of a surface that emits, drawn by chance.
-#[derive(Clone, Copy, Debug)]
-pub struct Emitter {
-    /// World space, metres.
-    pub position: Vec3,
-    /// Of the front.
-    pub normal: Vec3,
-    /// Radiance over the density of drawing the point, m².
-    pub weight: Vec3,
+    emitters: Emitters,
 }
 
 /// A point of a surface that a ray meets, from the side that it comes from.
 #[derive(Clone, Copy, Debug)]
 pub struct Met {
+    /// Of the mesh.
+    pub triangle: usize,
     /// World space, metres.
     pub position: Vec3,
     /// Geometric normal, towards where the ray comes from.
@@ -49,7 +40,7 @@ impl Surfaces {
         let mut surfaces = Self {
             plain: vec![None; scene.materials.len()],
             scene,
-            emitters: Vec::new(),
+            emitters: Emitters::default(),
         };
         let mut known = vec![false; surfaces.plain.len()];
         for index in 0..surfaces.triangle_count() {
@@ -62,43 +53,31 @@ impl Surfaces {
             }
             known[material] = true;
         }
-        let mut sum = 0.0;
-        for triangle in 0..surfaces.triangle_count() {
-            let power = surfaces.power(triangle);
-            if power > 0.0 {
-                sum += power;
-                surfaces.emitters.push((triangle, sum));
-            }
-        }
+        let emitter = |triangle| Emitter {
+            triangle: triangle as u32,
+            corners: surfaces.corners(triangle),
+            radiance: surfaces.radiance(triangle),
+        };
+        let count = surfaces.triangle_count();
+        let emitting = (0..count).filter(|triangle| surfaces.radiance(*triangle) > 0.0);
+        surfaces.emitters = Emitters::new(emitting.map(emitter).collect(), count);
         surfaces
     }
 
-    /// Area of a triangle times what its material emits, textures aside.
-    fn power(&self, triangle: usize) -> f64 {
-        let [a, b, c] = self.corners(triangle);
+    /// Sum over channels of what a triangle's material emits, textures aside.
+    pub fn radiance(&self, triangle: usize) -> f32 {
         let material = usize::from(self.scene.triangles[triangle].material);
-        let emission = Vec3::from(self.scene.materials[material].emission);
-        0.5 * f64::from((b - a).cross(c - a).length() * emission.element_sum())
+        Vec3::from(self.scene.materials[material].emission).element_sum()
     }
 
-    /// A point on a front that emits, from three uniform numbers in [0, 1), in proportion to
-    /// what areas emit, textures aside.
-    pub fn emitter(&self, [choice, u, v]: [f32; 3]) -> Option<Emitter> {
-        let (_, total) = *self.emitters.last()?;
-        let target = f64::from(choice) * total;
-        let index =
-            (self.emitters.partition_point(|(_, sum)| *sum <= target)).min(self.emitters.len() - 1);
-        let (triangle, _) = self.emitters[index];
-        let root = u.sqrt();
-        let barycentrics = Vec3::new(1.0 - root, root * (1.0 - v), root * v);
-        let [a, b, c] = self.corners(triangle);
-        let area = 0.5 * (b - a).cross(c - a).length();
-        let density = (self.power(triangle) / total) as f32 / area;
-        Some(Emitter {
-            position: a * barycentrics.x + b * barycentrics.y + c * barycentrics.z,
-            normal: self.geometric_normal(triangle),
-            weight: emission(&self.scene, triangle, barycentrics, None) / density,
-        })
+    /// What a point of a triangle's front emits.
+    pub fn emission(&self, triangle: usize, barycentrics: Vec3) -> Vec3 {
+        emission(&self.scene, triangle, barycentrics, None)
+    }
+
+    /// What emits.
+    pub fn emitters(&self) -> &Emitters {
+        &self.emitters
     }
 
     /// Whether any surface emits light.
@@ -133,25 +112,30 @@ impl Surfaces {
         (b - a).cross(c - a).normalize_or(Vec3::Y)
     }
 
+    /// Part of diffuse light that a point of a triangle sends on towards `eye`.
+    pub fn albedo(&self, triangle: usize, barycentrics: Vec3, eye: Vec3) -> Vec3 {
+        let material = usize::from(self.scene.triangles[triangle].material);
+        self.plain[material]
+            .unwrap_or_else(|| albedo(&surface_point(&self.scene, triangle, barycentrics, eye)))
+    }
+
     /// What a ray from `origin` meets at a point of a triangle.
     pub fn meet(&self, triangle: usize, barycentrics: Vec3, origin: Vec3) -> Met {
-        let material = usize::from(self.scene.triangles[triangle].material);
         let [a, b, c] = self.corners(triangle);
         let position = a * barycentrics.x + b * barycentrics.y + c * barycentrics.z;
         let normal = self.geometric_normal(triangle);
         let behind = normal.dot(origin - position) < 0.0;
-        let albedo = self.plain[material]
-            .unwrap_or_else(|| albedo(&surface_point(&self.scene, triangle, barycentrics, origin)));
         // What is emitted leaves the front alone, as it is drawn.
         let emission = if self.emit() && !behind {
-            emission(&self.scene, triangle, barycentrics, None)
+            self.emission(triangle, barycentrics)
         } else {
             Vec3::ZERO
         };
         Met {
+            triangle,
             position,
             normal: if behind { -normal } else { normal },
-            albedo,
+            albedo: self.albedo(triangle, barycentrics, origin),
             emission,
             behind,
         }

@@ -136,7 +136,13 @@ impl RayCaster {
         let ray = Ray::new_inf(origin.into(), direction.into());
         let mut hit = RayHit::none();
         self.bvh.ray_traverse(ray, &mut hit, |ray, index| {
-            intersect(&self.triangles[index], ray).map_or(f32::INFINITY, |(t, _)| t)
+            let triangle = &self.triangles[index];
+            intersect(triangle, ray).map_or(f32::INFINITY, |(t, _)| {
+                // Of the two sides of a sheet, which lie on each other, the one that faces the ray.
+                let [a, b, c] = *triangle;
+                let behind = (b - a).cross(c - a).dot(ray.direction) > 0.0;
+                if behind { t * BEHIND } else { t }
+            })
         });
         if hit.t == f32::INFINITY {
             return None;
@@ -150,6 +156,9 @@ impl RayCaster {
         })
     }
 }
+
+/// What is met from behind lies so much farther, a few steps of rounding.
+const BEHIND: f32 = 1.0 + 8.0 * f32::EPSILON;
 
 /// Ray parameter and barycentrics of the intersection, if any, with parameter > 0.
 ///
@@ -253,6 +262,25 @@ mod tests {
                 assert!(point.distance(origin + direction * hit.distance) < 1e-5);
             }
         }
+    }
+
+    #[test]
+    fn of_two_sides_the_one_that_faces_the_ray_is_hit() {
+        let front = quad_grid(6);
+        let back = front.iter().map(|&[a, b, c]| [a, c, b]);
+        let triangles: Vec<_> = front.iter().copied().chain(back).collect();
+        let caster = RayCaster::new(&triangles);
+        let mut hits = 0;
+        for i in 0..625u32 {
+            let direction = relight_shading::octahedral::texel_direction(i % 25, i / 25, 25);
+            let origin = Vec3::new(0.1, 0.02, -0.07);
+            if let Some(hit) = caster.closest_hit(origin, direction) {
+                let [a, b, c] = triangles[hit.triangle];
+                assert!((b - a).cross(c - a).dot(direction) <= 0.0, "{direction}");
+                hits += 1;
+            }
+        }
+        assert!(hits > 20, "{hits}");
     }
 
     #[test]

@@ -600,6 +600,75 @@ pub(super) mod tests {
     }
 
     #[test]
+    fn what_glows_lights_the_floor_without_noise() {
+        // A black floor of 6 m, and above it a box that glows.
+        let (half, height, radiance) = (0.15, 0.8, 3.0);
+        let (x, y, z) = (
+            2.0 * half * Vec3::X,
+            2.0 * half * Vec3::Y,
+            2.0 * half * Vec3::Z,
+        );
+        let low = Vec3::new(-half, height - half, -half);
+        let mut all = squares(
+            &[
+                [low, x, z],
+                [low + y, z, x],
+                [low, z, y],
+                [low + x, y, z],
+                [low, y, x],
+                [low + z, x, y],
+            ],
+            0.0,
+            radiance,
+        );
+        let corner = Vec3::new(-3.0, 0.0, -3.0);
+        let floor = squares(&[[corner, 6.0 * Vec3::Z, 6.0 * Vec3::X]], 0.0, 0.0);
+        let base = all.vertices.len() as u32;
+        all.vertices.extend(floor.vertices);
+        all.triangles
+            .extend(floor.triangles.iter().map(|triangle| Triangle {
+                vertices: triangle.vertices.map(|vertex| base + vertex),
+                material: 1,
+            }));
+        all.materials.extend(floor.materials);
+        let (solved, caster) = solve(&all, None);
+        let block = 3 * solved.columns;
+        for i in 0..60 {
+            let place = Vec3::new(0.03 * i as f32, 1e-4, 0.01 * i as f32);
+            let receiver = Receiver {
+                origin: place,
+                normal: Vec3::Y,
+            };
+            let gathered = solved.gather(&caster, &receiver, 128, true);
+            let found = gathered[block + solved.columns - 1];
+            // Lambert's formula, over the edges of the faces that look at the place.
+            let face = |corners: [Vec3; 4]| -> f32 {
+                let directions = corners.map(|at| (at - place).normalize());
+                let edge = |i: usize| {
+                    let (a, b) = (directions[i], directions[(i + 1) % 4]);
+                    math::acos(a.dot(b)) * a.cross(b).normalize_or_zero().y
+                };
+                0.5 * radiance * (0..4).map(edge).sum::<f32>()
+            };
+            let corners = [
+                [low, x, z],
+                [low, z, y],
+                [low + x, y, z],
+                [low, y, x],
+                [low + z, x, y],
+            ];
+            let expected: f32 = (corners.iter())
+                .filter(|[at, u, v]| u.cross(*v).dot(place - *at) > 0.0)
+                .map(|[at, u, v]| face([*at, *at + *v, *at + *u + *v, *at + *u]).abs())
+                .sum();
+            assert!(
+                (found / expected - 1.0).abs() < 0.08,
+                "{place}: {found} for {expected}"
+            );
+        }
+    }
+
+    #[test]
     fn light_does_not_leak_into_slits() {
         // A white floor of 4 m under the sky, and on it a low box that is open at one end only: what
         // lies inside gets next to nothing, though points of the bright floor are near.

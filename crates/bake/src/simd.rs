@@ -49,7 +49,7 @@ pub trait Number: nalgebra::Scalar + Copy + num::Number {}
 impl Number for f32 {}
 impl Number for f64 {}
 
-/// The product of two matrices. Every element is a sum over blocks of [`INNER`] products, in
+/// The product of two matrices. Every element is a sum over blocks of `INNER` products, in
 /// order; products are rounded before they are added.
 ///
 /// # Panics

@@ -1,7 +1,7 @@
 //! Light that bounces: what other surfaces reflect to a point, and what surfaces emit.
 //!
 //! Distant light is projected on real spherical harmonics, every group of clusters makes rows of
-//! colours of it once per frame ([`products`]), every vertex weighs the rows (Sloan et al.
+//! colours of it once per frame ([`PackedTransfer::products`]), every vertex weighs the rows (Sloan et al.
 //! 2003, "Clustered Principal Components for Precomputed Radiance Transfer"), and pixels
 //! interpolate the weights.
 

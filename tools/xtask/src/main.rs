@@ -94,7 +94,7 @@ fn test() -> ExitCode {
         None => println!("xtask: no test data; tests on real input are skipped"),
     }
     let mut counts = Counts::default();
-    let steps: [(&str, &mut dyn FnMut() -> Outcome); 6] = [
+    let steps: [(&str, &mut dyn FnMut() -> Outcome); 7] = [
         ("install", &mut || install(&root)),
         ("format", &mut || {
             Outcome::of(&mut cargo("fmt --all --check"))
@@ -102,6 +102,10 @@ fn test() -> ExitCode {
         ("lints", &mut || {
             let arguments = "clippy --release --workspace --all-targets -- -D warnings";
             Outcome::of(&mut cargo(arguments))
+        }),
+        ("documentation", &mut || {
+            let mut doc = cargo("doc --release --workspace --no-deps");
+            Outcome::of(doc.env("RUSTDOCFLAGS", "-D warnings"))
         }),
         ("pages", &mut || web::for_tests(&root)),
         ("tests", &mut || {

@@ -27,7 +27,7 @@ pub struct Cluster {
 }
 
 /// Lays out the clusters of all chunks, in the chunks' order, behind what
-/// [`Bake::finish`] gave.
+/// [`super::Bake::finish`] gave.
 ///
 /// # Errors
 ///

@@ -24,7 +24,7 @@ pub struct Options {
     /// one of ordinary detail ends near. Finer detail ends above it, the rest below.
     pub aim: f32,
     /// Clustered: in place of `aim`, the error that the scene's surface shall have, radians
-    /// ([`format::VisibilityErrors::surface`]).
+    /// ([`relight_format::VisibilityErrors::surface`]).
     pub max_error: Option<f32>,
     /// Clustered: in place of `aim`, the bytes that the asset may have.
     pub max_bytes: Option<u64>,
@@ -36,7 +36,7 @@ pub struct Options {
     /// the bytes.
     pub max_edge: f32,
     /// Edges are cut further where interpolated visibility is off by more than this, radians
-    /// ([`refine::Bound::error`], at a length of 0.02 of the diagonal); infinite
+    /// ([`crate::mesh::refine::Bound::error`], at a length of 0.02 of the diagonal); infinite
     /// for nowhere. A scene file may set its own.
     pub refine_error: f32,
     /// Refinement stops here.

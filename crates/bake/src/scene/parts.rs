@@ -11,7 +11,7 @@
 //! | 4, 4, 4 | u32: shard (from 1), shards, chunks of the whole scene |
 //! | 4 | CRC-32 of the header so far |
 //!
-//! Records follow, first one that tells what the fingerprint is of ([`DESCRIPTION`], text),
+//! Records follow, first one that tells what the fingerprint is of (`DESCRIPTION`, text),
 //! then chunks in the order in which they were finished: u32 chunk, u32 CRC-32 of
 //! chunk, length and payload, u64 length of the payload, the payload. A chunk's payload is its clusters
 //! (`encode`). The last record of a finished shard has the chunk number `u32::MAX`; its

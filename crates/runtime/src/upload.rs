@@ -67,13 +67,7 @@ impl Renderer {
     /// were recorded with.
     pub fn upload(&self, scene: &Scene) -> Result<GpuScene, Error> {
         let loading = Loading::at_once(self.device(), self.queue());
-        GpuScene::new(
-            loading,
-            self.queue(),
-            self.scene_layouts(),
-            self.owner(),
-            scene,
-        )
+        self.load(loading, scene)
     }
 
     /// The same beside a thread that draws: submits as it goes, a megabyte of textures or one buffer at a time,
@@ -86,6 +80,10 @@ impl Renderer {
     ) -> Result<GpuScene, Error> {
         let at_most = self.upload_bytes(scene)?;
         let loading = Loading::by_pieces(self.device(), self.queue(), at_most, wanted);
+        self.load(loading, scene)
+    }
+
+    fn load(&self, loading: Loading, scene: &Scene) -> Result<GpuScene, Error> {
         GpuScene::new(
             loading,
             self.queue(),

@@ -53,13 +53,12 @@ pub fn fit_light(
         let asset = format::write_environment(&fitted).map_err(failed)?;
         let panorama = panorama_of(&image, index, &stages);
         let texels = panorama
-            .iter()
-            .flat_map(|image| image.levels().texels().iter().copied());
-        let texels: Vec<u32> = texels.collect();
+            .as_ref()
+            .map_or(&[][..], |image| image.levels().texels());
         let _ = deliver.call2(
             &JsValue::NULL,
             &Uint8Array::from(&asset[..]),
-            &Uint32Array::from(&texels[..]),
+            &Uint32Array::from(texels),
         );
     }
     Ok(())

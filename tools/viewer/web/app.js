@@ -67,8 +67,8 @@ const fetched = async (address, asked) => {
   page.fetching(number, name);
   try {
     const response = await fetch(address, { signal: abort.signal });
-    if (!response.ok && asked) throw new Error(`the server says ${response.status} ${response.statusText}`);
     if (!response.ok) {
+      if (asked) throw new Error(`the server says ${response.status} ${response.statusText}`);
       end(number);
       page.ended(number);
       return;

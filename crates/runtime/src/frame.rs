@@ -69,8 +69,9 @@ pub struct Frame<'a> {
     pub local_lights: &'a [LocalLight],
     /// How visible light is integrated.
     pub method: Method,
-    /// Whether silhouettes and edges are smooth: visibility has four samples per pixel, and every
-    /// distinct surface of a pixel is shaded once. It costs as many more pixels as show
+    /// Whether silhouettes and edges are smooth: visibility has four samples per pixel, every
+    /// distinct surface of a pixel is shaded once, and [`Self::sources`] light the whole square that a pixel
+    /// covers, for edges of shadows. It costs as many more pixels as show
     /// several surfaces, and 92 bytes per pixel in place of 28. Default false: pixels are what their
     /// centres show.
     pub antialias: bool,

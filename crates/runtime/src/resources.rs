@@ -304,6 +304,7 @@ fn uniforms(scene: &GpuScene, frame: &Frame, local: &LocalFrame) -> gpu::Frame {
     }
     uniform.light_count = local.lights.len() as u32;
     uniform.source_count = (local.sources.as_ref()).map_or(0, |sources| sources.count() as u32);
+    uniform.source_squares = u32::from(frame.antialias);
     uniform.local_light_count = local.local_lights.len() as u32;
     uniform.prefiltered_levels = frame.reflections.map_or(0, Prefiltered::levels);
     uniform.environment_rotation =

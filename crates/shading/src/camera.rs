@@ -121,6 +121,31 @@ impl View {
         }
     }
 
+    /// How far a plane is moved along by going from one column to the next and from one row to the next, at
+    /// `position` on it; `normal` is of any length. `None` where it is seen edge-on.
+    pub fn steps(&self, normal: Vec3, position: Vec3) -> Option<[Vec3; 2]> {
+        // From the eye; as long as the ray of a pixel, times `distance`.
+        let (mut ray, mut distance) = (-self.eye, 1.0);
+        if !self.parallel {
+            ray = position - self.eye;
+            let axis = self.right.cross(self.down);
+            let depth = self.corner.dot(axis);
+            if depth == 0.0 {
+                return None;
+            }
+            distance = ray.dot(axis) / depth;
+        }
+        let towards = ray.dot(normal);
+        if towards == 0.0 {
+            return None;
+        }
+        let along = |step: Vec3| {
+            let step = distance * step;
+            step - ray * (normal.dot(step) / towards)
+        };
+        Some([along(self.right), along(self.down)])
+    }
+
     /// What `matrix`, world to clip space with depth from 0 to 1, shows in `width` × `height`
     /// pixels. Whether depth is reversed, the projection orthographic or the picture mirrored is
     /// found out; an orthographic projection is taken as not mirrored, which tells whether its depth is reversed.

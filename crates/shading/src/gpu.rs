@@ -91,10 +91,10 @@ pub struct Frame {
     /// [`crate::vertex_visibility::FRAME_BITS`], and number of the frame under it. 0: no fractions
     /// at vertices.
     pub vertex_stamp: u32,
+    /// 1 where pixels' squares are lit by sources, and not their centres.
+    pub source_squares: u32,
     /// Zero.
-    pub reserved_0: u32,
-    /// Zero.
-    pub reserved_1: u32,
+    pub reserved: u32,
 }
 
 /// Most local lights of a frame.
@@ -666,8 +666,8 @@ impl Frame {
             ],
             instance: 0,
             vertex_stamp: 0,
-            reserved_0: 0,
-            reserved_1: 0,
+            source_squares: 0,
+            reserved: 0,
         }
     }
 }
@@ -872,8 +872,8 @@ mod tests {
                 to_world,
                 instance,
                 vertex_stamp,
-                reserved_0,
-                reserved_1,
+                source_squares,
+                reserved,
             }
         );
         check_layout!(

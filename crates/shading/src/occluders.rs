@@ -15,6 +15,9 @@ const LEAST_COMPONENT: f32 = 1e-20;
 /// leaves barycentric coordinates uncertain by a twentieth.
 const UNCERTAIN: f32 = 5e-6;
 
+/// Least sine of a cone's half angle that a radius is divided by.
+const LEAST_SINE: f32 = 1e-4;
+
 /// Triangles that block, from both sides.
 #[derive(Clone, Debug, Default)]
 pub struct Occluders {
@@ -114,8 +117,8 @@ impl Occluders {
         &self.triangles
     }
 
-    /// Whether anything lies on the ray in front of its origin.
-    pub fn block(&self, origin: Vec3, direction: Vec3) -> bool {
+    /// Whether anything lies on the ray more than `nearest` lengths of `direction` in front of its origin.
+    pub fn block(&self, origin: Vec3, direction: Vec3, nearest: f32) -> bool {
         let safe = |x: f32| {
             if x.abs() < LEAST_COMPONENT {
                 LEAST_COMPONENT
@@ -136,7 +139,7 @@ impl Occluders {
             let count = node.triangles & gpu::OccluderNode::MAX_TRIANGLES;
             let first = node.triangles >> gpu::OccluderNode::COUNT_BITS;
             for triangle in &self.triangles[first as usize..][..count as usize] {
-                if triangle.meets(origin, direction) {
+                if triangle.meets(origin, direction, nearest) {
                     return true;
                 }
             }
@@ -146,31 +149,33 @@ impl Occluders {
     }
 
     /// Whether anything may lie within a cone with its tip at `origin`, around the unit vector
-    /// `axis`; `cosine` is that of its half angle. Now and then also where something only comes
+    /// `axis`; `cosine` is that of its half angle. A cone with a `radius` has its tip cut off where it is so
+    /// wide, which is at `origin`. Now and then also where something only comes
     /// close, and always in a cone that is no cone: half of all directions or more.
-    pub fn meet_cone(&self, origin: Vec3, axis: Vec3, cosine: f32) -> bool {
+    pub fn meet_cone(&self, origin: Vec3, radius: f32, axis: Vec3, cosine: f32) -> bool {
         if cosine <= 0.0 {
             return true;
         }
         let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
+        // From the tip that is cut off.
+        let cut = radius * cosine / sine.max(LEAST_SINE);
         let mut place = 0;
         while let Some(node) = self.nodes.get(place as usize) {
             let (low, high) = (Vec3::from(node.low), Vec3::from(node.high));
             let middle = 0.5 * (low + high) - origin;
-            let radius = 0.5 * (high - low).length();
+            let around = 0.5 * (high - low).length();
             let along = axis.dot(middle);
             let across = (middle.length_squared() - along * along).max(0.0).sqrt();
-            // From the side of the cone; behind its tip, from there.
-            let outside = across * cosine - along * sine;
-            let behind = along * cosine + across * sine < 0.0;
-            if outside > radius || behind && middle.length_squared() > radius * radius {
+            // From the side of the cone.
+            let outside = (across - radius) * cosine - along * sine;
+            if outside > around || along < -around {
                 place = node.next;
                 continue;
             }
             let count = node.triangles & gpu::OccluderNode::MAX_TRIANGLES;
             let first = node.triangles >> gpu::OccluderNode::COUNT_BITS;
             for triangle in &self.triangles[first as usize..][..count as usize] {
-                if triangle.meets_cone(origin, axis, cosine) {
+                if triangle.meets_cone(origin, cut, axis, cosine) {
                     return true;
                 }
             }
@@ -181,16 +186,21 @@ impl Occluders {
 }
 
 impl gpu::OccluderTriangle {
-    /// A cone meets a triangle that its axis hits, or an edge of which enters it.
-    fn meets_cone(&self, origin: Vec3, axis: Vec3, cosine: f32) -> bool {
+    /// A cone meets a triangle that its axis hits, or an edge of which enters it; its first part, of length
+    /// `cut`, is not there.
+    fn meets_cone(&self, origin: Vec3, cut: f32, axis: Vec3, cosine: f32) -> bool {
         let [ab, ac] = self.edges.map(|[x, y, z, _]| Vec3::new(x, y, z));
         let a = Vec3::from(self.corner) - origin;
-        let edge = |start, edge| cone_holds_part(start, edge, axis, cosine);
-        edge(a, ab) || edge(a, ac) || edge(a + ab, ac - ab) || self.meets(origin, axis)
+        let edge = |start, edge| {
+            in_front(start, edge, axis).is_some_and(|(start, edge)| {
+                cone_holds_part(start + cut * axis, edge, axis, cosine)
+            })
+        };
+        edge(a, ab) || edge(a, ac) || edge(a + ab, ac - ab) || self.meets(origin, axis, 0.0)
     }
 
     /// Möller & Trumbore 1997.
-    fn meets(&self, origin: Vec3, direction: Vec3) -> bool {
+    fn meets(&self, origin: Vec3, direction: Vec3, nearest: f32) -> bool {
         let [ab, ac] = self.edges.map(|[x, y, z, _]| Vec3::new(x, y, z));
         let from_a = origin - Vec3::from(self.corner);
         let p = direction.cross(ac);
@@ -204,7 +214,22 @@ impl gpu::OccluderTriangle {
         let v = from_a.dot(p) / determinant;
         let w = direction.dot(q) / determinant;
         let t = ac.dot(q) / determinant;
-        v >= 0.0 && w >= 0.0 && v + w <= 1.0 && t > 0.0
+        v >= 0.0 && w >= 0.0 && v + w <= 1.0 && t > nearest
+    }
+}
+
+/// The part of an edge that is in front of the origin along `axis`.
+fn in_front(start: Vec3, edge: Vec3, axis: Vec3) -> Option<(Vec3, Vec3)> {
+    let (first, last) = (axis.dot(start), axis.dot(start + edge));
+    if first < 0.0 && last < 0.0 {
+        None
+    } else if first < 0.0 {
+        let behind = first / (first - last);
+        Some((start + behind * edge, (1.0 - behind) * edge))
+    } else if last < 0.0 {
+        Some((start, edge * (first / (first - last))))
+    } else {
+        Some((start, edge))
     }
 }
 
@@ -227,6 +252,7 @@ pub fn wgsl_constants() -> String {
     format!(
         "const OCCLUDERS_LEAST_COMPONENT: f32 = {LEAST_COMPONENT:e};\n\
          const OCCLUDERS_UNCERTAIN: f32 = {UNCERTAIN:e};\n\
+         const OCCLUDERS_LEAST_SINE: f32 = {LEAST_SINE:e};\n\
          const OCCLUDERS_COUNT_BITS: u32 = {}u;\n\
          const OCCLUDERS_MAX_TRIANGLES: u32 = {}u;\n",
         gpu::OccluderNode::COUNT_BITS,
@@ -306,7 +332,7 @@ mod tests {
         let far = |ray: u32| 5.0 * vector(ray).normalize();
         assert!((0..2000).all(|ray| {
             let through = uniform(ray) * line;
-            !sliver.block(far(ray), (through - far(ray)).normalize())
+            !sliver.block(far(ray), (through - far(ray)).normalize(), 0.0)
         }));
         let mut hits = 0;
         for ray in 0..2000 {
@@ -314,8 +340,8 @@ mod tests {
             if ray % 3 == 0 {
                 direction.y = 0.0;
             }
-            let found = occluders.block(origin, direction);
-            let expected = (occluders.triangles().iter()).any(|t| t.meets(origin, direction));
+            let found = occluders.block(origin, direction, 0.0);
+            let expected = (occluders.triangles().iter()).any(|t| t.meets(origin, direction, 0.0));
             assert_eq!(found, expected, "{origin} {direction}");
             hits += u32::from(found);
         }
@@ -328,22 +354,31 @@ mod tests {
                 vector(30_000 + cone).normalize(),
             );
             let cosine = 1.0 - 0.1 * uniform(cone).powi(4);
+            let radius = if cone % 2 == 0 {
+                0.0
+            } else {
+                0.05 * uniform(cone + 1)
+            };
             let (x, y) = axis.any_orthonormal_pair();
             let hit = (0..200).any(|ray| {
                 let cosine = 1.0 - (1.0 - cosine) * uniform(200 * cone + ray);
                 let sine = (1.0 - cosine * cosine).sqrt();
                 let (sin, cos) =
                     math::sin_cos(std::f32::consts::TAU * uniform(700_000 + 200 * cone + ray));
-                occluders.block(origin, axis * cosine + (x * cos + y * sin) * sine)
+                let aside = radius * vector(900_000 + 200 * cone + ray).normalize();
+                let start = origin + aside - axis * axis.dot(aside);
+                // Parallel to the rim or less far out.
+                occluders.block(start, axis * cosine + (x * cos + y * sin) * sine, 0.0)
             });
-            let met = occluders.meet_cone(origin, axis, cosine);
+            let met = occluders.meet_cone(origin, radius, axis, cosine);
+            let cut = radius * cosine / (1.0 - cosine * cosine).sqrt().max(LEAST_SINE);
             let expected =
-                (occluders.triangles().iter()).any(|t| t.meets_cone(origin, axis, cosine));
-            assert!(met || !hit, "{origin} {axis} {cosine}");
-            assert_eq!(met, expected, "{origin} {axis} {cosine}");
+                (occluders.triangles().iter()).any(|t| t.meets_cone(origin, cut, axis, cosine));
+            assert!(met || !hit, "{origin} {radius} {axis} {cosine}");
+            assert_eq!(met, expected, "{origin} {radius} {axis} {cosine}");
             empty += u32::from(!met);
         }
         assert!((50..350).contains(&empty), "{empty}");
-        assert!(!Occluders::default().block(Vec3::ZERO, Vec3::Y));
+        assert!(!Occluders::default().block(Vec3::ZERO, Vec3::Y, 0.0));
     }
 }

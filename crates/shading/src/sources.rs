@@ -5,13 +5,17 @@
 //! finds out, all are visible; elsewhere there is a ray to each. Rays end early where the first
 //! points and the rim agree that all of the source is visible, or nothing. The exact reflection models
 //! ([`crate::reference`]) weigh what arrives.
+//!
+//! With antialiasing rays start all over the square that a pixel covers on the surface, each at a place of its
+//! own, so that edges of shadows have no stairs at no further ray.
 
 use relight_format::math;
 use std::sync::Arc;
 
-use glam::{Mat3, Vec3};
+use glam::{Mat3, Vec2, Vec3};
 use relight_format::Environment;
 
+use crate::camera::View;
 use crate::gpu;
 use crate::occluders::Occluders;
 use crate::reference;
@@ -36,6 +40,18 @@ const CONE_SLACK: f32 = 1e-6;
 
 /// Sharpness of the lobe that stands for a point where sources are seen blurred.
 const POINT_SHARPNESS: f32 = 1e4;
+
+/// Longest side of the square that a pixel covers on a surface, over what it would be on one that
+/// faces the eye. Surfaces seen edge-on may bend within a pixel.
+const LONGEST_SIDE: f32 = 4.0;
+
+/// What a ray meets closer than this times its way from the pixel's centre is the surface itself, which
+/// is not as plane as the square.
+const OWN: f32 = 2.0;
+
+/// Parts of 2³² of a pixel from one ray to the next: the two numbers of Roberts 2018, "The Unreasonable
+/// Effectiveness of Quasirandom Sequences".
+const STEP: [u32; 2] = [3_242_174_889, 2_447_445_414];
 
 /// Most sources.
 pub const MAX_SOURCES: u32 = relight_format::MAX_SOURCES as u32;
@@ -270,6 +286,25 @@ fn sobol_pair(index: u32) -> [f32; 2] {
         .map(|value| (f64::from(value) / 4_294_967_296.0 + 0.5 / f64::from(POINTS)) as f32)
 }
 
+/// Where in a pixel the ray to a point starts, from its centre, in columns and rows: −½ to ½.
+fn place(index: u32) -> Vec2 {
+    STEP.map(|step| ((index.wrapping_mul(step) >> 8) ^ (1 << 23)) as f32 / 16_777_216.0 - 0.5)
+        .into()
+}
+
+/// The sides of the square that a pixel covers on the plane of a surface, and the radius around it.
+fn square(view: &View, point: &SurfacePoint) -> ([Vec3; 2], f32) {
+    let Some(steps) = view.steps(point.geometric_normal, point.position) else {
+        return ([Vec3::ZERO; 2], 0.0);
+    };
+    // The plane that faces the eye is crossed by the same rays.
+    let facing = view.steps(point.view, point.position);
+    let facing = facing.unwrap_or([Vec3::ZERO; 2]).map(Vec3::length);
+    let longest = LONGEST_SIDE * facing[0].max(facing[1]);
+    let [x, y] = steps.map(|side| side * (longest / side.length().max(1e-20)).min(1.0));
+    ([x, y], 0.5 * (x + y).length().max((x - y).length()))
+}
+
 /// Sources over a scene, turned.
 #[derive(Clone, Copy, Debug)]
 pub struct Lit<'a> {
@@ -279,6 +314,25 @@ pub struct Lit<'a> {
     pub occluders: &'a Occluders,
     /// Rays start at this distance from the surface, along its geometric normal.
     pub ray_offset: f32,
+    /// The pixel whose square is lit, with antialiasing; without, a point is.
+    pub pixel: Option<Pixel<'a>>,
+}
+
+/// A pixel that sees a surface.
+#[derive(Clone, Copy, Debug)]
+pub struct Pixel<'a> {
+    /// Of the picture.
+    pub view: &'a View,
+    /// From the place of the picture where the surface was met to the pixel's centre, pixels.
+    pub centre: Vec2,
+}
+
+impl<'a> Pixel<'a> {
+    /// The pixel around a place of a picture.
+    pub fn around(view: &'a View, place: Vec2) -> Self {
+        let centre = place.floor() + 0.5 - place;
+        Self { view, centre }
+    }
 }
 
 impl Lit<'_> {
@@ -287,6 +341,11 @@ impl Lit<'_> {
     pub fn radiance(&self, point: &SurfacePoint, rays: &mut u64) -> Vec3 {
         let origin = point.position + point.geometric_normal * self.ray_offset;
         let wo = point.to_local(point.view);
+        let square = |pixel: Pixel| square(pixel.view, point);
+        let ([x, y], radius) = self.pixel.map_or(([Vec3::ZERO; 2], 0.0), square);
+        let at = |place: Vec2| x * place.x + y * place.y;
+        let from_point = self.pixel.map_or(Vec2::ZERO, |pixel| pixel.centre);
+        let origin = origin + at(from_point);
         let mut radiance = Vec3::ZERO;
         let all = self.sources.points.chunks_exact(STRIDE as usize);
         for (all, scales) in all.zip(self.sources.scales.iter()) {
@@ -296,19 +355,20 @@ impl Lit<'_> {
             if !rim.iter().any(above) && !points[..LEVELS[0] as usize].iter().any(above) {
                 continue;
             }
-            let mut visible = |source: &gpu::SourcePoint| {
+            let mut visible = |place: Vec2, source: &gpu::SourcePoint| {
                 *rays += 1;
-                !self.occluders.block(origin, source.direction.into())
+                let nearest = OWN * at(place + from_point).length();
+                !(self.occluders).block(origin + at(place), source.direction.into(), nearest)
             };
-            let touched =
-                (self.occluders).meet_cone(origin, cone.direction.into(), cone.cone_cosine);
+            let (axis, cosine) = (cone.direction.into(), cone.cone_cosine);
+            let touched = (self.occluders).meet_cone(origin, radius, axis, cosine);
             let (mut seen, mut hidden) = (false, false);
             let (mut sum, mut level) = (Vec3::ZERO, 1);
             for (index, source) in points.iter().enumerate() {
                 if index == LEVELS[0] as usize && !(seen && hidden) {
                     for probe in rim {
                         if touched && !(seen && hidden) && above(probe) {
-                            let visible = visible(probe);
+                            let visible = visible(Vec2::ZERO, probe);
                             seen |= visible;
                             hidden |= !visible;
                         }
@@ -323,7 +383,7 @@ impl Lit<'_> {
                 }
                 let wi = point.to_local(source.direction.into());
                 if wi.z > 0.0 {
-                    let visible = !touched || visible(source);
+                    let visible = !touched || visible(place(index as u32), source);
                     seen |= visible;
                     hidden |= !visible;
                     if visible {
@@ -344,9 +404,13 @@ pub fn wgsl_constants() -> String {
     let [whole, partial] = LEVELS;
     format!(
         "const MAX_SOURCES: u32 = {MAX_SOURCES}u;\n\
+         const SOURCE_LONGEST_SIDE: f32 = {LONGEST_SIDE:?};\n\
+         const SOURCE_OWN: f32 = {OWN:?};\n\
+         const SOURCE_STEP: vec2<u32> = vec2({}u, {}u);\n\
          const SOURCE_RIM: u32 = {RIM}u;\n\
          const SOURCE_POINTS: u32 = {POINTS}u;\n\
-         const SOURCE_LEVELS: vec2<u32> = vec2({whole}u, {partial}u);\n"
+         const SOURCE_LEVELS: vec2<u32> = vec2({whole}u, {partial}u);\n",
+        STEP[0], STEP[1],
     )
 }
 
@@ -356,7 +420,6 @@ mod tests {
     use crate::accuracy::local_point;
     use crate::occluders::Node;
     use crate::surface::{Appearance, Model, Reflection};
-    use glam::Vec2;
     use std::f32::consts::FRAC_1_PI;
 
     /// A window whose colour changes across it, and a lamp of one texel.
@@ -465,6 +528,7 @@ mod tests {
             sources: &sources,
             occluders: &empty,
             ray_offset: 0.0,
+            pixel: None,
         };
         let reflection = Reflection::new(Model::Ggx, Vec3::splat(0.6), Vec2::splat(0.3));
         for appearance in [
@@ -526,6 +590,7 @@ mod tests {
                 sources: &sources,
                 occluders: &occluders,
                 ray_offset: 0.0,
+                pixel: None,
             };
             let point = local_point(Appearance::new(Vec3::ONE, &[]), Vec3::Z);
             lit.radiance(&point, &mut 0).x

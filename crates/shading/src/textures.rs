@@ -201,19 +201,10 @@ impl Footprint {
         let (ab, ac) = (pb - pa, pc - pa);
         let normal = ab.cross(ac);
         let area = normal.length_squared();
-        // From the eye; as long as the ray of a pixel, times `distance`.
-        let (mut ray, mut distance) = (-view.eye, 1.0);
-        if !view.parallel {
-            ray = position - view.eye;
-            let axis = view.right.cross(view.down);
-            let depth = view.corner.dot(axis);
-            if depth == 0.0 {
-                return Self::NONE;
-            }
-            distance = ray.dot(axis) / depth;
-        }
-        let towards = ray.dot(normal);
-        if towards == 0.0 || area == 0.0 {
+        let Some(steps) = view.steps(normal, position) else {
+            return Self::NONE;
+        };
+        if area == 0.0 {
             return Self::NONE;
         }
         let (uv_b, uv_c) = (
@@ -221,16 +212,12 @@ impl Footprint {
             Vec2::from(c.uv) - Vec2::from(a.uv),
         );
         let along = |step: Vec3| {
-            let step = distance * step;
-            let step = step - ray * (normal.dot(step) / towards);
             let to_b = normal.dot(step.cross(ac)) / area;
             let to_c = normal.dot(ab.cross(step)) / area;
             (to_b * uv_b + to_c * uv_c).clamp(Vec2::splat(-WIDEST), Vec2::splat(WIDEST))
         };
-        Self {
-            x: along(view.right),
-            y: along(view.down),
-        }
+        let [x, y] = steps.map(along);
+        Self { x, y }
     }
 }
 

@@ -26,7 +26,7 @@ const BOUNDS: &[(&str, [u64; 2])] = &[
     ("around, both", [96, 160]),
     ("images", [48, 72]),
     ("shade", [48, 64]),
-    ("sources", [108, 184]),
+    ("sources", [120, 192]),
 ];
 
 fn main() -> ExitCode {

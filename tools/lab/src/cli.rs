@@ -594,6 +594,7 @@ fn run_truth(arguments: &Truth) -> anyhow::Result<Value> {
                     sources,
                     occluders: &occluders,
                     ray_offset: 0.0,
+                    pixel: None,
                 }),
                 ..Lighting::default()
             };

@@ -14,7 +14,7 @@ use relight_shading::motion;
 use relight_shading::occluders::Occluders;
 use relight_shading::prefiltered::Prefiltered;
 use relight_shading::shade::{self, Lighting, Method, Reflections};
-use relight_shading::sources::Lit;
+use relight_shading::sources::{Lit, Pixel};
 use relight_shading::ssdf::{Basis, SignedDistance, Ssdf};
 use relight_shading::surface::{SurfacePoint, emission, surface_seen};
 use relight_shading::surfaces::{self, Item, Sample, Surfaces};
@@ -534,10 +534,13 @@ impl<'a> Stage<'a> {
                 barycentrics: weights,
             };
             let field = Ssdf::interpolate(scene, &staged.prepared.basis, triangle, weights);
-            let lighting = Lighting {
+            let mut lighting = Lighting {
                 corners: staged.corners(triangle, weights),
                 ..lightings[instance]
             };
+            if let (Some(lit), Some(_)) = (&mut lighting.sources, &self.surfaces) {
+                lit.pixel = Some(Pixel::around(&local.view, item.at));
+            }
             shade(&seen, &lighting, &field)
         };
         (self.items.par_iter())
@@ -585,6 +588,7 @@ impl<'a> Stage<'a> {
                 occluders: (staged.prepared.occluders)
                     .get_or_init(|| occluders::build(staged.scene)),
                 ray_offset: staged.scene.visibility.ray_offset,
+                pixel: None,
             }),
             lights: &local.lights,
             local: &local.local_lights,

@@ -3,6 +3,7 @@
 use glam::camera::rh::proj::directx as project;
 use glam::camera::rh::view::look_at_mat4;
 use glam::{Mat4, Quat, Vec3};
+use relight_format::Scene;
 use relight_runtime::offscreen::Gpu;
 use relight_runtime::{
     Background, Before, Error, Frame, Image, Instance, Method, Options, Output, Placement,
@@ -13,7 +14,7 @@ use relight_shading::camera::View as Projection;
 use crate::support::attachment;
 use crate::{
     DIFFERENT_PIXELS, DISPLAY_CODES, FRAME_RELATIVE_RMSE, Outcome, POLAR, frame, lights,
-    relative_rmse, render, scenes, target, with_options,
+    relative_rmse, render, scenes, sources, target, with_options,
 };
 
 const SIZE: [u32; 2] = [160, 120];
@@ -323,17 +324,12 @@ pub fn antialiasing_matches_twin(gpu: &mut Gpu) -> Outcome {
     Ok(())
 }
 
-/// Four samples are closer to many than one is, and cost little more.
-pub fn antialiasing_is_closer_to_the_truth(_: &mut Gpu) -> Outcome {
-    const MANY: u32 = 6;
-    let lights = lights();
-    let scene = scenes::sphere_over_plane();
-    let plain = frame(&lights, Method::Ambient);
-    let smooth = Frame {
-        antialias: true,
-        ..plain.clone()
-    };
-    let large = twin::render(&scene, &plain, MANY * SIZE[0], MANY * SIZE[1])?;
+/// Of pictures that the mean of as many as [`MANY`] squared samples per pixel is taken as the truth of.
+const MANY: u32 = 6;
+
+/// The mean of many pixels for each.
+fn mean_of_many(scene: &Scene, frame: &Frame) -> Result<Image, Error> {
+    let large = twin::render(scene, frame, MANY * SIZE[0], MANY * SIZE[1])?;
     let mean = |index: u32| {
         let (x, y) = (index % SIZE[0] * MANY, index / SIZE[0] * MANY);
         let mut sum = glam::Vec4::ZERO;
@@ -342,11 +338,60 @@ pub fn antialiasing_is_closer_to_the_truth(_: &mut Gpu) -> Outcome {
         }
         (sum / (MANY * MANY) as f32).to_array()
     };
-    let truth = Image {
+    Ok(Image {
         width: SIZE[0],
         height: SIZE[1],
         pixels: (0..SIZE[0] * SIZE[1]).map(mean).collect(),
+    })
+}
+
+/// A small sun's light is that of whole pixels, on either side of every edge of a shadow.
+pub fn edges_of_shadows_have_no_stairs(_: &mut Gpu) -> Outcome {
+    let sources = sources();
+    let mut scene = scenes::sphere_over_plane();
+    scene.visibility.ray_offset = 1e-4;
+    for material in &mut scene.materials {
+        material.base_color_texture = None;
+        material.normal_texture = None;
+        material.metallic_roughness_texture = None;
+        material.anisotropy_texture = None;
+    }
+    let plain = Frame {
+        sources: Some(&sources),
+        ..frame(&[], Method::Ambient)
     };
+    let smooth = Frame {
+        antialias: true,
+        ..plain.clone()
+    };
+    let truth = mean_of_many(&scene, &plain)?;
+    let [one, four] = [&plain, &smooth].map(|frame| twin::render(&scene, frame, SIZE[0], SIZE[1]));
+    let (one, four) = (one?, four?);
+    // Silhouettes apart.
+    let (mut errors, mut edges) = ([0.0; 2], 0);
+    for ((truth, one), four) in truth.pixels.iter().zip(&one.pixels).zip(&four.pixels) {
+        if truth[3] == 1.0 && four[3] == 1.0 && (one[1] - four[1]).abs() > 0.1 * truth[1] {
+            edges += 1;
+            errors[0] += (one[1] - truth[1]).powi(2);
+            errors[1] += (four[1] - truth[1]).powi(2);
+        }
+    }
+    println!("{edges} pixels of edges, square errors of points and squares: {errors:?}");
+    assert!(edges > 50, "{edges}");
+    assert!(errors[1] < 0.25 * errors[0], "{errors:?}");
+    Ok(())
+}
+
+/// Four samples are closer to many than one is, and cost little more.
+pub fn antialiasing_is_closer_to_the_truth(_: &mut Gpu) -> Outcome {
+    let lights = lights();
+    let scene = scenes::sphere_over_plane();
+    let plain = frame(&lights, Method::Ambient);
+    let smooth = Frame {
+        antialias: true,
+        ..plain.clone()
+    };
+    let truth = mean_of_many(&scene, &plain)?;
     let [one, four] = [&plain, &smooth].map(|frame| twin::render(&scene, frame, SIZE[0], SIZE[1]));
     let errors = [one?, four?].map(|image| picture_rmse(&image, &truth));
     println!(

@@ -53,8 +53,9 @@ struct Frame {
     // State of a vertex whose light fractions this frame has to find: number of the light <<
     // VERTEX_VISIBILITY_FRAME_BITS | number of the frame under it. 0: no fractions at vertices.
     vertex_stamp: u32,
-    reserved_0: u32,
-    reserved_1: u32,
+    // 1 where pixels' squares are lit by sources, and not their centres.
+    source_squares: u32,
+    reserved: u32,
 }
 
 // A sphere that emits.

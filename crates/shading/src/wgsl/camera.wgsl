@@ -28,6 +28,33 @@ fn camera_ray(point: vec2<f32>) -> Ray {
     return Ray(frame.eye, place);
 }
 
+// How far a plane is moved along by going from column to column and from row to row, at a position on it;
+// zero where it is seen edge-on. The normal is of any length.
+fn camera_steps(normal: vec3<f32>, position: vec3<f32>) -> mat2x3<f32> {
+    // From the eye; as long as the ray of a pixel, times `distance`.
+    var ray = -frame.eye;
+    var distance = 1.0;
+    if frame.perspective != 0.0 {
+        ray = position - frame.eye;
+        let axis = cross(frame.right, frame.down);
+        let depth = dot(frame.corner, axis);
+        if depth == 0.0 {
+            return mat2x3<f32>();
+        }
+        distance = dot(ray, axis) / depth;
+    }
+    let towards = dot(ray, normal);
+    if towards == 0.0 {
+        return mat2x3<f32>();
+    }
+    let right = distance * frame.right;
+    let down = distance * frame.down;
+    return mat2x3<f32>(
+        right - ray * (dot(normal, right) / towards),
+        down - ray * (dot(normal, down) / towards),
+    );
+}
+
 // Barycentric coordinates of the point where a ray meets the plane of a
 // triangle, clamped to the triangle: a pixel centre may lie a rounding error outside.
 fn barycentrics(a: vec3<f32>, b: vec3<f32>, c: vec3<f32>, ray: Ray) -> vec3<f32> {

@@ -8,22 +8,22 @@ struct OccludersWalk {
     blocked: bool,
 }
 
-// Whether anything lies on the ray in front of its origin. Eight steps at a time: software GPUs
+// Whether anything lies on the ray more than `nearest` lengths of its direction in front of its origin. Eight steps at a time: software GPUs
 // bound the iterations of a shader's loops, all together.
-fn occluders_block(origin: vec3<f32>, direction: vec3<f32>) -> bool {
+fn occluders_block(origin: vec3<f32>, direction: vec3<f32>, nearest: f32) -> bool {
     let least = vec3(OCCLUDERS_LEAST_COMPONENT);
     let inverse = 1.0 / select(direction, least, abs(direction) < least);
     let end = arrayLength(&occluder_nodes);
     var walk = OccludersWalk(0u, 0u, 0u, false);
     while !walk.blocked && (walk.node < end || walk.triangle < walk.last) {
-        walk = occluders_step(walk, end, origin, direction, inverse);
-        walk = occluders_step(walk, end, origin, direction, inverse);
-        walk = occluders_step(walk, end, origin, direction, inverse);
-        walk = occluders_step(walk, end, origin, direction, inverse);
-        walk = occluders_step(walk, end, origin, direction, inverse);
-        walk = occluders_step(walk, end, origin, direction, inverse);
-        walk = occluders_step(walk, end, origin, direction, inverse);
-        walk = occluders_step(walk, end, origin, direction, inverse);
+        walk = occluders_step(walk, end, origin, direction, inverse, nearest);
+        walk = occluders_step(walk, end, origin, direction, inverse, nearest);
+        walk = occluders_step(walk, end, origin, direction, inverse, nearest);
+        walk = occluders_step(walk, end, origin, direction, inverse, nearest);
+        walk = occluders_step(walk, end, origin, direction, inverse, nearest);
+        walk = occluders_step(walk, end, origin, direction, inverse, nearest);
+        walk = occluders_step(walk, end, origin, direction, inverse, nearest);
+        walk = occluders_step(walk, end, origin, direction, inverse, nearest);
     }
     return walk.blocked;
 }
@@ -35,13 +35,14 @@ fn occluders_step(
     origin: vec3<f32>,
     direction: vec3<f32>,
     inverse: vec3<f32>,
+    nearest: f32,
 ) -> OccludersWalk {
     var next = walk;
     if walk.blocked {
         return next;
     }
     if walk.triangle < walk.last {
-        next.blocked = occluders_meet(walk.triangle, origin, direction);
+        next.blocked = occluders_meet(walk.triangle, origin, direction, nearest);
         next.triangle++;
     } else if walk.node < end {
         let node = occluder_nodes[walk.node];
@@ -62,7 +63,7 @@ fn occluders_step(
 }
 
 // Möller & Trumbore 1997.
-fn occluders_meet(index: u32, origin: vec3<f32>, direction: vec3<f32>) -> bool {
+fn occluders_meet(index: u32, origin: vec3<f32>, direction: vec3<f32>, nearest: f32) -> bool {
     let triangle = occluder_triangles[index];
     let ab = triangle.edges[0].xyz;
     let ac = triangle.edges[1].xyz;
@@ -78,33 +79,33 @@ fn occluders_meet(index: u32, origin: vec3<f32>, direction: vec3<f32>) -> bool {
     let v = dot(from_a, p) / determinant;
     let w = dot(direction, q) / determinant;
     let t = dot(ac, q) / determinant;
-    return v >= 0.0 && w >= 0.0 && v + w <= 1.0 && t > 0.0;
+    return v >= 0.0 && w >= 0.0 && v + w <= 1.0 && t > nearest;
 }
 
-// Whether anything may lie within a cone with its tip at `origin`.
-fn occluders_meet_cone(origin: vec3<f32>, axis: vec3<f32>, cosine: f32) -> bool {
+// Whether anything may lie within a cone with its tip at `origin`, or cut off there where it has a radius.
+fn occluders_meet_cone(origin: vec3<f32>, radius: f32, axis: vec3<f32>, cosine: f32) -> bool {
     if cosine <= 0.0 {
         return true;
     }
     let sine = sqrt(max(1.0 - cosine * cosine, 0.0));
+    let cut = radius * cosine / max(sine, OCCLUDERS_LEAST_SINE);
     let end = arrayLength(&occluder_nodes);
     var place = 0u;
     while place < end {
         let node = occluder_nodes[place];
         let middle = 0.5 * (node.low + node.high) - origin;
-        let radius = 0.5 * length(node.high - node.low);
+        let around = 0.5 * length(node.high - node.low);
         let along = dot(axis, middle);
         let across = sqrt(max(dot(middle, middle) - along * along, 0.0));
-        let outside = across * cosine - along * sine;
-        let behind = along * cosine + across * sine < 0.0;
-        if outside > radius || (behind && dot(middle, middle) > radius * radius) {
+        let outside = (across - radius) * cosine - along * sine;
+        if outside > around || along < -around {
             place = node.next;
             continue;
         }
         let first = node.triangles >> OCCLUDERS_COUNT_BITS;
         let last = first + (node.triangles & OCCLUDERS_MAX_TRIANGLES);
         for (var i = first; i < last; i++) {
-            if occluders_triangle_meets_cone(i, origin, axis, cosine) {
+            if occluders_triangle_meets_cone(i, origin, cut, axis, cosine) {
                 return true;
             }
         }
@@ -113,15 +114,47 @@ fn occluders_meet_cone(origin: vec3<f32>, axis: vec3<f32>, cosine: f32) -> bool 
     return false;
 }
 
-// A cone meets a triangle that its axis hits, or an edge of which enters it.
-fn occluders_triangle_meets_cone(index: u32, origin: vec3<f32>, axis: vec3<f32>, cosine: f32) -> bool {
+// A cone meets a triangle that its axis hits, or an edge of which enters it; its first part, of length
+// `cut`, is not there.
+fn occluders_triangle_meets_cone(
+    index: u32,
+    origin: vec3<f32>,
+    cut: f32,
+    axis: vec3<f32>,
+    cosine: f32,
+) -> bool {
     let ab = occluder_triangles[index].edges[0].xyz;
     let ac = occluder_triangles[index].edges[1].xyz;
     let a = occluder_triangles[index].corner - origin;
-    return occluders_cone_holds_part(a, ab, axis, cosine)
-        || occluders_cone_holds_part(a, ac, axis, cosine)
-        || occluders_cone_holds_part(a + ab, ac - ab, axis, cosine)
-        || occluders_meet(index, origin, axis);
+    return occluders_cone_meets_edge(a, ab, cut, axis, cosine)
+        || occluders_cone_meets_edge(a, ac, cut, axis, cosine)
+        || occluders_cone_meets_edge(a + ab, ac - ab, cut, axis, cosine)
+        || occluders_meet(index, origin, axis, 0.0);
+}
+
+// The part of an edge that is in front.
+fn occluders_cone_meets_edge(
+    start: vec3<f32>,
+    edge: vec3<f32>,
+    cut: f32,
+    axis: vec3<f32>,
+    cosine: f32,
+) -> bool {
+    let first = dot(axis, start);
+    let last = dot(axis, start + edge);
+    if first < 0.0 && last < 0.0 {
+        return false;
+    }
+    var front = start;
+    var part = edge;
+    if first < 0.0 {
+        let behind = first / (first - last);
+        front = start + behind * edge;
+        part = (1.0 - behind) * edge;
+    } else if last < 0.0 {
+        part = edge * (first / (first - last));
+    }
+    return occluders_cone_holds_part(front + cut * axis, part, axis, cosine);
 }
 
 fn occluders_cone_holds_part(start: vec3<f32>, edge: vec3<f32>, axis: vec3<f32>, cosine: f32) -> bool {

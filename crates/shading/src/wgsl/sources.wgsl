@@ -15,13 +15,15 @@ fn sources_main(@builtin(global_invocation_id) id: vec3<u32>) {
     let point = surface_point(corners, triangle.w & 0xffffu, weights);
     var sum = vec3(0.0);
     if dot(point.normal, point.view) > 0.0 {
-        sum = sources_radiance(id.z, point);
+        let at = seen_point(pixel, seen.y);
+        sum = sources_radiance(id.z, point, floor(at) + 0.5 - at);
     }
     textureStore(source_radiance_found, pixel, id.z, vec4(sum, 1.0));
 }
 
-// Radiance of one source from `point` towards the eye, which is above its horizon.
-fn sources_radiance(source: u32, point: SurfacePoint) -> vec3<f32> {
+// Radiance of one source from `point` towards the eye, which is above its horizon. `from_point` is the way to the
+// pixel's centre, pixels.
+fn sources_radiance(source: u32, point: SurfacePoint, from_point: vec2<f32>) -> vec3<f32> {
     let cone = source_points[source * (1u + SOURCE_RIM + SOURCE_POINTS)];
     let rim = source * (1u + SOURCE_RIM + SOURCE_POINTS) + 1u;
     let first = rim + SOURCE_RIM;
@@ -32,9 +34,15 @@ fn sources_radiance(source: u32, point: SurfacePoint) -> vec3<f32> {
     if !above {
         return vec3(0.0);
     }
-    let origin = point.position + point.geometric_normal * source_points[first].ray_offset;
     let wo = surface_to_local(point, point.view);
-    let touched = occluders_meet_cone(origin, cone.direction, cone.cone_cosine);
+    var square = mat2x3<f32>();
+    if frame.source_squares != 0u {
+        square = sources_square(point);
+    }
+    let radius = 0.5 * max(length(square[0] + square[1]), length(square[0] - square[1]));
+    let origin = point.position + point.geometric_normal * source_points[first].ray_offset
+        + square * from_point;
+    let touched = occluders_meet_cone(origin, radius, cone.direction, cone.cone_cosine);
     var seen = false;
     var hidden = false;
     var level = 1u;
@@ -44,7 +52,7 @@ fn sources_radiance(source: u32, point: SurfacePoint) -> vec3<f32> {
             for (var j = rim; j < first; j++) {
                 let direction = source_points[j].direction;
                 if touched && !(seen && hidden) && surface_to_local(point, direction).z > 0.0 {
-                    if occluders_block(origin, direction) {
+                    if sources_block(origin, direction, square, vec2(0.0), from_point) {
                         hidden = true;
                     } else {
                         seen = true;
@@ -62,7 +70,8 @@ fn sources_radiance(source: u32, point: SurfacePoint) -> vec3<f32> {
         let direction = source_points[i].direction;
         let wi = surface_to_local(point, direction);
         if wi.z > 0.0 {
-            if touched && occluders_block(origin, direction) {
+            let place = sources_place(i - first);
+            if touched && sources_block(origin, direction, square, place, from_point) {
                 hidden = true;
             } else {
                 seen = true;
@@ -71,4 +80,32 @@ fn sources_radiance(source: u32, point: SurfacePoint) -> vec3<f32> {
         }
     }
     return sum * source_scales[2u * source + level].xyz;
+}
+
+// Whether anything hides a source from a place of a pixel, whose centre is at `origin`.
+fn sources_block(
+    origin: vec3<f32>,
+    direction: vec3<f32>,
+    square: mat2x3<f32>,
+    place: vec2<f32>,
+    from_point: vec2<f32>,
+) -> bool {
+    let nearest = SOURCE_OWN * length(square * (place + from_point));
+    return occluders_block(origin + square * place, direction, nearest);
+}
+
+// Where in a pixel the ray to a point starts, from its centre, in columns and rows.
+fn sources_place(index: u32) -> vec2<f32> {
+    return vec2<f32>(((index * SOURCE_STEP) >> vec2(8u)) ^ vec2(1u << 23u)) / 16777216.0 - 0.5;
+}
+
+// The sides of the square that a pixel covers on the plane of a surface.
+fn sources_square(point: SurfacePoint) -> mat2x3<f32> {
+    let steps = camera_steps(point.geometric_normal, point.position);
+    let facing = camera_steps(point.view, point.position);
+    let longest = SOURCE_LONGEST_SIDE * max(length(facing[0]), length(facing[1]));
+    return mat2x3<f32>(
+        steps[0] * min(longest / max(length(steps[0]), 1e-20), 1.0),
+        steps[1] * min(longest / max(length(steps[1]), 1e-20), 1.0),
+    );
 }

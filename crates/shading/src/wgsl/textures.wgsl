@@ -11,28 +11,14 @@ fn textures_enter(a: Vertex, b: Vertex, c: Vertex, position: vec3<f32>) {
     let ac = c.position - a.position;
     let normal = cross(ab, ac);
     let area = dot(normal, normal);
-    // From the eye; as long as the ray of a pixel, times `distance`.
-    var ray = -frame.eye;
-    var distance = 1.0;
-    if frame.perspective != 0.0 {
-        ray = position - frame.eye;
-        let axis = cross(frame.right, frame.down);
-        let depth = dot(frame.corner, axis);
-        if depth == 0.0 {
-            return;
-        }
-        distance = dot(ray, axis) / depth;
-    }
-    let towards = dot(ray, normal);
-    if towards == 0.0 || area == 0.0 {
+    let steps = camera_steps(normal, position);
+    if area == 0.0 || (all(steps[0] == vec3(0.0)) && all(steps[1] == vec3(0.0))) {
         return;
     }
     let uv_b = vec2(b.u - a.u, b.v - a.v);
     let uv_c = vec2(c.u - a.u, c.v - a.v);
-    let right = distance * frame.right;
-    let down = distance * frame.down;
-    let x = right - ray * (dot(normal, right) / towards);
-    let y = down - ray * (dot(normal, down) / towards);
+    let x = steps[0];
+    let y = steps[1];
     let to_x = vec2(dot(normal, cross(x, ac)), dot(normal, cross(ab, x))) / area;
     let to_y = vec2(dot(normal, cross(y, ac)), dot(normal, cross(ab, y))) / area;
     let found = vec4(to_x.x * uv_b + to_x.y * uv_c, to_y.x * uv_b + to_y.y * uv_c);

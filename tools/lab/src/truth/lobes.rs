@@ -97,6 +97,7 @@ fn of_geometry(
             sources,
             occluders: &occluders,
             ray_offset: 0.0,
+            pixel: None,
         }),
         ..Lighting::default()
     };

@@ -89,6 +89,30 @@ pub enum Error {
         /// Materials of the scene.
         count: usize,
     },
+    /// A texture index beyond the scene's textures.
+    #[error("texture: expected an index below {count}, found {index}")]
+    NoSuchTexture {
+        /// The index asked for.
+        index: usize,
+        /// Textures of the scene.
+        count: usize,
+    },
+    /// A texture that a measured material is made of, and that no image can stand for.
+    #[error(
+        "texture {index}: expected one of a material's images, found a table of a measured reflection"
+    )]
+    NoImage {
+        /// Its index.
+        index: usize,
+    },
+    /// An image that is to be a texture and cannot be sampled.
+    #[error(
+        "image of a texture: expected two dimensions, one sample, a format of filterable floats and TEXTURE_BINDING, found {found}"
+    )]
+    Image {
+        /// What the image is.
+        found: String,
+    },
     /// A material that is to catch shadows in a scene that was uploaded without any.
     #[error(
         "material {index}: expected a scene uploaded with a material that catches shadows, found none"

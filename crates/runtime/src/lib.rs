@@ -77,6 +77,8 @@
 //! - Threads: renderers, scenes and lights may be shared. [`Renderer::upload_while`], which can be stopped, and
 //!   [`EnvironmentLight::new`] take time and belong on a thread of their own. An asset is replaced by
 //!   assigning the new scene to the old one; [`Renderer::upload_bytes`] says before what it takes.
+//! - Materials and textures: [`GpuScene::set_material`] at any time; [`Renderer::set_texture`] puts an image of the app's in
+//!   place of a texture of the asset: compressed, drawn by the app, a film.
 //! - Targets: [`Renderer::with_options`] shares pipelines and scenes with a renderer for other passes.
 //!
 //! # For an app's own temporal antialiasing
@@ -109,6 +111,7 @@
 mod background;
 mod composite;
 mod error;
+mod fill_texture;
 mod frame;
 mod image;
 mod layouts;

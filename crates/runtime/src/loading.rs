@@ -107,6 +107,7 @@ impl<'a> Loading<'a> {
         &mut self,
         label: &str,
         format: wgpu::TextureFormat,
+        usage: wgpu::TextureUsages,
         [width, height, layers]: [u32; 3],
     ) -> Result<wgpu::Texture, Error> {
         let limits = self.device.limits();
@@ -137,7 +138,7 @@ impl<'a> Loading<'a> {
             sample_count: 1,
             dimension: wgpu::TextureDimension::D2,
             format,
-            usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
+            usage: usage | wgpu::TextureUsages::COPY_DST,
             view_formats: &[],
         }))
     }

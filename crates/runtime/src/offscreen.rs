@@ -56,8 +56,9 @@ impl Gpu {
         let (device, queue) = adapter
             .request_device(&wgpu::DeviceDescriptor {
                 label: Some("relight offscreen"),
-                // For [`Renderer::pass_times`], where there are any.
-                required_features: adapter.features() & wgpu::Features::TIMESTAMP_QUERY,
+                // For [`Renderer::pass_times`] and [`Renderer::set_texture`], where there are any.
+                required_features: adapter.features()
+                    & (wgpu::Features::TIMESTAMP_QUERY | wgpu::Features::TEXTURE_COMPRESSION_BC),
                 required_limits: limits.clone(),
                 ..Default::default()
             })

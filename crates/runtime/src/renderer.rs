@@ -9,6 +9,7 @@ use relight_shading::shade::{self, Method};
 use relight_shading::wgsl;
 use wgpu::util::DeviceExt as _;
 
+use crate::fill_texture::FillPass;
 use crate::frame::LocalFrame;
 use crate::layouts::{
     buffer_entry, compute_pipeline, diffuse_image_layout, frame_layout, frame_uniform_entry,
@@ -84,6 +85,7 @@ struct Kernels {
     cells: OnceLock<wgpu::ComputePipeline>,
     sources: OnceLock<wgpu::ComputePipeline>,
     motion: OnceLock<MotionPass>,
+    fill: OnceLock<FillPass>,
 }
 
 /// The same for everything that may be used together: scenes, views and renderers of one device,
@@ -682,6 +684,10 @@ impl Renderer {
         let layouts = self.source_layouts.each_ref();
         (self.kernels.sources)
             .get_or_init(|| compute_pipeline(&self.device, &layouts, &wgsl::SOURCES))
+    }
+
+    pub(crate) fn fill_pass(&self) -> &FillPass {
+        (self.kernels.fill).get_or_init(|| FillPass::new(&self.device))
     }
 
     pub(crate) fn motion_pass(&self) -> &MotionPass {

@@ -50,8 +50,8 @@ pub struct GpuScene {
     bytes: u64,
     queue: wgpu::Queue,
     materials: wgpu::Buffer,
-    textures: Vec<PackedTexture>,
-    texels: wgpu::TextureView,
+    pub(crate) textures: Vec<PackedTexture>,
+    pub(crate) texels: wgpu::TextureView,
     bounced: Option<PackedTransfer>,
     /// Where light does not bounce.
     no_products: wgpu::TextureView,
@@ -192,8 +192,9 @@ impl GpuScene {
         let no_products =
             bounced_texture(device, queue, colors, &[[0.0; 4]], [0.0; 4]).map_err(Error::Scene)?;
         let format = wgpu::TextureFormat::Rgba8Snorm;
+        let sampled = wgpu::TextureUsages::TEXTURE_BINDING;
         let size = [atlas.width, atlas.height, atlas.layers];
-        let texture = loading.texture("relight basis atlas", format, size)?;
+        let texture = loading.texture("relight basis atlas", format, sampled, size)?;
         let basis: &[u8] = bytemuck::cast_slice(&packed.basis);
         let layer = 4 * atlas.width as usize * atlas.height as usize;
         for (z, texels) in (0..).zip(basis.chunks(layer)) {
@@ -388,7 +389,9 @@ fn texel_texture(
     let pages = packed.pages;
     let size = [pages.width, pages.height, pages.layers];
     let format = wgpu::TextureFormat::R32Uint;
-    let texture = loading.texture("relight textures", format, size)?;
+    // For `Renderer::set_texture`.
+    let usage = wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::STORAGE_BINDING;
+    let texture = loading.texture("relight textures", format, usage, size)?;
     for (of_scene, place) in scene.textures.iter().zip(&packed.textures) {
         place.visit(of_scene, |corner, level| {
             loading.rows(&texture, corner, level.width, &level.texels)
@@ -407,7 +410,8 @@ fn word_texture(loading: &mut Loading, words: &[u32]) -> Result<wgpu::TextureVie
     words.resize(word_count(words.len()), 0);
     let size = [width, words.len() as u32 / width, 1];
     let format = wgpu::TextureFormat::R32Uint;
-    let texture = loading.texture("relight bounced light", format, size)?;
+    let usage = wgpu::TextureUsages::TEXTURE_BINDING;
+    let texture = loading.texture("relight bounced light", format, usage, size)?;
     loading.rows(&texture, [0; 3], width, bytemuck::cast_slice(&words))?;
     Ok(texture.create_view(&wgpu::TextureViewDescriptor::default()))
 }

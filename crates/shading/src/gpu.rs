@@ -383,6 +383,28 @@ pub struct Motion {
     pub reserved_1: u32,
 }
 
+/// What fills one level of a texture with an image (uniform, 48 bytes).
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct TextureFill {
+    /// Column, row and layer of the level's first texel.
+    pub corner: [u32; 3],
+    /// 1 where colours are stored as sRGB.
+    pub srgb: u32,
+    /// Columns and rows of the level.
+    pub size: [u32; 2],
+    /// Points of the image that are averaged for a texel, from left to right and from top to bottom.
+    pub taps: [u32; 2],
+    /// Level of the image that they are looked up at.
+    pub level: f32,
+    /// Zero.
+    pub reserved_0: u32,
+    /// Zero.
+    pub reserved_1: u32,
+    /// Zero.
+    pub reserved_2: u32,
+}
+
 /// Nothing behind the scene.
 pub const BACKGROUND_NONE: u32 = 0;
 /// One colour.
@@ -829,6 +851,20 @@ mod tests {
                 color,
                 reserved_3,
                 rotation,
+            }
+        );
+        let module = naga::front::wgsl::parse_str(&source(Entry::FillTexture)).expect("valid WGSL");
+        check_layout!(
+            module,
+            TextureFill {
+                corner,
+                srgb,
+                size,
+                taps,
+                level,
+                reserved_0,
+                reserved_1,
+                reserved_2,
             }
         );
         let module = naga::front::wgsl::parse_str(&source(Entry::Motion)).expect("valid WGSL");

@@ -44,6 +44,8 @@ pub enum Entry {
     Sources,
     /// Visibility buffer to where it was in the frame before: `motion_main`, workgroups of 8 × 8 pixels.
     Motion,
+    /// An image into one level of a material's texture: `fill_texture_main`, workgroups of 8 × 8 texels.
+    FillTexture,
     /// Linear radiance into a target: `composite_vertex`; `composite_fragment` or, where the target
     /// has depth, `composite_depth_fragment`. What is behind it: `background_vertex`,
     /// `background_fragment`.
@@ -58,7 +60,7 @@ pub enum Entry {
 
 impl Entry {
     /// All of them.
-    pub const ALL: [Self; 17] = [
+    pub const ALL: [Self; 18] = [
         Self::VisibilityBuffer,
         Self::SurfaceSamples,
         Self::Surfaces,
@@ -73,6 +75,7 @@ impl Entry {
         Self::ShadeCells,
         Self::Sources,
         Self::Motion,
+        Self::FillTexture,
         Self::Composite,
         Self::CompositeSurfaces,
         Self::Library,
@@ -252,6 +255,14 @@ pub const MOTION: Kernel = Kernel {
     constants: &[],
 };
 
+/// [`Entry::FillTexture`].
+pub const FILL_TEXTURE: Kernel = Kernel {
+    name: "fill texture",
+    entry: Entry::FillTexture,
+    entry_point: "fill_texture_main",
+    constants: &[],
+};
+
 /// [`Entry::Surfaces`]; before shading, with antialiasing.
 pub const SURFACES: Kernel = Kernel {
     name: "surfaces",
@@ -371,6 +382,10 @@ pub fn source(entry: Entry) -> String {
             source += include_str!("wgsl/camera.wgsl");
             source += include_str!("wgsl/seen.wgsl");
             source += include_str!("wgsl/motion.wgsl");
+        }
+        Entry::FillTexture => {
+            source += include_str!("wgsl/tonemap.wgsl");
+            source += include_str!("wgsl/fill_texture.wgsl");
         }
         Entry::Composite => {
             source.extend(COMPOSITE.iter().copied());

@@ -142,6 +142,10 @@ fn main() -> ExitCode {
             textures::distant_textures_are_averaged,
         ),
         with_gpu(
+            "textures::images_take_the_place_of_textures",
+            textures::images_take_the_place_of_textures,
+        ),
+        with_gpu(
             "background::backgrounds_match_twin",
             background::backgrounds_match_twin,
         ),

@@ -5,7 +5,9 @@ use relight_format::{
     Camera, FieldOfView, Material, Scene, Surface, Texture, TextureEncoding, TextureSlot,
 };
 use relight_runtime::offscreen::Gpu;
-use relight_runtime::{Frame, Image, Method, SphericalGaussian, twin};
+use relight_runtime::{Error, Frame, Image, Method, SphericalGaussian, Viewpoint, twin, wgpu};
+use relight_shading::textures::coarser;
+use wgpu::util::{DeviceExt as _, TextureDataOrder};
 
 use crate::{FRAME_RELATIVE_RMSE, Outcome, POLAR, frame, lights, relative_rmse, scenes};
 
@@ -154,4 +156,155 @@ pub fn distant_textures_are_averaged(gpu: &mut Gpu) -> Outcome {
     assert!(error <= FRAME_RELATIVE_RMSE, "{error}");
     assert!(of_filter <= LEFT * of_points, "{of_filter} of {of_points}");
     Ok(())
+}
+
+/// Levels of a scene's texture, as an app's own image in some format.
+fn image(gpu: &Gpu, texture: &Texture, format: wgpu::TextureFormat, levels: u32) -> wgpu::Texture {
+    let mut texels = Vec::new();
+    let mut level = Some(texture.clone());
+    for _ in 0..levels {
+        let finer = level.expect("as many levels");
+        texels.extend_from_slice(&finer.texels);
+        level = coarser(&finer);
+    }
+    gpu.device.create_texture_with_data(
+        &gpu.queue,
+        &wgpu::TextureDescriptor {
+            label: None,
+            size: wgpu::Extent3d {
+                width: texture.width,
+                height: texture.height,
+                depth_or_array_layers: 1,
+            },
+            mip_level_count: levels,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format,
+            usage: wgpu::TextureUsages::TEXTURE_BINDING,
+            view_formats: &[],
+        },
+        TextureDataOrder::LayerMajor,
+        &texels,
+    )
+}
+
+/// A scene whose textures are replaced by images looks as if it had been uploaded with them: with their levels,
+/// and without.
+pub fn images_take_the_place_of_textures(gpu: &mut Gpu) -> Outcome {
+    let side = 64;
+    let scene = textured(side);
+    let mut other = scene.clone();
+    other.textures.rotate_left(3);
+    for texture in &mut other.textures {
+        texture.texels.iter_mut().for_each(|byte| *byte ^= 0x15);
+    }
+    let lights = lights();
+    let mut frame = frame(&lights, POLAR);
+    // Far enough away for levels.
+    if let Viewpoint::Pinhole(camera) = &mut frame.camera {
+        camera.position = camera.position.map(|x| 2.0 * x);
+    }
+    let (width, height) = (120, 90);
+    let uploaded = gpu.upload(&other)?;
+    let expected = gpu.render(&uploaded, &frame, width, height)?.linear;
+    let uploaded = gpu.upload(&scene)?;
+    let before = gpu.render(&uploaded, &frame, width, height)?.linear;
+    assert!(relative_rmse(&before, &expected) > 0.05);
+    let levels = side.ilog2() + 1;
+    for (levels, most) in [(levels, 1e-3), (1, 2e-2)] {
+        let uploaded = gpu.upload(&scene)?;
+        let mut encoder = gpu
+            .device
+            .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        for (index, texture) in other.textures.iter().enumerate() {
+            let format = match texture.encoding {
+                TextureEncoding::Srgb => wgpu::TextureFormat::Rgba8UnormSrgb,
+                _ => wgpu::TextureFormat::Rgba8Unorm,
+            };
+            let view = image(gpu, texture, format, levels)
+                .create_view(&wgpu::TextureViewDescriptor::default());
+            (gpu.renderer).set_texture(&mut encoder, &uploaded, index, &view)?;
+        }
+        gpu.queue.submit([encoder.finish()]);
+        let found = gpu.render(&uploaded, &frame, width, height)?.linear;
+        let error = relative_rmse(&found, &expected);
+        println!("{levels} levels: relative RMSE {error:e}");
+        assert!(error <= most, "{levels} levels: {error}");
+    }
+    if (gpu.device.features()).contains(wgpu::Features::TEXTURE_COMPRESSION_BC) {
+        let error = compressed_image(gpu, &scene, &frame)?;
+        println!("BC1: relative RMSE {error:e}");
+        assert!(error <= 2e-2, "BC1: {error}");
+    } else {
+        println!("this device has no BC");
+    }
+    // What cannot be sampled, and what is not there.
+    let mut encoder = gpu
+        .device
+        .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+    let numbers = image(gpu, &scene.textures[0], wgpu::TextureFormat::R32Uint, 1);
+    let view = numbers.create_view(&wgpu::TextureViewDescriptor::default());
+    let found = (gpu.renderer).set_texture(&mut encoder, &uploaded, 0, &view);
+    assert!(matches!(found, Err(Error::Image { .. })), "{found:?}");
+    let found = (gpu.renderer).set_texture(&mut encoder, &uploaded, 15, &view);
+    assert!(
+        matches!(found, Err(Error::NoSuchTexture { .. })),
+        "{found:?}"
+    );
+    Ok(())
+}
+
+/// How far off a picture is with a texture of BC1, of blocks of one colour each, from that with the same colours.
+fn compressed_image(gpu: &mut Gpu, scene: &Scene, frame: &Frame) -> Result<f32, Error> {
+    let side = scene.textures[0].width;
+    let blocks = side / 4;
+    let color = |block: u32| (2_654_435_769u32.wrapping_mul(block + 1) >> 16) as u16;
+    let data: Vec<u8> = (0..blocks * blocks)
+        .flat_map(|block| [color(block), color(block), 0, 0].map(u16::to_le_bytes))
+        .flatten()
+        .collect();
+    let mut plain = scene.clone();
+    plain.textures[0].texels = (0..side * side)
+        .flat_map(|texel| {
+            let color = u32::from(color(texel / side / 4 * blocks + texel % side / 4));
+            let wide = |bits: u32, most: u32| ((bits & most) * 255 / most) as u8;
+            [
+                wide(color >> 11, 31),
+                wide(color >> 5, 63),
+                wide(color, 31),
+                255,
+            ]
+        })
+        .collect();
+    let size = wgpu::Extent3d {
+        width: side,
+        height: side,
+        depth_or_array_layers: 1,
+    };
+    let image = gpu.device.create_texture_with_data(
+        &gpu.queue,
+        &wgpu::TextureDescriptor {
+            label: None,
+            size,
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format: wgpu::TextureFormat::Bc1RgbaUnormSrgb,
+            usage: wgpu::TextureUsages::TEXTURE_BINDING,
+            view_formats: &[],
+        },
+        TextureDataOrder::LayerMajor,
+        &data,
+    );
+    let uploaded = gpu.upload(scene)?;
+    let mut encoder = gpu
+        .device
+        .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+    let view = image.create_view(&wgpu::TextureViewDescriptor::default());
+    (gpu.renderer).set_texture(&mut encoder, &uploaded, 0, &view)?;
+    gpu.queue.submit([encoder.finish()]);
+    let found = gpu.render(&uploaded, frame, 120, 90)?.linear;
+    let uploaded = gpu.upload(&plain)?;
+    let expected = gpu.render(&uploaded, frame, 120, 90)?.linear;
+    Ok(relative_rmse(&found, &expected))
 }

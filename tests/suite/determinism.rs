@@ -11,6 +11,7 @@ use crate::support::{Outcome, with_data};
 pub fn trials() -> Vec<Trial> {
     vec![
         Trial::test("determinism::made_scene", made_scene),
+        Trial::test("determinism::fine_scene", fine_scene),
         Trial::test("determinism::made_environment", made_environment),
         with_data("determinism::textured_scene", |data| {
             scene(&data.join("meshes/awkward/gltf/sphere/sphere.gltf"))
@@ -28,6 +29,24 @@ fn made_scene() -> Outcome {
     let folder = tempfile::tempdir()?;
     let mesh = folder.path().join("sphere.obj");
     std::fs::write(&mesh, sphere_over_ground(16))?;
+    scene(&mesh)
+}
+
+/// So fine that some vertices stand for others.
+fn fine_scene() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let mesh = folder.path().join("sphere.obj");
+    std::fs::write(&mesh, sphere_over_ground(100))?;
+    let output = bake_scene(&mesh, &folder.path().join("out.relight"))
+        .arg("--json")
+        .output()?;
+    let summary: serde_json::Value = serde_json::from_slice(&output.stdout)?;
+    let number = |name: &str| summary[name].as_u64().expect("a number");
+    let (sampled, vertices) = (number("sampled_vertices"), number("vertices"));
+    assert!(
+        2 * sampled < vertices,
+        "{sampled} of {vertices} are sampled"
+    );
     scene(&mesh)
 }
 

@@ -112,8 +112,10 @@ fn refuse(options: &[(&'static str, bool)], expected: &str) -> Result<(), Usage>
 
 #[derive(Clone, Copy, ValueEnum)]
 enum Preset {
+    /// To look at a scene within seconds: fine meshes are sampled at a part of their vertices.
     Draft,
     Standard,
+    /// Small errors at several times the size and time.
     High,
 }
 
@@ -221,10 +223,10 @@ pub struct SceneArguments {
     #[arg(long, value_name = "N|auto", default_value = "auto", value_parser = bounces)]
     bounces: Bounces,
     /// Texels per side of the visibility samples, 8 to 256, a multiple of the basis images'
-    /// [default: 64 for draft, else 128].
+    /// [default: 32 for draft, else 128].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(8..=256))]
     sample_resolution: Option<u32>,
-    /// Texels per side of the basis images, 8 to 256 [default: 64].
+    /// Texels per side of the basis images, 8 to 256 [default: 32 for draft, else 64].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(8..=256))]
     basis_resolution: Option<u32>,
     #[command(flatten)]

@@ -113,6 +113,7 @@ impl<'a> Bake<'a> {
             ..Default::default()
         };
         let (name, camera) = (input.name.clone(), input.camera);
+        let object_diagonal = input.object_diagonal;
         let mut warnings = input.warnings.clone();
         warnings.extend(far_off);
         let mut mesh = refined(input, options, &contours, ray_offset, monitor)?;
@@ -142,7 +143,8 @@ impl<'a> Bake<'a> {
             basis: Vec::new(),
             transfer: (radiosity.as_ref()).map(|all| all.head(options.transfer.order)),
         };
-        let placed = Placed::new(&mut mesh, &contours, ray_offset);
+        let spacing = options.sample_spacing * object_diagonal;
+        let placed = Placed::new(&mut mesh, &contours, ray_offset, spacing);
         head.report
             .warnings
             .extend(darkness(&placed, &mesh, &contours));

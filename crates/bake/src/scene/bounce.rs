@@ -50,7 +50,7 @@ impl Prepared<'_> {
         });
         let rays = self.options.transfer.vertex_rays;
         let caster = self.contours.caster();
-        let gather = |&vertex: &u32| {
+        let gather = |vertex: u32| {
             let start = Instant::now();
             let normal = self.mesh.vertices[vertex as usize].normal;
             let receiver = Receiver {
@@ -59,17 +59,63 @@ impl Prepared<'_> {
             };
             let gathered = radiosity.gather(caster, &receiver, rays, !mirror);
             add_time(&self.counters.bounce_nanoseconds, start);
+            (self.counters.bounce_rays).fetch_add(u64::from(rays), Ordering::Relaxed);
+            gathered
+        };
+        let stand: Vec<Vec<(u32, f32)>> = (vertices.iter())
+            .map(|&vertex| self.gathered_for(vertex))
+            .collect();
+        let mut sources: Vec<u32> = stand.iter().flatten().map(|source| source.0).collect();
+        sources.sort_unstable();
+        sources.dedup();
+        let known = |&vertex: &u32| {
             self.report()?;
+            // Those that stand for others do so in several chunks.
+            let kept = self.gathered[usize::from(mirror)].get(vertex as usize);
+            let gathered = match kept {
+                Some(kept) => kept.get_or_init(|| gather(vertex)).clone(),
+                None => gather(vertex),
+            };
             Ok(gathered)
         };
-        let gathered: Result<Vec<_>, Interrupted> = vertices.par_iter().map(gather).collect();
-        let cast = vertices.len() as u64 * u64::from(rays);
-        (self.counters.bounce_rays).fetch_add(cast, Ordering::Relaxed);
-        let gathered = gathered?;
+        let gathered: Result<Vec<_>, Interrupted> = sources.par_iter().map(known).collect();
+        let mut gathered = gathered?;
         let start = Instant::now();
+        if sources != vertices {
+            let mixed = |stand: &Vec<(u32, f32)>| {
+                let mut sum = vec![0.0; gathered[0].len()];
+                for &(source, weight) in stand {
+                    let source = sources.partition_point(|&other| other < source);
+                    (sum.iter_mut().zip(&gathered[source])).for_each(|(sum, x)| *sum += weight * x);
+                }
+                sum
+            };
+            gathered = stand.iter().map(mixed).collect();
+        }
         let light = compress(&gathered, if mirror { 7 } else { 3 });
         add_time(&self.counters.bounce_nanoseconds, start);
         Ok(Some(ChunkLight { vertices, light }))
+    }
+}
+
+impl Prepared<'_> {
+    /// The vertices that light is gathered at for one, with their weights: of those at the places that stand
+    /// for its own, the ones whose normals are nearest.
+    fn gathered_for(&self, vertex: u32) -> Vec<(u32, f32)> {
+        let place = self.places[vertex as usize];
+        let sources = self.sparse_light.sources(place);
+        if sources == [(place, 1.0)] {
+            return vec![(vertex, 1.0)];
+        }
+        let normal = self.mesh.vertices[vertex as usize].normal;
+        let cosine = |other: u32| self.mesh.vertices[other as usize].normal.dot(normal);
+        let at = |place: u32| {
+            let alike = self.vertices_at(place).iter().copied();
+            alike.max_by(|&a, &b| cosine(a).total_cmp(&cosine(b)).then(b.cmp(&a)))
+        };
+        (sources.iter())
+            .map(|&(source, weight)| (at(source).unwrap_or(vertex), weight))
+            .collect()
     }
 }
 

@@ -35,6 +35,10 @@ pub struct Options {
     /// also see more alike, and share more of what is stored: half of the length costs twice
     /// the bytes.
     pub max_edge: f32,
+    /// Where the mesh is finer than this, as a fraction of the same diagonal, visibility and bounced light
+    /// are found at places so far apart, and interpolated at those between
+    /// ([`crate::visibility::sparse`]). 0: they are found everywhere.
+    pub sample_spacing: f32,
     /// Edges are cut further where interpolated visibility is off by more than this, radians
     /// ([`crate::mesh::refine::Bound::error`], at a length of 0.02 of the diagonal); infinite
     /// for nowhere. A scene file may set its own.
@@ -46,13 +50,15 @@ pub struct Options {
 }
 
 impl Options {
-    /// For looking at a scene soon: a quarter of the rays and a coarse budget.
+    /// For looking at a scene soon: coarse samples, far apart, a coarse budget.
     pub fn draft() -> Self {
         Self {
-            sample_resolution: 64,
+            sample_resolution: 32,
+            basis_resolution: 32,
             max_tiles: 2,
             aim: 0.02,
             max_edge: 0.08,
+            sample_spacing: 0.008,
             refine_error: f32::INFINITY,
             transfer: transfer::Options::draft(),
             ..Self::standard()
@@ -72,6 +78,7 @@ impl Options {
             max_bytes: None,
             global_rank: 24,
             max_edge: 0.02,
+            sample_spacing: 0.0,
             refine_error: f32::INFINITY,
             max_vertices: 1_000_000,
             transfer: transfer::Options::standard(),
@@ -131,6 +138,13 @@ impl Options {
                 "max_bytes",
                 "a rank: the global representation has no other choice".into(),
                 "a number of bytes".into(),
+            );
+        }
+        if !(0.0..1.0).contains(&self.sample_spacing) {
+            return wrong(
+                "sample_spacing",
+                "a fraction of the diagonal below 1".into(),
+                self.sample_spacing.to_string(),
             );
         }
         let positive = [

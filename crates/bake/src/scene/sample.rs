@@ -1,5 +1,6 @@
 //! Points of a scene -> what is seen from them.
 
+use std::sync::OnceLock;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
@@ -17,6 +18,7 @@ use crate::ssdf::{Sampled, Sampler};
 use crate::transfer::radiosity::Radiosity;
 use crate::visibility::contour::ContourMesh;
 use crate::visibility::places::{Divided, Places};
+use crate::visibility::sparse::{Spacing, Sparse};
 use crate::visibility::{self, Bitmap};
 
 /// Sine of the angle by which normal maps are taken to turn normals; texels that turn them
@@ -39,14 +41,65 @@ pub(super) struct Placed {
     places: Vec<u32>,
     /// The places of every triangle's corners.
     pub(super) triangles: Vec<[u32; 3]>,
+    /// Which of them are sampled, and at which light is gathered.
+    sparse: Sparse,
+    sparse_light: Sparse,
     ray_offset: f32,
 }
 
+/// How far from its vertex, in offsets, a place lies at most that has not been moved.
+const MOVED: f32 = 1.5;
+/// Least cosine between normals of places that stand for each other.
+const SMOOTH: f32 = 0.8;
+/// The same for bounced light, which varies less, and less with the normal; and how far apart it is
+/// gathered, in the spacing of samples.
+const LIGHT_SMOOTH: f32 = 0.6;
+const LIGHT_SPACING: f32 = 2.5;
+
 impl Placed {
-    /// Copies vertices that see different things from different sides.
-    pub(super) fn new(mesh: &mut Mesh, contours: &ContourMesh, ray_offset: f32) -> Self {
+    /// Copies vertices that see different things from different sides. `spacing` of samples is in metres, 0 for
+    /// all places.
+    pub(super) fn new(
+        mesh: &mut Mesh,
+        contours: &ContourMesh,
+        ray_offset: f32,
+        spacing: f32,
+    ) -> Self {
         let triangles = mesh.indices();
-        let places = Places::new(&mesh.positions(), &triangles, contours.caster(), ray_offset);
+        let positions = mesh.positions();
+        let places = Places::new(&positions, &triangles, contours.caster(), ray_offset);
+        let [sparse, sparse_light] = if spacing > 0.0 {
+            let mut moved = vec![false; places.origins.len()];
+            let corners = triangles.as_flattened().iter();
+            for (&vertex, &place) in corners.zip(places.corners.as_flattened()) {
+                let origin = places.origins[place as usize];
+                let away = origin.distance(positions[vertex as usize]);
+                moved[place as usize] |= away > MOVED * ray_offset;
+            }
+            let kinds = [(1.0, SMOOTH), (LIGHT_SPACING, LIGHT_SMOOTH)];
+            kinds.map(|(factor, smooth)| {
+                let spacing = Spacing {
+                    distance: factor * spacing,
+                    smooth,
+                };
+                Sparse::new(&places.origins, &places.corners, spacing, |place| {
+                    moved[place as usize]
+                })
+            })
+        } else {
+            [(); 2].map(|()| Sparse::all(places.origins.len()))
+        };
+        let n = |s: &Sparse| {
+            (0..places.origins.len() as u32)
+                .filter(|p| s.sources(*p) == [(*p, 1.0)])
+                .count()
+        };
+        eprintln!(
+            "sampled {} {} of {}",
+            n(&sparse),
+            n(&sparse_light),
+            places.origins.len()
+        );
         let divided = Divided::new(&triangles, mesh.vertices.len(), &places.corners);
         for (triangle, vertices) in mesh.triangles.iter_mut().zip(divided.triangles) {
             triangle.vertices = vertices;
@@ -58,6 +111,8 @@ impl Placed {
             origins: places.origins,
             places: divided.places,
             triangles: places.corners,
+            sparse,
+            sparse_light,
             ray_offset,
         }
     }
@@ -73,8 +128,13 @@ pub(super) struct Prepared<'a> {
     tilts: Vec<f32>,
     /// The place of every vertex of the mesh.
     pub(super) places: Vec<u32>,
+    /// Vertices of the mesh, by their places.
+    by_place: Vec<u32>,
     /// The places of every triangle's corners.
     pub(super) triangles: Vec<[u32; 3]>,
+    /// Which places are sampled, and at which light is gathered.
+    pub(super) sparse: Sparse,
+    pub(super) sparse_light: Sparse,
     /// Triangles that are sampled and compressed together.
     pub(super) chunks: Vec<Vec<u32>>,
     /// Where visibility is sampled, one point per place.
@@ -82,6 +142,9 @@ pub(super) struct Prepared<'a> {
     pub(super) contours: ContourMesh,
     /// Distance of samples from the surface, metres.
     pub(super) ray_offset: f32,
+    /// Where light is not gathered at every vertex, what is gathered at those that stand for others: irradiance, and
+    /// with radiance.
+    pub(super) gathered: [Vec<OnceLock<Vec<f32>>>; 2],
     /// Light after its bounces, if it is to bounce.
     pub(super) radiosity: Option<Radiosity>,
     /// Whether each material shows what is about it.
@@ -108,13 +171,24 @@ impl<'a> Prepared<'a> {
         };
         let mirrors = mesh.materials.iter().map(mirrors).collect();
         let tilts = mesh.materials.drain(..).map(tilt).collect();
+        let mut by_place: Vec<u32> = (0..placed.places.len() as u32).collect();
+        by_place.sort_by_key(|&vertex| placed.places[vertex as usize]);
+        let kept = if options.sample_spacing > 0.0 {
+            by_place.len()
+        } else {
+            0
+        };
         Self {
             options: options.clone(),
             monitor,
             tilts,
+            gathered: [(); 2].map(|()| (0..kept).map(|_| OnceLock::new()).collect()),
             origins: placed.origins,
             places: placed.places,
+            by_place,
             triangles: placed.triangles,
+            sparse: placed.sparse,
+            sparse_light: placed.sparse_light,
             ray_offset: placed.ray_offset,
             mesh,
             chunks,
@@ -149,6 +223,17 @@ impl<'a> Prepared<'a> {
         let texels = (self.options.basis_resolution as usize).pow(2);
         let chunk_bytes = CHUNK_VERTICES * texels * size_of::<f32>();
         (CHUNK_BUDGET_BYTES / chunk_bytes).clamp(1, rayon::current_num_threads())
+    }
+
+    /// Vertices of the mesh at a place.
+    pub(super) fn vertices_at(&self, place: u32) -> &[u32] {
+        let first = self
+            .by_place
+            .partition_point(|&vertex| self.places[vertex as usize] < place);
+        let end = self
+            .by_place
+            .partition_point(|&vertex| self.places[vertex as usize] <= place);
+        &self.by_place[first..end]
     }
 
     /// Vertices that some triangles use, ascending.
@@ -240,16 +325,28 @@ impl<'a> Prepared<'a> {
         self.tilts[usize::from(self.mesh.triangles[triangle as usize].material)]
     }
 
-    /// Clamped SSDFs at the basis resolution: one column per vertex.
-    pub(super) fn ssdfs(&self, vertices: &[u32]) -> Result<DMatrix<f32>, Interrupted> {
+    /// Clamped SSDFs at the basis resolution: one column per place, of which some are interpolated.
+    pub(super) fn ssdfs(&self, places: &[u32]) -> Result<DMatrix<f32>, Interrupted> {
         let texels = (self.options.basis_resolution as usize).pow(2);
-        let mut ssdfs = DMatrix::zeros(texels, vertices.len());
-        let columns = ssdfs.as_mut_slice().chunks_exact_mut(texels);
-        let origins = vertices.iter().map(|&vertex| self.origins[vertex as usize]);
+        let sources = self.sparse.sources_of(places.iter().copied());
+        let mut sampled = DMatrix::zeros(texels, sources.len());
+        let columns = sampled.as_mut_slice().chunks_exact_mut(texels);
+        let origins = sources.iter().map(|&place| self.origins[place as usize]);
         self.sample(origins.zip(columns).collect(), |column, sampled| {
             column.copy_from_slice(&sampled.distances);
             self.counters.sampled.fetch_add(1, Ordering::Relaxed);
         })?;
+        (self.counters.known).fetch_add(places.len() as u64, Ordering::Relaxed);
+        if sources == places {
+            return Ok(sampled);
+        }
+        let mut ssdfs = DMatrix::zeros(texels, places.len());
+        for (mut column, &place) in ssdfs.column_iter_mut().zip(places) {
+            for &(source, weight) in self.sparse.sources(place) {
+                let source = sources.partition_point(|&other| other < source);
+                column.axpy(weight, &sampled.column(source), 1.0);
+            }
+        }
         Ok(ssdfs)
     }
 
@@ -289,7 +386,7 @@ impl<'a> Prepared<'a> {
         if total == 0 {
             return self.monitor.step("budget", 0.0);
         }
-        let done = load(&self.counters.sampled) + load(&self.counters.compressed);
+        let done = load(&self.counters.known) + load(&self.counters.compressed);
         let fraction = done as f64 / total as f64;
         self.monitor
             .step("visibility and compression", fraction.min(0.999) as f32)

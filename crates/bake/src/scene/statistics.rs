@@ -10,7 +10,7 @@ pub struct Statistics {
     pub stages: Vec<(&'static str, Duration)>,
     /// Rays cast, without those that only verify.
     pub rays: u64,
-    /// Vertices sampled; more than the asset's where chunks share vertices.
+    /// Places sampled; those that chunks share count for each.
     pub sampled_vertices: u64,
     /// Points between vertices where interpolation was checked.
     pub probes: u64,
@@ -26,6 +26,8 @@ pub(super) struct Counters {
     /// Vertices to sample and compress.
     pub(super) total: AtomicU64,
     pub(super) sampled: AtomicU64,
+    /// Sampled or interpolated.
+    pub(super) known: AtomicU64,
     pub(super) probes: AtomicU64,
     pub(super) compressed: AtomicU64,
     pub(super) verified: AtomicU64,

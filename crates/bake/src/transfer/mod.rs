@@ -40,7 +40,7 @@ impl Options {
         Self {
             points: 2048,
             point_rays: 128,
-            vertex_rays: 64,
+            vertex_rays: 32,
             ..Self::standard()
         }
     }

@@ -4,6 +4,7 @@ mod arrange;
 pub mod contour;
 pub mod places;
 pub mod ray;
+pub mod sparse;
 
 use glam::Vec3;
 use relight_shading::octahedral;

@@ -1,0 +1,397 @@
+//! Which places are sampled where a mesh is finer than what is seen changes, and what stands for
+//! the others.
+//!
+//! Scans have vertices far closer together than visibility needs. Places are sampled so far apart that each of the
+//! others has some within a given way along the surface; those around it stand for it, weighted so that
+//! what changes linearly over the surface comes out right (moving least squares: Lancaster & Salkauskas 1981).
+//! On borders and creases, and where other surfaces touch, every place is sampled.
+
+use std::cmp::Ordering;
+use std::collections::{BinaryHeap, HashMap};
+
+use glam::{DMat3, DVec3, Vec3};
+
+/// How far what stands for a place may be away, in the spacing.
+const REACH: f32 = 1.7;
+/// How many stand for a place, at most.
+const MOST: usize = 8;
+/// Least weight of one of them: those around a place may lie to one side of it.
+const LEAST_WEIGHT: f64 = -0.15;
+
+/// For every place those that are sampled for it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Sparse {
+    /// Where each place's begin in `sources`; one more than there are places.
+    first: Vec<u32>,
+    sources: Vec<(u32, f32)>,
+}
+
+/// How far apart, and over what.
+#[derive(Clone, Copy, Debug)]
+pub struct Spacing {
+    /// Metres.
+    pub distance: f32,
+    /// Cosine between the normals of a place and of what stands for it, and between those of triangles that
+    /// make no crease, at least.
+    pub smooth: f32,
+}
+
+impl Sparse {
+    /// Every place is sampled.
+    pub fn all(places: usize) -> Self {
+        Self {
+            first: (0..=places as u32).collect(),
+            sources: (0..places as u32).map(|place| (place, 1.0)).collect(),
+        }
+    }
+
+    /// Sampled places are at most about `spacing`, in metres, apart. `triangles` have places for corners; `kept`
+    /// says which are sampled in any case.
+    pub fn new(
+        origins: &[Vec3],
+        triangles: &[[u32; 3]],
+        spacing: Spacing,
+        kept: impl Fn(u32) -> bool,
+    ) -> Self {
+        let surface = Surface::new(origins, triangles, spacing.smooth);
+        let mut reached: Vec<Vec<(f32, u32)>> = vec![Vec::new(); origins.len()];
+        let mut covered = vec![false; origins.len()];
+        let mut sampled = vec![false; origins.len()];
+        let mut walk = Walk::default();
+        let (first, others): (Vec<u32>, Vec<u32>) =
+            (0..origins.len() as u32).partition(|&place| surface.is_edge(place) || kept(place));
+        for (place, first) in (first.into_iter().map(|place| (place, true)))
+            .chain(others.into_iter().map(|place| (place, false)))
+        {
+            if covered[place as usize] && !first {
+                continue;
+            }
+            sampled[place as usize] = true;
+            walk.from(&surface, place, REACH * spacing.distance, |other, way| {
+                covered[other as usize] |= way <= spacing.distance;
+                reached[other as usize].push((way, place));
+            });
+        }
+        let mut sparse = Self {
+            first: vec![0],
+            sources: Vec::new(),
+        };
+        for (place, mut around) in (0u32..).zip(reached) {
+            if sampled[place as usize] {
+                sparse.sources.push((place, 1.0));
+            } else {
+                around.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+                around.truncate(MOST);
+                let normal = surface.normals[place as usize];
+                let reach = REACH * spacing.distance;
+                sparse
+                    .sources
+                    .extend(weights(origins, place, normal, &around, reach));
+            }
+            sparse.first.push(sparse.sources.len() as u32);
+        }
+        sparse
+    }
+
+    /// What stands for a place; itself where it is sampled. Weights add up to 1.
+    pub fn sources(&self, place: u32) -> &[(u32, f32)] {
+        let [first, end] = [0, 1].map(|next| self.first[place as usize + next] as usize);
+        &self.sources[first..end]
+    }
+
+    /// Those that stand for some places, ascending.
+    pub fn sources_of(&self, places: impl Iterator<Item = u32>) -> Vec<u32> {
+        let mut sources: Vec<u32> = places
+            .flat_map(|place| self.sources(place).iter().map(|(source, _)| *source))
+            .collect();
+        sources.sort_unstable();
+        sources.dedup();
+        sources
+    }
+}
+
+/// The weights of those `around` a place, with their ways from it.
+fn weights(
+    origins: &[Vec3],
+    place: u32,
+    normal: Vec3,
+    around: &[(f32, u32)],
+    reach: f32,
+) -> Vec<(u32, f32)> {
+    let centre = origins[place as usize];
+    let normal = normal.as_dvec3();
+    let basis = (normal.try_normalize()).unwrap_or(DVec3::Y);
+    let (x, y) = basis.any_orthonormal_pair();
+    let near = |way: f32| {
+        let way = f64::from(way / reach);
+        (1.0 - way).max(1e-3).powi(2) / (way * way + 1e-4)
+    };
+    let rows: Vec<(f64, DVec3)> = (around.iter())
+        .map(|&(way, source)| {
+            let away = (origins[source as usize] - centre).as_dvec3() / f64::from(reach);
+            (near(way), DVec3::new(1.0, away.dot(x), away.dot(y)))
+        })
+        .collect();
+    let mut normal_matrix = DMat3::ZERO;
+    for (weight, row) in &rows {
+        normal_matrix += DMat3::from_cols(*row * row.x, *row * row.y, *row * row.z) * *weight;
+    }
+    let total: f64 = rows.iter().map(|(weight, _)| weight).sum();
+    let mut found: Vec<f64> = rows.iter().map(|(weight, _)| weight / total).collect();
+    if normal_matrix.determinant() > 1e-6 * total.powi(3) {
+        let solution = normal_matrix.inverse() * DVec3::X;
+        let linear: Vec<f64> = (rows.iter())
+            .map(|(weight, row)| weight * row.dot(solution))
+            .collect();
+        if linear.iter().all(|weight| *weight >= LEAST_WEIGHT) {
+            found = linear;
+        }
+    }
+    let sum: f64 = found.iter().sum();
+    (around.iter().zip(found))
+        .map(|(&(_, source), weight)| (source, (weight / sum) as f32))
+        .collect()
+}
+
+/// Places with their neighbours.
+struct Surface<'a> {
+    origins: &'a [Vec3],
+    /// Unit length, or zero.
+    normals: Vec<Vec3>,
+    /// Where each place's begin in `neighbours`.
+    first: Vec<u32>,
+    neighbours: Vec<u32>,
+    /// On a border or a crease.
+    edges: Vec<bool>,
+    smooth: f32,
+}
+
+impl<'a> Surface<'a> {
+    fn new(origins: &'a [Vec3], triangles: &[[u32; 3]], smooth: f32) -> Self {
+        let count = origins.len();
+        let face = |triangle: &[u32; 3]| {
+            let [a, b, c] = triangle.map(|place| origins[place as usize]);
+            (b - a).cross(c - a)
+        };
+        let mut normals = vec![Vec3::ZERO; count];
+        let mut sides: HashMap<[u32; 2], u32> = HashMap::with_capacity(2 * count);
+        for triangle in triangles {
+            for k in 0..3 {
+                normals[triangle[k] as usize] += face(triangle);
+                let [a, b] = [triangle[k], triangle[(k + 1) % 3]];
+                *sides.entry([a.min(b), a.max(b)]).or_default() += 1;
+            }
+        }
+        for normal in &mut normals {
+            *normal = normal.normalize_or_zero();
+        }
+        let mut edges = vec![false; count];
+        for triangle in triangles {
+            let face = face(triangle).normalize_or_zero();
+            for &place in triangle {
+                edges[place as usize] |= normals[place as usize].dot(face) < smooth;
+            }
+        }
+        let mut sides: Vec<([u32; 2], u32)> = sides.into_iter().collect();
+        sides.sort_unstable();
+        let mut first = vec![0u32; count + 1];
+        for ([a, b], triangles) in &sides {
+            for place in [*a, *b] {
+                first[place as usize + 1] += 1;
+                edges[place as usize] |= *triangles != 2;
+            }
+        }
+        for place in 0..count {
+            first[place + 1] += first[place];
+        }
+        let mut next = first.clone();
+        let mut neighbours = vec![0; 2 * sides.len()];
+        for ([a, b], _) in &sides {
+            for [from, to] in [[*a, *b], [*b, *a]] {
+                let at = &mut next[from as usize];
+                neighbours[*at as usize] = to;
+                *at += 1;
+            }
+        }
+        Self {
+            origins,
+            normals,
+            first,
+            neighbours,
+            edges,
+            smooth,
+        }
+    }
+
+    fn is_edge(&self, place: u32) -> bool {
+        self.edges[place as usize]
+    }
+
+    fn neighbours(&self, place: u32) -> &[u32] {
+        let [first, end] = [0, 1].map(|next| self.first[place as usize + next] as usize);
+        &self.neighbours[first..end]
+    }
+}
+
+/// A place on the way, the nearest the greatest.
+#[derive(PartialEq)]
+struct Step {
+    way: f32,
+    place: u32,
+}
+
+impl Eq for Step {}
+
+impl Ord for Step {
+    fn cmp(&self, other: &Self) -> Ordering {
+        other
+            .way
+            .total_cmp(&self.way)
+            .then(other.place.cmp(&self.place))
+    }
+}
+
+impl PartialOrd for Step {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+/// Shortest ways along edges (Dijkstra 1959), and what they need.
+#[derive(Default)]
+struct Walk {
+    ahead: BinaryHeap<Step>,
+    ways: HashMap<u32, f32>,
+}
+
+impl Walk {
+    /// Visits the places within `reach` of one, over smooth surface alone, itself first.
+    fn from(&mut self, surface: &Surface, start: u32, reach: f32, mut visit: impl FnMut(u32, f32)) {
+        self.ways.clear();
+        self.ways.insert(start, 0.0);
+        self.ahead.push(Step {
+            way: 0.0,
+            place: start,
+        });
+        let normal = surface.normals[start as usize];
+        while let Some(Step { way, place }) = self.ahead.pop() {
+            if self.ways[&place] < way {
+                continue;
+            }
+            visit(place, way);
+            // Beyond a crease or a border the surface goes on as another.
+            if place != start && surface.is_edge(place) {
+                continue;
+            }
+            for &next in surface.neighbours(place) {
+                let [from, to] = [place, next].map(|place| surface.origins[place as usize]);
+                let way = way + from.distance(to);
+                let known = self.ways.get(&next).copied().unwrap_or(f32::INFINITY);
+                if way < reach.min(known)
+                    && surface.normals[next as usize].dot(normal) >= surface.smooth
+                {
+                    self.ways.insert(next, way);
+                    self.ahead.push(Step { way, place: next });
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn spacing(distance: f32) -> Spacing {
+        Spacing {
+            distance,
+            smooth: 0.9,
+        }
+    }
+
+    /// A square of n² cells of side 1, lifted.
+    fn grid(n: u32, height: impl Fn(f32, f32) -> f32) -> (Vec<Vec3>, Vec<[u32; 3]>) {
+        let origins = (0..(n + 1) * (n + 1))
+            .map(|i| [i % (n + 1), i / (n + 1)].map(|x| x as f32))
+            .map(|[x, z]| Vec3::new(x, height(x, z), z))
+            .collect();
+        let triangles = (0..n * n)
+            .flat_map(|i| {
+                let a = i / n * (n + 1) + i % n;
+                [[a, a + n + 1, a + 1], [a + 1, a + n + 1, a + n + 2]]
+            })
+            .collect();
+        (origins, triangles)
+    }
+
+    fn sampled(sparse: &Sparse, places: u32) -> Vec<u32> {
+        (0..places)
+            .filter(|&place| sparse.sources(place) == [(place, 1.0)])
+            .collect()
+    }
+
+    #[test]
+    fn few_stand_for_a_fine_plane_and_linear_functions_come_out() {
+        let n = 60;
+        let (origins, triangles) = grid(n, |_, _| 0.0);
+        let sparse = Sparse::new(&origins, &triangles, spacing(4.0), |_| false);
+        let count = origins.len() as u32;
+        let sampled = sampled(&sparse, count);
+        let border = 4 * n as usize;
+        assert!(sampled.len() < border + 500, "{}", sampled.len());
+        let linear = |place: u32| 0.3 * origins[place as usize].x - origins[place as usize].z;
+        let (mut worst, mut right) = (0f32, 0);
+        for place in 0..count {
+            let sources = sparse.sources(place);
+            let sum: f32 = sources.iter().map(|(_, weight)| weight).sum();
+            assert!((sum - 1.0).abs() < 1e-4);
+            let found: f32 = (sources.iter())
+                .map(|&(source, weight)| weight * linear(source))
+                .sum();
+            let off = (found - linear(place)).abs();
+            right += usize::from(off < 1e-3);
+            worst = worst.max(off);
+            for &(source, _) in sources {
+                assert!(sampled.binary_search(&source).is_ok());
+                let apart = origins[source as usize].distance(origins[place as usize]);
+                assert!(apart <= 4.0 * REACH);
+            }
+        }
+        assert!(right as f32 > 0.9 * count as f32, "{right} of {count}");
+        // No worse than what the nearest alone would be.
+        assert!(worst < 1.05 * 4.0, "{worst}");
+    }
+
+    #[test]
+    fn creases_are_sampled_and_not_crossed() {
+        let (origins, triangles) = grid(20, |x, _| (x - 10.0).abs());
+        let sparse = Sparse::new(&origins, &triangles, spacing(5.0), |place| place == 30);
+        let count = origins.len() as u32;
+        let sampled = sampled(&sparse, count);
+        assert!(sampled.len() < 220, "{}", sampled.len());
+        for place in 0..count {
+            let at = origins[place as usize];
+            if at.x == 10.0 || place == 30 {
+                assert!(sampled.contains(&place));
+            }
+            for &(source, _) in sparse.sources(place) {
+                let other = origins[source as usize];
+                assert!((at.x - 10.0) * (other.x - 10.0) >= 0.0, "{at} {other}");
+            }
+        }
+    }
+
+    #[test]
+    fn coarse_meshes_are_sampled_everywhere() {
+        let (origins, triangles) = grid(10, |_, _| 0.0);
+        let count = origins.len();
+        assert_eq!(
+            Sparse::new(&origins, &triangles, spacing(0.5), |_| false),
+            Sparse::all(count)
+        );
+        assert_eq!(
+            Sparse::new(&[], &[], spacing(1.0), |_| false),
+            Sparse::all(0)
+        );
+    }
+}

@@ -1,7 +1,7 @@
 //! Points of a scene -> what is seen from them.
 
 use std::sync::OnceLock;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
 
 use glam::Vec3;
@@ -69,37 +69,10 @@ impl Placed {
         let positions = mesh.positions();
         let places = Places::new(&positions, &triangles, contours.caster(), ray_offset);
         let [sparse, sparse_light] = if spacing > 0.0 {
-            let mut moved = vec![false; places.origins.len()];
-            let corners = triangles.as_flattened().iter();
-            for (&vertex, &place) in corners.zip(places.corners.as_flattened()) {
-                let origin = places.origins[place as usize];
-                let away = origin.distance(positions[vertex as usize]);
-                moved[place as usize] |= away > MOVED * ray_offset;
-            }
-            let kinds = [(1.0, SMOOTH), (LIGHT_SPACING, LIGHT_SMOOTH)];
-            kinds.map(|(factor, smooth)| {
-                let spacing = Spacing {
-                    distance: factor * spacing,
-                    smooth,
-                };
-                Sparse::new(&places.origins, &places.corners, spacing, |place| {
-                    moved[place as usize]
-                })
-            })
+            spread(&positions, &triangles, &places, ray_offset, spacing)
         } else {
             [(); 2].map(|()| Sparse::all(places.origins.len()))
         };
-        let n = |s: &Sparse| {
-            (0..places.origins.len() as u32)
-                .filter(|p| s.sources(*p) == [(*p, 1.0)])
-                .count()
-        };
-        eprintln!(
-            "sampled {} {} of {}",
-            n(&sparse),
-            n(&sparse_light),
-            places.origins.len()
-        );
         let divided = Divided::new(&triangles, mesh.vertices.len(), &places.corners);
         for (triangle, vertices) in mesh.triangles.iter_mut().zip(divided.triangles) {
             triangle.vertices = vertices;
@@ -116,6 +89,33 @@ impl Placed {
             ray_offset,
         }
     }
+}
+
+/// Which places are sampled so far apart, and at which light is gathered: those moved off other surfaces in any
+/// case.
+fn spread(
+    positions: &[Vec3],
+    triangles: &[[u32; 3]],
+    places: &Places,
+    ray_offset: f32,
+    spacing: f32,
+) -> [Sparse; 2] {
+    let mut moved = vec![false; places.origins.len()];
+    let corners = triangles.as_flattened().iter();
+    for (&vertex, &place) in corners.zip(places.corners.as_flattened()) {
+        let origin = places.origins[place as usize];
+        let away = origin.distance(positions[vertex as usize]);
+        moved[place as usize] |= away > MOVED * ray_offset;
+    }
+    let kinds = [(1.0, SMOOTH), (LIGHT_SPACING, LIGHT_SMOOTH)];
+    kinds.map(|(factor, smooth)| {
+        let spacing = Spacing {
+            distance: factor * spacing,
+            smooth,
+        };
+        let kept = |place: u32| moved[place as usize];
+        Sparse::new(&places.origins, &places.corners, spacing, kept)
+    })
 }
 
 /// A refined scene with all that sampling and compressing parts of it needs, in any order.
@@ -332,11 +332,16 @@ impl<'a> Prepared<'a> {
         let mut sampled = DMatrix::zeros(texels, sources.len());
         let columns = sampled.as_mut_slice().chunks_exact_mut(texels);
         let origins = sources.iter().map(|&place| self.origins[place as usize]);
+        let done = AtomicUsize::new(0);
         self.sample(origins.zip(columns).collect(), |column, sampled| {
             column.copy_from_slice(&sampled.distances);
             self.counters.sampled.fetch_add(1, Ordering::Relaxed);
+            // Those that it stands for are known with it, for the progress.
+            let done = done.fetch_add(1, Ordering::Relaxed);
+            let known =
+                (done + 1) * places.len() / sources.len() - done * places.len() / sources.len();
+            (self.counters.known).fetch_add(known as u64, Ordering::Relaxed);
         })?;
-        (self.counters.known).fetch_add(places.len() as u64, Ordering::Relaxed);
         if sources == places {
             return Ok(sampled);
         }

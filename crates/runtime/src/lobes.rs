@@ -3,7 +3,6 @@
 
 use std::sync::OnceLock;
 
-use relight_shading::shade::Method;
 use relight_shading::slots;
 use relight_shading::wgsl::{AROUND, IMAGES, INTEGRALS, Kernel, PRODUCTS, REFLECTIONS, SHADE};
 
@@ -39,7 +38,7 @@ pub(crate) struct LobePasses {
     images: [wgpu::BindGroupLayout; 2],
     reflections: [OnceLock<wgpu::ComputePipeline>; 2],
     products: [OnceLock<wgpu::ComputePipeline>; 2],
-    integrals: [OnceLock<wgpu::ComputePipeline>; 4],
+    integrals: [OnceLock<wgpu::ComputePipeline>; 2],
     around: [OnceLock<wgpu::ComputePipeline>; 3],
     image: OnceLock<wgpu::ComputePipeline>,
     shade: OnceLock<wgpu::ComputePipeline>,
@@ -62,7 +61,6 @@ pub(crate) struct Work {
     pub(crate) reflections: u32,
     pub(crate) distant_lights: usize,
     pub(crate) local_lights: usize,
-    pub(crate) ambient: bool,
     /// Whether a prefiltered image stands for the distant lights.
     pub(crate) image: bool,
     /// Whether light bounces.
@@ -75,7 +73,6 @@ impl Work {
             reflections: scene.reflections(),
             distant_lights: frame.lights.len(),
             local_lights: frame.local_lights.len(),
-            ambient: matches!(frame.method, Method::Ambient),
             image: frame.reflections.is_some(),
             bounced: scene.is_bounced(),
         }
@@ -215,10 +212,9 @@ impl LobePasses {
                     [work.distant_lights + work.local_lights, 0]
                 };
                 for (of_image, lights) in [lights, of_image].into_iter().enumerate() {
-                    let integral = 2 * of_image + usize::from(work.ambient);
                     for _ in 0..slots::rounds(lights) {
                         run(&self.products[of_image], &PRODUCTS[of_image], (0, 1));
-                        run(&self.integrals[integral], &INTEGRALS[integral], (1, 1));
+                        run(&self.integrals[of_image], &INTEGRALS[of_image], (1, 1));
                     }
                 }
                 if work.image {

@@ -142,7 +142,9 @@ impl Resources {
             self.bands.extend(bands(extras).map(begin));
         }
         let mut uniforms = Vec::with_capacity(self.bands.len() * UNIFORM_STRIDE);
+        let first_extra = numbered.extras.map_or(u32::MAX, |extras| extras.row);
         for (_, band) in &self.bands {
+            uniform.pixels_apart = u32::from(band.row >= first_extra);
             uniforms.extend_from_slice(bytemuck::bytes_of(&band.uniform(&uniform)));
             uniforms.resize(uniforms.len().next_multiple_of(UNIFORM_STRIDE), 0);
         }

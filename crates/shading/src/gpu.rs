@@ -9,7 +9,7 @@ use relight_format::{
 
 use crate::camera::View;
 use crate::ssdf::Basis;
-use crate::surface::{LayerParameters, Model, visit_layers};
+use crate::surface::{LayerParameters, Model, has_diffuse, visit_layers};
 use crate::textures::{self, PackedTexture, PageLayout};
 use crate::transfer::PackedTransfer;
 
@@ -93,8 +93,8 @@ pub struct Frame {
     pub vertex_stamp: u32,
     /// 1 where pixels' squares are lit by sources, and not their centres.
     pub source_squares: u32,
-    /// Zero.
-    pub reserved: u32,
+    /// 1 where pixels of a dispatch that lie side by side do not so in the picture.
+    pub pixels_apart: u32,
 }
 
 /// Most local lights of a frame.
@@ -581,6 +581,7 @@ pub fn pack_material(material: &relight_format::Material, textures: &[PackedText
         texture.map_or(0, |texture| texture.place + 1)
     };
     let mut packed = Material {
+        has_diffuse: u32::from(has_diffuse(material)),
         textured: u32::from(material.slots().next().is_some()),
         normal_scale: material.normal_scale,
         base_color_texture: slot(material.base_color_texture.as_ref()),
@@ -603,9 +604,6 @@ pub fn pack_material(material: &relight_format::Material, textures: &[PackedText
             return Material {
                 color: base_color,
                 surface: SURFACE_METALLIC_ROUGHNESS,
-                has_diffuse: u32::from(
-                    metallic < 1.0 || packed.metallic_roughness_texture.width > 0,
-                ),
                 metallic,
                 roughness,
                 anisotropy_strength,
@@ -617,7 +615,6 @@ pub fn pack_material(material: &relight_format::Material, textures: &[PackedText
         Surface::Layers { .. } => packed.surface = SURFACE_LAYERS,
     }
     visit_layers(material, |layer: LayerParameters| {
-        packed.has_diffuse |= u32::from(layer.diffuse != glam::Vec3::ZERO);
         packed.layers[packed.layer_count as usize] = Layer {
             diffuse: layer.diffuse.into(),
             join: layer.join as u32,
@@ -689,7 +686,7 @@ impl Frame {
             instance: 0,
             vertex_stamp: 0,
             source_squares: 0,
-            reserved: 0,
+            pixels_apart: 0,
         }
     }
 }
@@ -909,7 +906,7 @@ mod tests {
                 instance,
                 vertex_stamp,
                 source_squares,
-                reserved,
+                pixels_apart,
             }
         );
         check_layout!(

@@ -82,14 +82,33 @@ pub fn integrate(
     options: &PolarOptions,
 ) -> f32 {
     let cosine = normal.dot(axis);
-    let radius = support_radius(sharpness);
-    if cosine <= -math::sin(radius.min(0.5 * PI)) {
+    if !meets_horizon(sharpness, cosine) {
         return 0.0;
     }
-    let unoccluded = Tables::get().cosine_integral(sharpness, cosine);
     let distance = field.distance(axis);
+    let fraction = visible_fraction(field, sharpness, axis, normal, distance, options);
+    Tables::get().cosine_integral(sharpness, cosine) * fraction
+}
+
+/// Whether a lobe whose axis has this cosine with the normal reaches above the horizon.
+pub(crate) fn meets_horizon(sharpness: f32, cosine: f32) -> bool {
+    cosine > -math::sin(support_radius(sharpness).min(0.5 * PI))
+}
+
+/// The visible fraction of a lobe that [`meets_horizon`], `distance` being that of its axis: the share of the
+/// integral that spokes yield.
+pub(crate) fn visible_fraction(
+    field: &impl SignedDistance,
+    sharpness: f32,
+    axis: Vec3,
+    normal: Vec3,
+    distance: f32,
+    options: &PolarOptions,
+) -> f32 {
+    let cosine = normal.dot(axis);
+    let radius = support_radius(sharpness);
     if distance >= radius {
-        return unoccluded;
+        return 1.0;
     }
     if distance <= -radius {
         return 0.0;
@@ -162,7 +181,7 @@ pub fn integrate(
         whole += last - first;
     }
     if whole > 0.0 {
-        unoccluded * (visible / whole).clamp(0.0, 1.0)
+        (visible / whole).clamp(0.0, 1.0)
     } else {
         0.0
     }

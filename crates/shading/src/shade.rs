@@ -16,7 +16,7 @@ use crate::ssdf::SignedDistance;
 use crate::surface::SurfacePoint;
 use crate::tables::Tables;
 use crate::vertex_visibility::{self, Corners, LightFractions};
-use crate::{ambient, cells, polar, slots, sources};
+use crate::{ambient, cells, polar, slots, sources, tile};
 
 /// A product lobe whose whole energy is below this fraction of the radiance gathered so
 /// far, in every channel, is not integrated.
@@ -76,12 +76,25 @@ impl Lighting<'_> {
     }
 
     /// Their first.
-    fn first_reflected(&self) -> usize {
+    pub(crate) fn first_reflected(&self) -> usize {
         self.reflections.map_or(0, |_| self.lights.len())
     }
 
+    /// Number of lights.
+    pub(crate) fn count(&self) -> usize {
+        self.lights.len() + self.local.len()
+    }
+
+    /// Light `index`, as it reaches `point`.
+    pub(crate) fn light(&self, index: usize, point: Vec3) -> SphericalGaussian {
+        match self.lights.get(index) {
+            Some(light) => *light,
+            None => self.local[index - self.lights.len()].lobe(point),
+        }
+    }
+
     /// Visible fractions of light `index` at the corners about `point`.
-    fn fractions(&self, index: usize, point: &SurfacePoint) -> LightFractions {
+    pub(crate) fn fractions(&self, index: usize, point: &SurfacePoint) -> LightFractions {
         let holds = point.vertex_cosine >= vertex_visibility::LEAST_COSINE;
         let corners = self.corners.filter(|_| holds && index < self.lights.len());
         corners.map_or(LightFractions::NONE, |corners| corners.of(index))
@@ -128,145 +141,70 @@ pub fn shade(
     field: &impl SignedDistance,
     method: &Method,
 ) -> Vec3 {
-    shade_counting(point, lighting, field, method, &mut 0)
+    let pixel = tile::Pixel {
+        point,
+        lighting: *lighting,
+        field,
+        surface: [0; 2],
+        has_diffuse: point.appearance.diffuse != Vec3::ZERO,
+    };
+    tile::shade(&[Some(pixel)], method, &mut 0)[0]
 }
 
-/// The same; adds the number of lobes or groups of lobes that were integrated.
-pub fn shade_counting(
+/// The same by cells; adds the number of groups of lobes that were integrated.
+pub(crate) fn by_cells(
     point: &SurfacePoint,
     lighting: &Lighting,
     field: &impl SignedDistance,
-    method: &Method,
+    options: &CellsOptions,
     integrals: &mut u64,
 ) -> Vec3 {
+    let lit = point.normal.dot(point.view) > 0.0;
     let mut radiance = Vec3::ZERO;
-    // First, so that lobes that add nothing to it are left out.
-    if let Some(sources) = &lighting.sources
-        && point.normal.dot(point.view) > 0.0
-    {
+    if let Some(sources) = lighting.sources.as_ref().filter(|_| lit) {
         radiance = sources.radiance(point, &mut 0);
     }
-    if let Method::Cells(options) = method {
-        cell_groups(point, lighting, |about, lobes| {
-            *integrals += 1;
-            radiance += cells::integrate(field, about, point.normal, lobes, options);
-        });
-    } else if point.normal.dot(point.view) > 0.0 {
-        let diffuse = point.appearance.diffuse * FRAC_1_PI;
-        if diffuse != Vec3::ZERO {
-            radiance += diffuse * irradiance(point, lighting, field, *method, integrals);
-        }
-        for reflection in point.appearance.reflections() {
-            let glossy = Glossy::new(point, reflection);
-            let lights = lighting.reflected_at(point.position);
-            let lights = lights.zip(lighting.first_reflected()..);
-            radiance = in_rounds(&glossy, lights, radiance, |(light, index), lobe, sum| {
-                let whole = lobe.integral();
-                if negligible(whole, sum) {
-                    return sum;
-                }
-                let fractions = lighting.fractions(index, point);
-                let visible = || {
-                    *integrals += 1;
-                    visible(lobe, share(whole, sum), point.normal, field, *method)
-                };
-                sum + lobe.amplitude * about(&fractions, light, lobe, point.normal, visible)
-            });
-        }
-    }
-    if let Some(reflections) = &lighting.reflections
-        && point.normal.dot(point.view) > 0.0
-    {
+    cell_groups(point, lighting, |about, lobes| {
+        *integrals += 1;
+        radiance += cells::integrate(field, about, point.normal, lobes, options);
+    });
+    if let Some(reflections) = lighting.reflections.as_ref().filter(|_| lit) {
         radiance += diffused(point, reflections, field, integrals);
         for reflection in point.appearance.reflections() {
-            let mut visible = |lobe: &SphericalGaussian, share| {
-                *integrals += 1;
-                visible(lobe, share, point.normal, field, *method)
-            };
             let glossy = Glossy::new(point, reflection);
-            radiance += reflected(&glossy, point, lighting, reflections, &mut visible);
+            let visible = |lobe: &SphericalGaussian| {
+                *integrals += 1;
+                let about = (lobe.axis, polar::support_radius(lobe.sharpness));
+                let lobe = SphericalGaussian {
+                    amplitude: Vec3::ONE,
+                    ..*lobe
+                };
+                cells::integrate(field, about, point.normal, &[lobe], options).x
+            };
+            radiance += reflected(&glossy, point, lighting, reflections, visible);
         }
     }
     radiance.max(Vec3::ZERO)
 }
 
-/// Lights and the lobes that a reflection makes of them, one after the other to `integrate`, which is
-/// given what it returned last, at first `gathered`, and returns it with what the lobe adds. In rounds:
-/// lobes are made of the lights until [`slots::WAITING`] of them wait, of those that can add to what
-/// was gathered before.
+/// The lobes that a reflection makes of lights, one after the other to `integrate`, which is given what
+/// it returned last and returns it with what the lobe adds. In rounds: lobes are made of the lights until
+/// [`slots::WAITING`] of them wait, of those that can add to what was gathered before.
 fn in_rounds(
     glossy: &Glossy,
-    lights: impl Iterator<Item = (SphericalGaussian, usize)>,
-    mut gathered: Vec3,
-    mut integrate: impl FnMut((&SphericalGaussian, usize), &SphericalGaussian, Vec3) -> Vec3,
+    lights: &[SphericalGaussian],
+    mut integrate: impl FnMut(&SphericalGaussian, Vec3) -> Vec3,
 ) -> Vec3 {
-    let mut finish = |waiting: &mut Vec<((SphericalGaussian, usize), SphericalGaussian)>, start| {
-        waiting
-            .drain(..)
-            .fold(start, |sum, ((light, index), lobe)| {
-                integrate((&light, index), &lobe, sum)
-            })
-    };
+    let mut gathered = Vec3::ZERO;
     let mut waiting = Vec::with_capacity(slots::WAITING as usize);
-    for (light, index) in lights {
-        let lobe = glossy.reflected(&light, gathered);
-        let Some(lobe) = lobe.filter(|lobe| !negligible(lobe.integral(), gathered)) else {
-            continue;
-        };
-        waiting.push(((light, index), lobe));
+    for light in lights {
+        let lobe = glossy.reflected(light, gathered);
+        waiting.extend(lobe.filter(|lobe| !negligible(lobe.integral(), gathered)));
         if waiting.len() == slots::WAITING as usize {
-            gathered = finish(&mut waiting, gathered);
+            gathered = (waiting.drain(..)).fold(gathered, |sum, lobe| integrate(&lobe, sum));
         }
     }
-    finish(&mut waiting, gathered)
-}
-
-/// Irradiance by all lights, where the corners of the triangle agree on it interpolated from them.
-fn irradiance(
-    point: &SurfacePoint,
-    lighting: &Lighting,
-    field: &impl SignedDistance,
-    method: Method,
-    integrals: &mut u64,
-) -> Vec3 {
-    let mut sum = Vec3::ZERO;
-    for (index, light) in lighting.at(point.position).enumerate() {
-        let whole = light.integral();
-        if negligible(whole, sum) {
-            continue;
-        }
-        let share = share(whole, sum);
-        let fractions = lighting.fractions(index, point);
-        let doubt = fractions.doubt(share);
-        let mut seen = 0.0;
-        if doubt < 1.0 {
-            let cosine = point.normal.dot(light.axis);
-            seen = fractions.mean() * Tables::get().cosine_integral(light.sharpness, cosine);
-        }
-        if doubt > 0.0 {
-            *integrals += 1;
-            let found = visible(&light, share, point.normal, field, method);
-            seen = seen * (1.0 - doubt) + found * doubt;
-        }
-        sum += light.amplitude * seen;
-    }
-    sum
-}
-
-/// What is visible of a lobe that is about a light.
-fn about(
-    fractions: &LightFractions,
-    light: &SphericalGaussian,
-    lobe: &SphericalGaussian,
-    normal: Vec3,
-    visible: impl FnOnce() -> f32,
-) -> f32 {
-    match fractions.whole(light, lobe) {
-        Some(fraction) => {
-            fraction * Tables::get().cosine_integral(lobe.sharpness, normal.dot(lobe.axis))
-        }
-        None => visible(),
-    }
+    (waiting.drain(..)).fold(gathered, |sum, lobe| integrate(&lobe, sum))
 }
 
 /// Calls `visit` with lobes that share cells, the cells' pole and how far they reach: about the
@@ -342,7 +280,7 @@ const RING_SHARPNESS: f32 = 4.0;
 
 /// What a Lambertian surface reflects of the image beyond the lights: a small part, for which a
 /// handful of wide lobes and a sample of visibility for each will do.
-fn diffused(
+pub(crate) fn diffused(
     point: &SurfacePoint,
     reflections: &Reflections,
     field: &impl SignedDistance,
@@ -371,52 +309,60 @@ fn diffused(
     diffuse * seen * (PI / whole)
 }
 
-/// What a specular reflection shows of the environment, in the places where the lights are
-/// visible. Unshadowed, it is what the model reflects of the lights, plus what its lobes reflect
-/// of the image beyond them.
+/// What a specular reflection shows of the environment, by cells.
 fn reflected(
     glossy: &Glossy,
     point: &SurfacePoint,
     lighting: &Lighting,
     reflections: &Reflections,
-    visible: &mut impl FnMut(&SphericalGaussian, f32) -> f32,
+    mut visible: impl FnMut(&SphericalGaussian) -> f32,
 ) -> Vec3 {
     let normal = point.normal;
-    let mut image = Vec3::ZERO;
-    for (lobe, part) in glossy.whites() {
-        let axis = reflections.rotation * lobe.axis;
-        image += part * reflections.image.radiance(axis, lobe.sharpness);
-    }
     let mut seen = Vec3::ZERO;
-    let lights = lighting.lights.iter().copied().zip(0..);
-    let scaled = in_rounds(glossy, lights, Vec3::ZERO, |(light, index), lobe, sum| {
+    let scaled = in_rounds(glossy, lighting.lights, |lobe, sum| {
         let cosine = normal.dot(lobe.axis);
         let whole = lobe.amplitude * Tables::get().cosine_integral(lobe.sharpness, cosine);
         if negligible(whole, sum) {
             return sum;
         }
-        let fractions = lighting.fractions(index, point);
-        let visible = || visible(lobe, share(whole, sum));
-        seen += lobe.amplitude * about(&fractions, light, lobe, normal, visible);
+        seen += lobe.amplitude * visible(lobe);
         sum + whole
     });
-    // Lobes that are not quite the model may miss more than there is.
-    let unshadowed = (image + scaled).max(LEAST_OF_LIGHTS * scaled);
-    // The part of a light from everywhere that is visible: where the lights are dark, it alone
-    // tells.
-    let even = SphericalGaussian {
-        axis: normal,
-        sharpness: 0.0,
-        amplitude: Vec3::ONE,
-    };
-    let Some(even) = glossy.reflected(&even, Vec3::ZERO) else {
+    let Some(even) = glossy.reflected(&EVENLY, Vec3::ZERO) else {
         return Vec3::ZERO;
     };
     let cosine = normal.dot(even.axis);
     let whole = Tables::get().cosine_integral(even.sharpness, cosine);
-    let part = visible(&even, EVEN) / whole.max(f32::MIN_POSITIVE);
+    let part = visible(&even) / whole.max(f32::MIN_POSITIVE);
+    image_seen(image_reflected(glossy, reflections), scaled, seen, part)
+}
+
+/// Light from everywhere. Where lights are dark, what is visible of it alone tells.
+pub(crate) const EVENLY: SphericalGaussian = SphericalGaussian {
+    axis: Vec3::Z,
+    sharpness: 0.0,
+    amplitude: Vec3::ONE,
+};
+
+/// What a reflection's lobes show of the image, nothing in their way.
+pub(crate) fn image_reflected(glossy: &Glossy, reflections: &Reflections) -> Vec3 {
+    let mut image = Vec3::ZERO;
+    for (lobe, part) in glossy.whites() {
+        let axis = reflections.rotation * lobe.axis;
+        image += part * reflections.image.radiance(axis, lobe.sharpness);
+    }
+    image
+}
+
+/// What a specular reflection shows of the environment, in the places where the lights are
+/// visible: of `image` and of `scaled` lights, `visible` of which are, and `part` of a light from
+/// everywhere. Unshadowed, it is what the model reflects of the lights, plus what its lobes reflect
+/// of the image beyond them.
+pub(crate) fn image_seen(image: Vec3, scaled: Vec3, visible: Vec3, part: f32) -> Vec3 {
+    // Lobes that are not quite the model may miss more than there is.
+    let unshadowed = (image + scaled).max(LEAST_OF_LIGHTS * scaled);
     let even = EVEN * unshadowed.max(scaled);
-    unshadowed * (seen + even * part) / (scaled + even).max(Vec3::splat(f32::MIN_POSITIVE))
+    unshadowed * (visible + even * part) / (scaled + even).max(Vec3::splat(f32::MIN_POSITIVE))
 }
 
 /// Whether a lobe of the integral `whole` adds nothing to what has been gathered before.
@@ -428,31 +374,6 @@ pub(crate) fn negligible(whole: Vec3, gathered: Vec3) -> bool {
 /// channel where that is most.
 pub(crate) fn share(whole: Vec3, gathered: Vec3) -> f32 {
     (whole / gathered.max(Vec3::splat(DARK))).max_element()
-}
-
-/// ∫ exp(λ(p·ω − 1)) max(n·ω, 0) V(ω) dω, more closely for a larger `share`.
-fn visible(
-    lobe: &SphericalGaussian,
-    share: f32,
-    normal: Vec3,
-    field: &impl SignedDistance,
-    method: Method,
-) -> f32 {
-    match method {
-        Method::Ambient => ambient::integrate(field, lobe.sharpness, lobe.axis, normal),
-        Method::Polar(options) => {
-            let options = options.for_share(share);
-            polar::integrate(field, lobe.sharpness, lobe.axis, normal, &options)
-        }
-        Method::Cells(options) => {
-            let about = (lobe.axis, polar::support_radius(lobe.sharpness));
-            let lobe = SphericalGaussian {
-                amplitude: Vec3::ONE,
-                ..*lobe
-            };
-            cells::integrate(field, about, normal, &[lobe], &options).x
-        }
-    }
 }
 
 /// Light from everywhere, as a part of what a lobe reflects, that takes part in saying how
@@ -550,6 +471,24 @@ mod tests {
             }
         }
         points
+    }
+
+    /// ∫ exp(λ(p·ω − 1)) max(n·ω, 0) V(ω) dω, more closely for a larger `share`.
+    fn visible(
+        lobe: &SphericalGaussian,
+        share: f32,
+        normal: Vec3,
+        field: &impl SignedDistance,
+        method: Method,
+    ) -> f32 {
+        match method {
+            Method::Ambient => ambient::integrate(field, lobe.sharpness, lobe.axis, normal),
+            Method::Polar(options) => {
+                let options = options.for_share(share);
+                polar::integrate(field, lobe.sharpness, lobe.axis, normal, &options)
+            }
+            Method::Cells(_) => unreachable!("cells take lobes by the group"),
+        }
     }
 
     fn relative_rmse(pairs: &[(Vec3, Vec3)]) -> f32 {

@@ -4,9 +4,11 @@
 //! reflection's lobes, one makes a single lobe of every light and a reflection, one integrates
 //! lobes over what is visible. An invocation has a slot in two buffers for what it hands on.
 
-/// Lobes of a pixel that wait to be integrated, at most: lights are taken in rounds, and what is
-/// gathered in a round is known in the next.
+/// Lights of a round, and lobes of a pixel that wait to be integrated, at most: what is gathered in a round
+/// is known in the next. All pixels take the same lights in the same round.
 pub const WAITING: u32 = 6;
+/// In place of the next light where none is left: as many as 22 bits tell apart.
+const DONE: u32 = 0x3f_ffff;
 /// Bytes of a field.
 const FIELD_BYTES: u32 = 16;
 /// Fields of a slot in either buffer.
@@ -47,7 +49,7 @@ pub fn wgsl_constants() -> String {
         ("FIELDS", FIELDS),
         ("WAITING", WAITING),
         // No light is left.
-        ("DONE", 0xff_ffff),
+        ("DONE", DONE),
     ];
     let integers = integers.map(|(name, value)| format!("const SLOTS_{name}: u32 = {value}u;\n"));
     integers.concat() + "const SLOTS_UNKNOWN: f32 = -1.0;\n"
@@ -60,8 +62,8 @@ mod tests {
 
     #[test]
     fn slots_have_room_for_what_waits() {
-        // Four bits of a word count it.
-        const { assert!(WAITING < 16) };
+        // Six bits of a word tell which do.
+        const { assert!(WAITING <= 6) };
         let lobes = MAX_SPECULAR_LOBES as u32;
         assert!(GREYS + lobes.div_ceil(4) <= LOBES && LOBES + lobes <= FIELDS);
         const { assert!(FIRST + 2 * WAITING <= FIELDS) };

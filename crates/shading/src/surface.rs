@@ -192,6 +192,16 @@ pub struct LayerParameters<'a> {
     pub weight_texture: Option<&'a TextureSlot>,
 }
 
+/// Whether a material has a Lambertian base anywhere, whatever its textures say.
+pub fn has_diffuse(material: &Material) -> bool {
+    if let Surface::MetallicRoughness { metallic, .. } = material.surface {
+        return metallic < 1.0 || material.metallic_roughness_texture.is_some();
+    }
+    let mut found = false;
+    visit_layers(material, |layer| found |= layer.diffuse != Vec3::ZERO);
+    found
+}
+
 /// Visits the reflections of a material from the bottom up, at most [`MAX_REFLECTIONS`];
 /// none of a metallic-roughness surface.
 pub fn visit_layers<'a>(material: &'a Material, mut visit: impl FnMut(LayerParameters<'a>)) {

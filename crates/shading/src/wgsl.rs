@@ -4,9 +4,9 @@ use std::fmt::Write as _;
 
 use crate::surface::{Join, Model};
 use crate::{
-    brdf, catcher, cells, glossy, gpu, local_light, motion, occluders, polar, prefiltered, shade,
-    slots, sources, spherical_gaussian, surface, surfaces, tables, textures, tonemap, transfer,
-    vertex_visibility,
+    brdf, catcher, cells, glossy, gpu, local_light, motion, occluders, pixel_visibility, polar,
+    prefiltered, shade, slots, sources, spherical_gaussian, surface, surfaces, tables, textures,
+    tonemap, transfer, vertex_visibility,
 };
 
 /// What a shader module is for.
@@ -106,8 +106,6 @@ pub const KERNELS: &[Kernel] = &[
     PRODUCTS[1],
     INTEGRALS[0],
     INTEGRALS[1],
-    INTEGRALS[2],
-    INTEGRALS[3],
     AROUND[0],
     AROUND[1],
     AROUND[2],
@@ -169,27 +167,17 @@ pub const PRODUCTS: [Kernel; 2] = [
     ),
 ];
 
-/// What is visible of them: by spokes, and by one half-space at 1 and 3; for an image at 2 and 3.
-pub const INTEGRALS: [Kernel; 4] = [
+/// What is visible of them; for an image at 1.
+pub const INTEGRALS: [Kernel; 2] = [
     shading(
         "integrals",
         (Entry::Integrals, "integrals_main"),
-        &[("INTEGRALS_OF_IMAGE", 0.0), ("INTEGRALS_AMBIENT", 0.0)],
-    ),
-    shading(
-        "integrals, ambient",
-        (Entry::Integrals, "integrals_main"),
-        &[("INTEGRALS_OF_IMAGE", 0.0), ("INTEGRALS_AMBIENT", 1.0)],
+        &[("INTEGRALS_OF_IMAGE", 0.0)],
     ),
     shading(
         "integrals, image",
         (Entry::Integrals, "integrals_main"),
-        &[("INTEGRALS_OF_IMAGE", 1.0), ("INTEGRALS_AMBIENT", 0.0)],
-    ),
-    shading(
-        "integrals, image, ambient",
-        (Entry::Integrals, "integrals_main"),
-        &[("INTEGRALS_OF_IMAGE", 1.0), ("INTEGRALS_AMBIENT", 1.0)],
+        &[("INTEGRALS_OF_IMAGE", 1.0)],
     ),
 ];
 
@@ -337,7 +325,7 @@ pub fn source(entry: Entry) -> String {
         }
         Entry::Diffuse => {
             source += &library(LOBES);
-            source += include_str!("wgsl/visible.wgsl");
+            source += include_str!("wgsl/pixel_visibility.wgsl");
             source += include_str!("wgsl/diffuse.wgsl");
         }
         Entry::Reflections => {
@@ -350,6 +338,7 @@ pub fn source(entry: Entry) -> String {
         }
         Entry::Integrals => {
             source += &library(SLOTS);
+            source += include_str!("wgsl/pixel_visibility.wgsl");
             source += include_str!("wgsl/integrals.wgsl");
         }
         Entry::Around => {
@@ -433,6 +422,7 @@ fn constants() -> String {
     text += &prefiltered::wgsl_constants();
     text += &local_light::wgsl_constants();
     text += &motion::wgsl_constants();
+    text += &pixel_visibility::wgsl_constants();
     text += &polar::wgsl_constants();
     text += &cells::wgsl_constants();
     text += &surface::wgsl_constants();

@@ -12,13 +12,15 @@ use relight_format::Scene;
 use relight_shading::catcher;
 use relight_shading::motion;
 use relight_shading::occluders::Occluders;
+use relight_shading::pixel_visibility::{PIXELS, SIDE};
 use relight_shading::prefiltered::Prefiltered;
-use relight_shading::shade::{self, Lighting, Method, Reflections};
+use relight_shading::shade::{Lighting, Method, Reflections};
 use relight_shading::sources::{Lit, Pixel};
 use relight_shading::ssdf::{Basis, SignedDistance, Ssdf};
-use relight_shading::surface::{SurfacePoint, emission, surface_seen};
+use relight_shading::surface::{SurfacePoint, emission, has_diffuse, surface_seen};
 use relight_shading::surfaces::{self, Item, Sample, Surfaces};
 use relight_shading::textures::{Filter, Mipmaps};
+use relight_shading::tile;
 use relight_shading::tonemap;
 use relight_shading::transfer::{Bounced, PackedTransfer};
 use relight_shading::vertex_visibility::Corners;
@@ -134,29 +136,39 @@ fn render_while(
     let bounced: Vec<_> = (stage.instances.iter())
         .map(|instance| BouncedLight::new(instance.prepared, &instance.local))
         .collect();
-    let shade_pixel = |seen: &Seen, lighting: &Lighting, field: &Ssdf| {
+    let shade_tile = |pixels: &[Option<Ready>]| {
         if !wanted() {
-            return [0.0; 4];
+            return vec![[0.0; 4]; pixels.len()];
         }
-        let scene = stage.instances[seen.instance].scene;
-        let direct = shade::shade(&seen.point, lighting, field, &frame.method);
-        let filter = stage.instances[seen.instance].filter();
-        let emitted = emission(scene, seen.triangle, seen.barycentrics, Some(filter));
-        let bounced = bounced[seen.instance].as_ref().map_or(Vec3::ZERO, |light| {
-            light.at(scene, seen).reflected(&seen.point, field)
-        });
-        let shaded = direct + bounced + emitted;
-        let material = usize::from(scene.triangles[seen.triangle].material);
-        match &stage.instances[seen.instance].open {
-            Some(open) if scene.materials[material].shadow_catcher => {
-                let (field, lighting) = stage.light_of(open, seen.triangle, seen.barycentrics);
-                let direct = shade::shade(&seen.point, &lighting, &field, &frame.method);
-                catcher::catch(shaded, direct + emitted).to_array()
+        let direct = tile::shade(&shaded(pixels), &frame.method, &mut 0);
+        let opened: Vec<_> = (pixels.iter())
+            .map(|ready| stage.opened(ready.as_ref()?))
+            .collect();
+        let without = if opened.iter().any(Option::is_some) {
+            tile::shade(&shaded(&opened), &frame.method, &mut 0)
+        } else {
+            Vec::new()
+        };
+        let finish = |(index, ready): (usize, &Option<Ready>)| {
+            let Some(Ready { seen, field, .. }) = ready else {
+                return [0.0; 4];
+            };
+            let instance = &stage.instances[seen.instance];
+            let (scene, filter) = (instance.scene, instance.filter());
+            let emitted = emission(scene, seen.triangle, seen.barycentrics, Some(filter));
+            let bounced = bounced[seen.instance].as_ref().map_or(Vec3::ZERO, |light| {
+                light.at(scene, seen).reflected(&seen.point, field)
+            });
+            let shaded = direct[index] + bounced + emitted;
+            if opened[index].is_some() {
+                catcher::catch(shaded, without[index] + emitted).to_array()
+            } else {
+                shaded.extend(1.0).to_array()
             }
-            _ => shaded.extend(1.0).to_array(),
-        }
+        };
+        pixels.iter().enumerate().map(finish).collect()
     };
-    let shaded = stage.map(shade_pixel);
+    let shaded = stage.map_tiles(shade_tile);
     let pixels = match &stage.surfaces {
         Some(surfaces) => surfaces.resolve(&shaded),
         None => shaded,
@@ -213,11 +225,38 @@ impl<'a> BouncedLight<'a> {
 }
 
 /// What is under a pixel.
+#[derive(Clone, Copy)]
 struct Seen<'a> {
     instance: usize,
     point: SurfacePoint<'a>,
     triangle: usize,
     barycentrics: Vec3,
+    /// [`has_diffuse`] of its material.
+    has_diffuse: bool,
+    material: u32,
+}
+
+/// A pixel ready to be shaded.
+struct Ready<'a> {
+    seen: Seen<'a>,
+    lighting: Lighting<'a>,
+    field: Ssdf<'a>,
+}
+
+/// Those of a tile as they are shaded.
+fn shaded<'a>(pixels: &'a [Option<Ready<'a>>]) -> Vec<Option<tile::Pixel<'a, Ssdf<'a>>>> {
+    let pixel = |ready: &'a Option<Ready<'a>>| Some(pixel(ready.as_ref()?, &ready.as_ref()?.field));
+    pixels.iter().map(pixel).collect()
+}
+
+fn pixel<'a, F>(ready: &'a Ready<'a>, field: &'a F) -> tile::Pixel<'a, F> {
+    tile::Pixel {
+        point: &ready.seen.point,
+        lighting: ready.lighting,
+        field,
+        surface: [ready.seen.instance as u32, ready.seen.material],
+        has_diffuse: ready.seen.has_diffuse,
+    }
 }
 
 /// What shading a frame takes.
@@ -245,22 +284,27 @@ pub fn work(scene: &Scene, frame: &Frame, width: u32, height: u32) -> Result<Wor
     let prepared = Prepared::new(scene);
     let size = [width, height];
     let stage = Stage::new(&[scene.into()], &[&prepared], &[], frame, size, &|| true)?;
-    let counts = stage.map(|seen, lighting, field| {
-        let point = &seen.point;
-        let counted = Counted {
-            field,
-            samples: Cell::new(0),
-        };
+    let counts = stage.map_tiles(|pixels| {
+        let fields: Vec<Option<Counted>> = pixels.iter().map(Counted::new).collect();
         let mut integrals = 0;
-        shade::shade_counting(point, lighting, &counted, &frame.method, &mut integrals);
-        let samples = counted.samples.get();
-        let mut rays = 0;
-        if let Some(sources) = &lighting.sources
-            && point.normal.dot(point.view) > 0.0
-        {
-            sources.radiance(point, &mut rays);
-        }
-        [1, integrals, samples, samples * field.tiles() as u64, rays]
+        tile::shade(&counted(pixels, &fields), &frame.method, &mut integrals);
+        let count = |(ready, field): (&Option<Ready>, &Option<Counted>)| {
+            let (Some(Ready { seen, lighting, .. }), Some(field)) = (ready, field) else {
+                return [0; 5];
+            };
+            let point = &seen.point;
+            let mut rays = 0;
+            if let Some(sources) = &lighting.sources
+                && point.normal.dot(point.view) > 0.0
+            {
+                sources.radiance(point, &mut rays);
+            }
+            let samples = field.samples.get();
+            let fetches = samples * field.field.tiles() as u64;
+            // Integrals are the tile's.
+            [1, std::mem::take(&mut integrals), samples, fetches, rays]
+        };
+        pixels.iter().zip(&fields).map(count).collect()
     });
     let fractions = stage.instances.iter().map(|staged| &staged.fractions);
     let [vertex_samples, vertex_fetches] = (fractions.flatten())
@@ -282,6 +326,24 @@ pub fn work(scene: &Scene, frame: &Frame, width: u32, height: u32) -> Result<Wor
 struct Counted<'a> {
     field: &'a Ssdf<'a>,
     samples: Cell<u64>,
+}
+
+impl<'a> Counted<'a> {
+    fn new(ready: &'a Option<Ready>) -> Option<Self> {
+        let field = &ready.as_ref()?.field;
+        let samples = Cell::new(0);
+        Some(Self { field, samples })
+    }
+}
+
+/// [`shaded`], with other fields.
+fn counted<'a>(
+    pixels: &'a [Option<Ready<'a>>],
+    fields: &'a [Option<Counted<'a>>],
+) -> Vec<Option<tile::Pixel<'a, Counted<'a>>>> {
+    (pixels.iter().zip(fields))
+        .map(|(ready, field)| Some(pixel(ready.as_ref()?, field.as_ref()?)))
+        .collect()
 }
 
 impl SignedDistance for Counted<'_> {
@@ -359,6 +421,8 @@ pub fn motion(
 
 /// A frame ready to be shaded.
 struct Stage<'a> {
+    /// Columns and rows of the picture.
+    size: [u32; 2],
     instances: Vec<Staged<'a>>,
     /// What is shaded.
     items: Vec<Item>,
@@ -495,6 +559,7 @@ impl<'a> Stage<'a> {
             at: Vec2::new((index % width) as f32, (index / width) as f32) + 0.5,
         };
         Ok(Self {
+            size: [width, height],
             instances,
             items: match &surfaces {
                 Some(surfaces) => surfaces.items.clone(),
@@ -510,44 +575,128 @@ impl<'a> Stage<'a> {
         &self,
         shade: impl Fn(&Seen, &Lighting, &Ssdf) -> T + Sync,
     ) -> Vec<T> {
+        self.map_tiles(|pixels| {
+            let shade = |ready: &Option<Ready>| {
+                (ready.as_ref()).map_or_else(T::default, |ready| {
+                    shade(&ready.seen, &ready.lighting, &ready.field)
+                })
+            };
+            pixels.iter().map(shade).collect()
+        })
+    }
+
+    /// What `shade` makes of tile after tile of items; with antialiasing, of every further surface of a pixel by
+    /// itself.
+    fn map_tiles<T: Default + Send>(
+        &self,
+        shade: impl Fn(&[Option<Ready>]) -> Vec<T> + Sync,
+    ) -> Vec<T> {
         let lightings: Vec<_> = self
             .instances
             .iter()
             .map(|staged| self.lighting(staged))
             .collect();
-        let shade_item = |item: &Item| {
-            if item.id == 0 {
-                return T::default();
+        let [width, height] = self.size;
+        let tiles_per_row = width.div_ceil(SIDE);
+        let tiles = tiles_per_row * height.div_ceil(SIDE);
+        let pixels = width * height;
+        // Items of a tile, none where the picture ends.
+        let items = |tile: u32| {
+            let [left, top] = [tile % tiles_per_row * SIDE, tile / tiles_per_row * SIDE];
+            (0..PIXELS as u32).map(move |index| {
+                let [x, y] = [left + index % SIDE, top + index / SIDE];
+                (x < width && y < height).then_some((y * width + x) as usize)
+            })
+        };
+        let shade_tile = |tile: u32| {
+            if tile >= tiles {
+                let item = &self.items[(pixels + tile - tiles) as usize];
+                return shade(&[self.ready(item, &lightings)]);
             }
-            let (instance, triangle) = find(&self.instances, item.id);
-            let staged = &self.instances[instance];
-            let Staged { scene, local, .. } = staged;
-            let weights = local
-                .view
-                .ray(item.at)
-                .barycentrics(corners(scene, triangle));
-            let eye = local.view.homogeneous_eye();
-            let seen = Seen {
+            let ready: Vec<Option<Ready>> = items(tile)
+                .map(|index| self.ready(&self.items[index?], &lightings))
+                .collect();
+            if ready.iter().all(Option::is_none) {
+                return ready.iter().map(|_| T::default()).collect();
+            }
+            shade(&ready)
+        };
+        let shaded: Vec<Vec<T>> = (0..tiles + (self.items.len() as u32 - pixels))
+            .into_par_iter()
+            // Short runs of tiles: some cost a hundred times what others do.
+            .with_max_len(4)
+            .map(shade_tile)
+            .collect();
+        let mut all: Vec<T> = self.items.iter().map(|_| T::default()).collect();
+        let mut shaded = shaded.into_iter();
+        for (tile, shaded) in (0..tiles).zip(&mut shaded) {
+            for (index, shaded) in items(tile).zip(shaded) {
+                if let Some(index) = index {
+                    all[index] = shaded;
+                }
+            }
+        }
+        for (item, shaded) in all[pixels as usize..].iter_mut().zip(shaded.flatten()) {
+            *item = shaded;
+        }
+        all
+    }
+
+    /// What an item shows, if anything.
+    fn ready<'b>(&'b self, item: &Item, lightings: &[Lighting<'b>]) -> Option<Ready<'b>> {
+        if item.id == 0 {
+            return None;
+        }
+        let (instance, triangle) = find(&self.instances, item.id);
+        let staged = &self.instances[instance];
+        let Staged { scene, local, .. } = staged;
+        let weights = local
+            .view
+            .ray(item.at)
+            .barycentrics(corners(scene, triangle));
+        let eye = local.view.homogeneous_eye();
+        let material = scene.triangles[triangle].material;
+        let mut lighting = Lighting {
+            corners: staged.corners(triangle, weights),
+            ..lightings[instance]
+        };
+        if let (Some(lit), Some(_)) = (&mut lighting.sources, &self.surfaces) {
+            lit.pixel = Some(Pixel::around(&local.view, item.at));
+        }
+        Some(Ready {
+            seen: Seen {
                 instance,
                 point: surface_seen(scene, triangle, weights, eye, Some(staged.filter())),
                 triangle,
                 barycentrics: weights,
-            };
-            let field = Ssdf::interpolate(scene, &staged.prepared.basis, triangle, weights);
-            let mut lighting = Lighting {
-                corners: staged.corners(triangle, weights),
-                ..lightings[instance]
-            };
-            if let (Some(lit), Some(_)) = (&mut lighting.sources, &self.surfaces) {
-                lit.pixel = Some(Pixel::around(&local.view, item.at));
-            }
-            shade(&seen, &lighting, &field)
-        };
-        (self.items.par_iter())
-            // Short runs of pixels: some cost a hundred times what others do.
-            .with_max_len(256)
-            .map(shade_item)
-            .collect()
+                has_diffuse: has_diffuse(&scene.materials[usize::from(material)]),
+                material: u32::from(material),
+            },
+            field: Ssdf::interpolate(scene, &staged.prepared.basis, triangle, weights),
+            lighting,
+        })
+    }
+
+    /// The same without what hides light, if it is of what catches shadows.
+    fn opened<'b>(&'b self, ready: &Ready<'b>) -> Option<Ready<'b>> {
+        let Seen {
+            instance,
+            triangle,
+            barycentrics,
+            material,
+            ..
+        } = ready.seen;
+        let staged = &self.instances[instance];
+        let open = staged.open.as_ref()?;
+        if !staged.scene.materials[material as usize].shadow_catcher {
+            return None;
+        }
+        let (field, lighting) = self.light_of(open, triangle, barycentrics);
+        Some(Ready {
+            seen: ready.seen,
+            field,
+            lighting,
+        })
     }
 
     /// Visibility and light at a point of an instance's triangle.

@@ -55,7 +55,8 @@ struct Frame {
     vertex_stamp: u32,
     // 1 where pixels' squares are lit by sources, and not their centres.
     source_squares: u32,
-    reserved: u32,
+    // 1: pixels of this dispatch that lie side by side do not so in the picture.
+    pixels_apart: u32,
 }
 
 // A sphere that emits.

@@ -1,120 +1,141 @@
-// Twin of the second half of a round in shade.rs, and the entry point that integrates the lobes that
+// Twin of the second half of a round in tile.rs, and the entry point that integrates the lobes that
 // wait over what is visible. No material: what they reflect is known.
 
 override INTEGRALS_OF_IMAGE: bool = false;
-override INTEGRALS_AMBIENT: bool = false;
+
+// The slot of the tile's first pixel.
+var<private> integrals_first_slot: u32;
 
 @compute @workgroup_size(8, 8)
 fn integrals_main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
     @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) invocation: u32,
-    @builtin(global_invocation_id) id: vec3<u32>,
 ) {
-    slots_enter(workgroup, workgroups, invocation);
-    let waiting = slots_state(slots_gathered_at(SLOTS_SUM).w).waiting;
-    if waiting == 0u {
+    slots_enter(workgroup, workgroups, 0u);
+    integrals_first_slot = slot;
+    slot += invocation;
+    pixel_enter(invocation, workgroup);
+    let pixel = pixel_first + vec2(invocation % PIXEL_SIDE, invocation / PIXEL_SIDE);
+    let seen = seen_triangle(pixel);
+    var waiting = 0u;
+    var corners = vec3(0u);
+    if seen.x < frame.triangle_count {
+        let triangle = triangles[seen.x];
+        corners = triangle.xyz;
+        waiting = slots_state(slots_gathered_at(SLOTS_SUM).w).waiting;
+        let position = slots_reflection_value(SLOTS_POSITION).xyz;
+        let normal = slots_reflection_value(SLOTS_NORMAL).xyz;
+        pixel_put(waiting != 0u, position, normal, (triangle.w & 0xffffu) + 1u);
+    } else {
+        pixel_put(false, vec3(0.0), vec3(0.0), 0u);
+    }
+    if !pixel_works() {
         return;
     }
-    let pixel = id.xy + vec2(frame.first_column, frame.first_row);
-    let seen = seen_triangle(pixel);
-    let triangle = triangles[min(seen.x, frame.triangle_count - 1u)];
-    if integrals_ask_corners(waiting, triangle.xyz) {
-        ssdf_load(clusters[triangle.w >> 16u], triangle.xyz, seen_barycentrics(triangle.xyz, pixel, seen.y));
-    }
-    // What is not needed within an integral is read again after it: registers are short.
-    for (var place = 0u; place < waiting; place++) {
-        let share = integrals_share(place);
-        if share > 0.0 {
-            integrals_add(place, integrals_visible(place, share));
+    integrals_ask(waiting, corners);
+    pixel_settle();
+    slot = integrals_first_slot + invocation;
+    if waiting != 0u {
+        for (var place = 0u; place < SLOTS_WAITING; place++) {
+            let fraction = pixel_fraction(place);
+            if fraction >= 0.0 {
+                integrals_add(place, fraction);
+            }
         }
+        let after = slots_gathered_at(SLOTS_SUM);
+        var state = slots_state(after.w);
+        state.waiting = 0u;
+        slots_put_gathered(SLOTS_SUM, vec4(after.xyz, slots_word(state)));
     }
-    let after = slots_gathered_at(SLOTS_SUM);
-    var state = slots_state(after.w);
-    state.waiting = 0u;
-    slots_put_gathered(SLOTS_SUM, vec4(after.xyz, slots_word(state)));
 }
 
-// Leaves INTEGRALS_VISIBLE or INTEGRALS_HIDDEN in the place of the light's number where the corners of
-// the pixel's triangle know what is visible of a lobe. Whether any are left.
-fn integrals_ask_corners(waiting: u32, corners: vec3<u32>) -> bool {
-    let holds = slots_corners_hold();
-    var any_left = false;
-    for (var place = 0u; place < waiting; place++) {
-        let index = slots_gathered_at(slots_amplitude(place)).w;
-        var fraction = VERTEX_VISIBILITY_UNKNOWN;
-        if holds && index < frame.light_count {
-            let shape = slots_gathered_value(slots_shape(place));
-            let axis = surface_to_world(slots_point(), shape.xyz);
-            let fractions = vertex_visibility_of(index, holds, corners, vec3(0.0));
-            let light = SphericalGaussian(lights[index].axis, lights[index].sharpness, vec3(0.0));
-            fraction = vertex_visibility_whole(fractions, light, SphericalGaussian(axis, shape.w, vec3(0.0)));
-        }
-        if fraction >= 0.0 {
-            let known = select(INTEGRALS_HIDDEN, INTEGRALS_VISIBLE, fraction > 0.0);
-            slots_put_word(slots_amplitude(place), known);
-        }
-        any_left = any_left || fraction < 0.0;
+// Asks for what waits, and leaves in SLOTS_SCALED what it could add to an image.
+fn integrals_ask(waiting: u32, corners: vec3<u32>) {
+    let holds = waiting != 0u && slots_corners_hold();
+    var estimate = vec3(0.0);
+    if waiting != 0u {
+        estimate = slots_gathered_value(select(SLOTS_SUM, SLOTS_SCALED, INTEGRALS_OF_IMAGE)).xyz;
     }
-    return any_left;
+    for (var place = 0u; place < SLOTS_WAITING; place++) {
+        if extractBits(waiting, place, 1u) == 0u {
+            pixel_ask_nothing(place);
+            continue;
+        }
+        if integrals_is_everywhere(place) {
+            pixel_ask(place, 0.0, 1.0, SHADE_EVEN);
+            continue;
+        }
+        let shape = slots_gathered_value(slots_shape(place));
+        let amplitude = slots_gathered_value(slots_amplitude(place)).xyz;
+        let unoccluded = amplitude * tables_cosine_integral(shape.w, shape.z);
+        var whole = unoccluded;
+        if !INTEGRALS_OF_IMAGE {
+            whole = amplitude * spherical_gaussian_energy(shape.w);
+        }
+        if shade_negligible(whole, estimate) {
+            pixel_ask_nothing(place);
+            continue;
+        }
+        let share = shade_share(whole, estimate);
+        var known = 0.0;
+        var unknown = 0.0;
+        if polar_meets_horizon(shape.w, shape.z) {
+            let fraction = integrals_of_corners(place, shape, holds, corners);
+            unknown = select(0.0, 1.0, fraction < 0.0);
+            known = max(fraction, 0.0);
+        }
+        if INTEGRALS_OF_IMAGE {
+            estimate += whole;
+        } else {
+            estimate += known * unoccluded;
+        }
+        pixel_ask(place, known, unknown, share);
+    }
+    if INTEGRALS_OF_IMAGE && waiting != 0u {
+        slots_put_value(SLOTS_SCALED, estimate, slots_gathered_at(SLOTS_SCALED).w);
+    }
 }
 
-const INTEGRALS_VISIBLE: u32 = 0xffffffffu;
-const INTEGRALS_HIDDEN: u32 = 0xfffffffeu;
+// What the corners of the pixel's triangle know of a lobe.
+fn integrals_of_corners(place: u32, shape: vec4<f32>, holds: bool, corners: vec3<u32>) -> f32 {
+    let index = integrals_light(place);
+    if !holds || index >= frame.light_count {
+        return VERTEX_VISIBILITY_UNKNOWN;
+    }
+    let axis = surface_to_world(slots_point(), shape.xyz);
+    let fractions = vertex_visibility_of(index, holds, corners, vec3(0.0));
+    let light = SphericalGaussian(lights[index].axis, lights[index].sharpness, vec3(0.0));
+    return vertex_visibility_whole(fractions, light, SphericalGaussian(axis, shape.w, vec3(0.0)));
+}
 
-// All that a lobe could add.
-fn integrals_whole(place: u32) -> vec3<f32> {
-    let shape = slots_gathered_value(slots_shape(place));
-    let amplitude = slots_gathered_value(slots_amplitude(place)).xyz;
+fn integrals_light(place: u32) -> u32 {
     if INTEGRALS_OF_IMAGE {
-        return amplitude * tables_cosine_integral(shape.w, shape.z);
+        return slots_gathered_at(SLOTS_SCALED).w - SLOTS_WAITING + place;
     }
-    return amplitude * spherical_gaussian_energy(shape.w);
+    return slots_state(slots_gathered_at(SLOTS_SUM).w).next - SLOTS_WAITING + place;
 }
 
 fn integrals_is_everywhere(place: u32) -> bool {
-    return INTEGRALS_OF_IMAGE && slots_gathered_at(slots_amplitude(place)).w == frame.light_count;
+    return INTEGRALS_OF_IMAGE && integrals_light(place) == frame.light_count;
 }
 
-// That, in what there is; 0: nothing.
-fn integrals_share(place: u32) -> f32 {
-    if integrals_is_everywhere(place) {
-        return SHADE_EVEN;
-    }
-    let sum = slots_gathered_value(select(SLOTS_SUM, SLOTS_SCALED, INTEGRALS_OF_IMAGE)).xyz;
-    let whole = integrals_whole(place);
-    return select(shade_share(whole, sum), 0.0, shade_negligible(whole, sum));
-}
-
-fn integrals_visible(place: u32, share: f32) -> f32 {
+fn integrals_add(place: u32, fraction: f32) {
     let shape = slots_gathered_value(slots_shape(place));
-    let known = slots_gathered_at(slots_amplitude(place)).w;
-    if known >= INTEGRALS_HIDDEN {
-        return select(0.0, tables_cosine_integral(shape.w, shape.z), known == INTEGRALS_VISIBLE);
+    let amplitude = slots_gathered_value(slots_amplitude(place)).xyz;
+    let seen = amplitude * tables_cosine_integral(shape.w, shape.z) * fraction;
+    let field = select(SLOTS_SUM, SLOTS_VISIBLE, INTEGRALS_OF_IMAGE);
+    let before = slots_gathered_at(field);
+    if integrals_is_everywhere(place) {
+        slots_put_gathered(field, vec4(before.xyz, bitcast<u32>(fraction)));
+    } else {
+        slots_put_value(field, bitcast<vec3<f32>>(before.xyz) + seen, before.w);
     }
-    let point = slots_point();
-    let axis = surface_to_world(point, shape.xyz);
-    if INTEGRALS_AMBIENT {
-        return ambient_integrate(shape.w, axis, point.normal);
-    }
-    return polar_integrate(shape.w, axis, point.normal, polar_spokes(frame.spokes, share));
 }
 
-fn integrals_add(place: u32, visible: f32) {
-    let seen = slots_gathered_value(slots_amplitude(place)).xyz * visible;
-    if !INTEGRALS_OF_IMAGE {
-        let before = slots_gathered_at(SLOTS_SUM);
-        slots_put_value(SLOTS_SUM, bitcast<vec3<f32>>(before.xyz) + seen, before.w);
-        return;
-    }
-    let before = slots_gathered_at(SLOTS_VISIBLE);
-    if integrals_is_everywhere(place) {
-        let shape = slots_gathered_value(slots_shape(place));
-        let part = visible / max(tables_cosine_integral(shape.w, shape.z), 1.17549435e-38);
-        slots_put_gathered(SLOTS_VISIBLE, vec4(before.xyz, bitcast<u32>(part)));
-    } else {
-        slots_put_value(SLOTS_VISIBLE, bitcast<vec3<f32>>(before.xyz) + seen, before.w);
-        let scaled = slots_gathered_at(SLOTS_SCALED);
-        slots_put_value(SLOTS_SCALED, bitcast<vec3<f32>>(scaled.xyz) + integrals_whole(place), scaled.w);
-    }
+// Axis and sharpness of a lobe.
+fn pixel_axis(pixel: u32, place: u32) -> vec4<f32> {
+    slot = integrals_first_slot + pixel;
+    let shape = slots_gathered_value(slots_shape(place));
+    return vec4(surface_to_world(slots_point(), shape.xyz), shape.w);
 }

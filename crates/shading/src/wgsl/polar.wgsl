@@ -7,16 +7,32 @@ fn polar_spokes(spokes: u32, share: f32) -> u32 {
     return max(u32(f32(spokes) * factor + 0.5), 1u);
 }
 
+// Whether a lobe whose axis has this cosine with the normal reaches above the horizon.
+fn polar_meets_horizon(sharpness: f32, cosine: f32) -> bool {
+    return cosine > -sin(min(polar_support_radius(sharpness), 0.5 * PI));
+}
+
 fn polar_integrate(sharpness: f32, axis: vec3<f32>, normal: vec3<f32>, spokes: u32) -> f32 {
     let cosine = dot(normal, axis);
-    let radius = polar_support_radius(sharpness);
-    if cosine <= -sin(min(radius, 0.5 * PI)) {
+    if !polar_meets_horizon(sharpness, cosine) {
         return 0.0;
     }
-    let unoccluded = tables_cosine_integral(sharpness, cosine);
-    let distance = ssdf_distance(axis);
+    let fraction = polar_fraction(sharpness, axis, normal, ssdf_distance(axis), spokes);
+    return tables_cosine_integral(sharpness, cosine) * fraction;
+}
+
+// The visible fraction of a lobe that meets the horizon, `distance` being that of its axis.
+fn polar_fraction(
+    sharpness: f32,
+    axis: vec3<f32>,
+    normal: vec3<f32>,
+    distance: f32,
+    spokes: u32,
+) -> f32 {
+    let cosine = dot(normal, axis);
+    let radius = polar_support_radius(sharpness);
     if distance >= radius {
-        return unoccluded;
+        return 1.0;
     }
     if distance <= -radius {
         return 0.0;
@@ -74,7 +90,7 @@ fn polar_integrate(sharpness: f32, axis: vec3<f32>, normal: vec3<f32>, spokes: u
         whole += last - first;
     }
     if whole > 0.0 {
-        return unoccluded * clamp(visible / whole, 0.0, 1.0);
+        return clamp(visible / whole, 0.0, 1.0);
     }
     return 0.0;
 }

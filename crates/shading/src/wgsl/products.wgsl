@@ -1,5 +1,5 @@
-// Twin of the first half of a round in shade.rs, and the entry point that makes lobes of the lights
-// and a reflection until SLOTS_WAITING of them wait. What is visible of them is left to
+// Twin of the first half of a round in tile.rs, and the entry point that makes lobes of the next
+// SLOTS_WAITING lights and a reflection, those that can add to what is gathered. What is visible of them is left to
 // integrals.wgsl.
 
 // Of the distant lights, to say how much of a prefiltered image is visible.
@@ -23,9 +23,8 @@ fn products_main(
         return;
     }
     specular_count = slots_lobe_count();
-    while state.next < end && state.waiting < SLOTS_WAITING {
-        let index = state.next;
-        state.next++;
+    for (var place = 0u; place < min(SLOTS_WAITING, end - state.next); place++) {
+        let index = state.next + place;
         var light = SphericalGaussian(vec3(0.0, 0.0, 1.0), 0.0, vec3(1.0));
         if !PRODUCTS_OF_IMAGE || index < frame.light_count {
             light = products_light(index);
@@ -33,10 +32,12 @@ fn products_main(
         let lobe = glossy_reflected(light, products_gathered(index));
         let whole = spherical_gaussian_integral(lobe);
         if any(whole > vec3(0.0)) && !shade_negligible(whole, products_gathered(index)) {
-            products_wait(state.waiting, lobe, index);
-            state.waiting++;
+            slots_put_value(slots_shape(place), lobe.axis, bitcast<u32>(lobe.sharpness));
+            slots_put_value(slots_amplitude(place), lobe.amplitude, 0u);
+            state.waiting |= 1u << place;
         }
     }
+    state.next += SLOTS_WAITING;
     if PRODUCTS_OF_IMAGE {
         slots_put_word(SLOTS_SCALED, state.next);
         state.next = slots_state(slots_gathered_at(SLOTS_SUM).w).next;
@@ -57,10 +58,4 @@ fn products_gathered(index: u32) -> vec3<f32> {
 fn products_light(index: u32) -> SphericalGaussian {
     let light = shade_light(index, slots_reflection_value(SLOTS_POSITION).xyz);
     return SphericalGaussian(surface_to_local(slots_point(), light.axis), light.sharpness, light.amplitude);
-}
-
-// In the point's frame still: to turn it here takes registers.
-fn products_wait(place: u32, lobe: SphericalGaussian, light: u32) {
-    slots_put_value(slots_shape(place), lobe.axis, bitcast<u32>(lobe.sharpness));
-    slots_put_value(slots_amplitude(place), lobe.amplitude, light);
 }

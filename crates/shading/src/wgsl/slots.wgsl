@@ -16,20 +16,20 @@ fn slots_enter(workgroup: vec3<u32>, workgroups: vec3<u32>, invocation: u32) {
 
 // How far a pixel is.
 struct SlotState {
-    // The light that comes next; SLOTS_DONE: none.
+    // The first light of the next round; SLOTS_DONE: none.
     next: u32,
-    // Lobes that wait.
+    // A bit for each place in which a lobe waits.
     waiting: u32,
     // Number of the reflection.
     reflection: u32,
 }
 
 fn slots_state(word: u32) -> SlotState {
-    return SlotState(extractBits(word, 0u, 24u), extractBits(word, 24u, 4u), word >> 28u);
+    return SlotState(extractBits(word, 0u, 22u), extractBits(word, 22u, 6u), word >> 28u);
 }
 
 fn slots_word(state: SlotState) -> u32 {
-    return state.next | (state.waiting << 24u) | (state.reflection << 28u);
+    return state.next | (state.waiting << 22u) | (state.reflection << 28u);
 }
 
 fn slots_gathered_at(field: u32) -> vec4<u32> {
@@ -52,8 +52,7 @@ fn slots_put_word(field: u32, word: u32) {
     slots_gathered[field * 64u + slot].w = word;
 }
 
-// Fields of a lobe that waits: axis in the point's frame and sharpness; amplitude and number of the
-// light.
+// Fields of a lobe that waits: axis in the point's frame and sharpness; amplitude.
 fn slots_shape(place: u32) -> u32 {
     return SLOTS_FIRST + 2u * place;
 }

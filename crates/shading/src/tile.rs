@@ -1,0 +1,411 @@
+//! Radiance of the pixels of a tile: lights times reflection, lobe by lobe, over what is visible.
+//!
+//! Lobes are taken in rounds of a few lights. What is visible of those of a round is found by the pixels of a tile
+//! together, see [`crate::pixel_visibility`]; what was gathered in a round is known in the next.
+
+use std::f32::consts::FRAC_1_PI;
+
+use glam::Vec3;
+
+use crate::glossy::Glossy;
+use crate::pixel_visibility::{Asked, PIXELS, Parents, Place};
+use crate::shade::{
+    EVEN, EVENLY, Lighting, Method, by_cells, diffused, image_reflected, image_seen, negligible,
+    share,
+};
+use crate::spherical_gaussian::SphericalGaussian;
+use crate::ssdf::SignedDistance;
+use crate::surface::{MAX_REFLECTIONS, Model, SurfacePoint};
+use crate::tables::Tables;
+use crate::{ambient, polar};
+
+/// Lights of a round.
+const ROUND: usize = crate::slots::WAITING as usize;
+
+/// What a pixel shows, its light and its visibility.
+#[derive(Clone, Copy, Debug)]
+pub struct Pixel<'a, F> {
+    /// The point.
+    pub point: &'a SurfacePoint<'a>,
+    /// Its light.
+    pub lighting: Lighting<'a>,
+    /// Its visibility.
+    pub field: &'a F,
+    /// Instance and material.
+    pub surface: [u32; 2],
+    /// [`crate::surface::has_diffuse`] of the material.
+    pub has_diffuse: bool,
+}
+
+impl<F> Pixel<'_, F> {
+    /// Whether its surface faces the eye: else nothing is reflected.
+    fn is_lit(&self) -> bool {
+        self.point.normal.dot(self.point.view) > 0.0
+    }
+}
+
+/// Radiance of [`PIXELS`] pixels, row by row, towards the eye; or of a few that do not lie beside one
+/// another. Zero where there is none. Adds the number of lobes or groups of lobes that were integrated.
+pub fn shade<F: SignedDistance>(
+    pixels: &[Option<Pixel<F>>],
+    method: &Method,
+    integrals: &mut u64,
+) -> Vec<Vec3> {
+    if let Method::Cells(options) = method {
+        let mut shade = |pixel: &Pixel<F>| {
+            by_cells(
+                pixel.point,
+                &pixel.lighting,
+                pixel.field,
+                options,
+                integrals,
+            )
+        };
+        return (pixels.iter())
+            .map(|pixel| pixel.as_ref().map_or(Vec3::ZERO, &mut shade))
+            .collect();
+    }
+    let mut tile = Tile::new(pixels, *method);
+    // First, so that lobes that add nothing to it are left out.
+    let mut radiance: Vec<Vec3> = (tile.pixels.iter())
+        .map(|pixel| {
+            let pixel = pixel.as_ref();
+            let lit = pixel.and_then(|pixel| Some((pixel, pixel.lighting.sources.as_ref()?)));
+            lit.map_or(Vec3::ZERO, |(pixel, sources)| {
+                sources.radiance(pixel.point, &mut 0)
+            })
+        })
+        .collect();
+    let irradiance = tile.irradiance();
+    for ((pixel, radiance), irradiance) in tile.pixels.iter().zip(&mut radiance).zip(irradiance) {
+        if let Some(pixel) = pixel {
+            *radiance += pixel.point.appearance.diffuse * FRAC_1_PI * irradiance;
+        }
+    }
+    let mut beside = vec![Vec3::ZERO; pixels.len()];
+    for (pixel, beside) in tile.pixels.iter().zip(&mut beside) {
+        if let Some(pixel) = pixel
+            && let Some(reflections) = &pixel.lighting.reflections
+        {
+            *beside = diffused(pixel.point, reflections, pixel.field, &mut tile.integrals);
+        }
+    }
+    for index in 0..MAX_REFLECTIONS {
+        let glossies: Vec<_> = (tile.pixels.iter())
+            .map(|pixel| {
+                let point = pixel.as_ref()?.point;
+                let reflection = &point.appearance.reflections[index];
+                (reflection.model != Model::None).then(|| Glossy::new(point, reflection))
+            })
+            .collect();
+        if glossies.iter().any(Option::is_some) {
+            tile.reflect(&glossies, &mut radiance);
+            tile.reflect_image(&glossies, &mut beside);
+        }
+    }
+    *integrals += tile.integrals;
+    (radiance.iter().zip(&beside))
+        .map(|(radiance, beside)| (radiance + beside).max(Vec3::ZERO))
+        .collect()
+}
+
+/// A lobe of a round.
+#[derive(Clone, Copy)]
+struct Waiting {
+    lobe: SphericalGaussian,
+    /// ∫ exp(λ(p·ω − 1)) max(n·ω, 0) dω.
+    unoccluded: f32,
+    asked: Asked,
+}
+
+impl Waiting {
+    fn new(lobe: SphericalGaussian, normal: Vec3) -> Self {
+        let cosine = normal.dot(lobe.axis);
+        let meets = polar::meets_horizon(lobe.sharpness, cosine);
+        Self {
+            lobe,
+            unoccluded: Tables::get().cosine_integral(lobe.sharpness, cosine),
+            asked: Asked {
+                known: 0.0,
+                unknown: if meets { 1.0 } else { 0.0 },
+                share: 0.0,
+            },
+        }
+    }
+
+    /// All that it could add.
+    fn whole(&self) -> Vec3 {
+        self.lobe.amplitude * self.unoccluded
+    }
+}
+
+type Round = [Option<Waiting>; ROUND];
+
+struct Tile<'a, F> {
+    /// Those that reflect anything.
+    pixels: Vec<Option<Pixel<'a, F>>>,
+    parents: Parents,
+    method: Method,
+    integrals: u64,
+}
+
+impl<'a, F: SignedDistance> Tile<'a, F> {
+    fn new(pixels: &[Option<Pixel<'a, F>>], method: Method) -> Self {
+        let lit = |pixel: &Option<Pixel<'a, F>>| {
+            let pixel = pixel.as_ref().filter(|pixel| pixel.is_lit())?;
+            Some(Pixel { ..*pixel })
+        };
+        let pixels: Vec<_> = pixels.iter().map(lit).collect();
+        let place = |pixel: &Option<Pixel<F>>| {
+            pixel.as_ref().map(|pixel| Place {
+                position: pixel.point.position,
+                normal: pixel.point.normal,
+                surface: pixel.surface,
+            })
+        };
+        let parents = if pixels.len() == PIXELS && matches!(method, Method::Polar(_)) {
+            Parents::new(&pixels.iter().map(place).collect::<Vec<_>>())
+        } else {
+            Parents::none(pixels.len())
+        };
+        Self {
+            pixels,
+            parents,
+            method,
+            integrals: 0,
+        }
+    }
+
+    /// Lights of all kinds, and the first of those that specular lobes reflect: of one pixel as of another.
+    fn lights(&self) -> [usize; 3] {
+        let lighting = self.pixels.iter().flatten().next();
+        lighting.map_or([0; 3], |pixel| {
+            let lighting = &pixel.lighting;
+            let first = lighting.first_reflected();
+            [first, lighting.count(), lighting.lights.len()]
+        })
+    }
+
+    /// Irradiance by all lights, where the corners of a pixel's triangle agree on it interpolated from them.
+    fn irradiance(&mut self) -> Vec<Vec3> {
+        let [_, count, _] = self.lights();
+        let mut sums = vec![Vec3::ZERO; self.pixels.len()];
+        for first in (0..count).step_by(ROUND) {
+            let round = |(pixel, sum): (&Option<Pixel<F>>, &Vec3)| {
+                let mut round: Round = [None; ROUND];
+                let Some(pixel) = pixel.as_ref().filter(|pixel| pixel.has_diffuse) else {
+                    return round;
+                };
+                let mut estimate = *sum;
+                for (index, waiting) in (first..count).zip(&mut round) {
+                    let light = pixel.lighting.light(index, pixel.point.position);
+                    let whole = light.integral();
+                    if negligible(whole, estimate) {
+                        continue;
+                    }
+                    let share = share(whole, estimate);
+                    let mut found = Waiting::new(light, pixel.point.normal);
+                    found.asked.share = share;
+                    if found.asked.unknown > 0.0 {
+                        let fractions = pixel.lighting.fractions(index, pixel.point);
+                        found.asked.unknown = fractions.doubt(share);
+                        found.asked.known = (1.0 - found.asked.unknown) * fractions.mean();
+                    }
+                    estimate += found.whole() * found.asked.known;
+                    *waiting = Some(found);
+                }
+                round
+            };
+            let rounds: Vec<Round> = self.pixels.iter().zip(&sums).map(round).collect();
+            let fractions = self.visible(&rounds);
+            for ((sum, round), fractions) in sums.iter_mut().zip(&rounds).zip(fractions) {
+                for (waiting, fraction) in round.iter().zip(fractions) {
+                    *sum += waiting.map_or(Vec3::ZERO, |waiting| waiting.whole() * fraction);
+                }
+            }
+        }
+        sums
+    }
+
+    /// What one reflection of every pixel shows of lights.
+    fn reflect(&mut self, glossies: &[Option<Glossy>], gathered: &mut [Vec3]) {
+        let [begin, count, _] = self.lights();
+        for first in (begin..count).step_by(ROUND) {
+            let lights = first..count.min(first + ROUND);
+            let mut rounds = self.round(glossies, lights.clone(), gathered);
+            for ((round, pixel), sum) in rounds.iter_mut().zip(&self.pixels).zip(&*gathered) {
+                let mut estimate = *sum;
+                for (waiting, index) in round.iter_mut().zip(lights.clone()) {
+                    if let (Some(found), Some(pixel)) = (&mut *waiting, pixel) {
+                        let whole = found.lobe.integral();
+                        if negligible(whole, estimate) {
+                            *waiting = None;
+                            continue;
+                        }
+                        found.asked.share = share(whole, estimate);
+                        pixel.ask_corners(index, found);
+                        estimate += found.whole() * found.asked.known;
+                    }
+                }
+            }
+            let fractions = self.visible(&rounds);
+            for ((sum, round), fractions) in gathered.iter_mut().zip(&rounds).zip(fractions) {
+                for (waiting, fraction) in round.iter().zip(fractions) {
+                    *sum += waiting.map_or(Vec3::ZERO, |waiting| waiting.whole() * fraction);
+                }
+            }
+        }
+    }
+
+    /// What one reflection of every pixel shows of the environment's image, where the lights are visible.
+    fn reflect_image(&mut self, glossies: &[Option<Glossy>], beside: &mut [Vec3]) {
+        let [begin, _, distant] = self.lights();
+        if begin == 0 {
+            return;
+        }
+        let mut scaled = vec![Vec3::ZERO; self.pixels.len()];
+        let mut seen = scaled.clone();
+        let mut part = vec![None; self.pixels.len()];
+        // And light from everywhere.
+        for first in (0..=distant).step_by(ROUND) {
+            let lights = first..(distant + 1).min(first + ROUND);
+            let mut rounds = self.round(glossies, lights.clone(), &scaled);
+            for ((round, pixel), sum) in rounds.iter_mut().zip(&self.pixels).zip(&mut scaled) {
+                for (waiting, index) in round.iter_mut().zip(lights.clone()) {
+                    let (Some(found), Some(pixel)) = (&mut *waiting, pixel) else {
+                        continue;
+                    };
+                    if index == distant {
+                        found.asked.share = EVEN;
+                        continue;
+                    }
+                    let whole = found.whole();
+                    if negligible(whole, *sum) {
+                        *waiting = None;
+                        continue;
+                    }
+                    found.asked.share = share(whole, *sum);
+                    pixel.ask_corners(index, found);
+                    *sum += whole;
+                }
+            }
+            let fractions = self.visible(&rounds);
+            for (pixel, (round, fractions)) in rounds.iter().zip(fractions).enumerate() {
+                for ((waiting, fraction), index) in round.iter().zip(fractions).zip(lights.clone())
+                {
+                    let Some(waiting) = waiting else {
+                        continue;
+                    };
+                    if index == distant {
+                        part[pixel] = Some(fraction);
+                    } else {
+                        seen[pixel] += waiting.whole() * fraction;
+                    }
+                }
+            }
+        }
+        for (pixel, glossy) in glossies.iter().enumerate() {
+            if let (Some(part), Some(glossy)) = (part[pixel], glossy)
+                && let Some(reflections) = &self.pixels[pixel]
+                    .as_ref()
+                    .and_then(|p| p.lighting.reflections)
+            {
+                let image = image_reflected(glossy, reflections);
+                beside[pixel] += image_seen(image, scaled[pixel], seen[pixel], part);
+            }
+        }
+    }
+
+    /// The lobes that reflections make of some lights, of those that can add to what was gathered before. The light
+    /// after the last distant one, if there is an image, is light from everywhere, measured by itself.
+    fn round(
+        &self,
+        glossies: &[Option<Glossy>],
+        lights: std::ops::Range<usize>,
+        gathered: &[Vec3],
+    ) -> Vec<Round> {
+        let [begin, _, distant] = self.lights();
+        let of_image = lights.start < begin;
+        let round = |(pixel, (glossy, sum)): (&Option<Pixel<F>>, (&Option<Glossy>, &Vec3))| {
+            let mut round: Round = [None; ROUND];
+            let (Some(pixel), Some(glossy)) = (pixel, glossy) else {
+                return round;
+            };
+            for (index, waiting) in lights.clone().zip(&mut round) {
+                let (light, sum) = if of_image && index == distant {
+                    (EVENLY, Vec3::ZERO)
+                } else {
+                    (pixel.lighting.light(index, pixel.point.position), *sum)
+                };
+                *waiting = glossy
+                    .reflected(&light, sum)
+                    .filter(|lobe| !negligible(lobe.integral(), sum))
+                    .map(|lobe| Waiting::new(lobe, pixel.point.normal));
+            }
+            round
+        };
+        let glossies = glossies.iter().zip(gathered);
+        self.pixels.iter().zip(glossies).map(round).collect()
+    }
+
+    /// Visible fractions of a round's lobes.
+    fn visible(&mut self, rounds: &[Round]) -> Vec<[f32; ROUND]> {
+        let asked: Vec<_> = (rounds.iter())
+            .map(|round| round.map(|waiting| waiting.map(|waiting| waiting.asked)))
+            .collect();
+        let of = |pixel: usize, place: usize| {
+            let (pixel, waiting) = (&self.pixels[pixel], &rounds[pixel][place]);
+            (pixel.as_ref().zip(waiting.as_ref())).expect("only what was asked is looked for")
+        };
+        let look = |pixel, place| {
+            let (pixel, Waiting { lobe, .. }) = of(pixel, place);
+            let distance = match self.method {
+                Method::Polar(_) => pixel.field.distance(lobe.axis),
+                Method::Ambient | Method::Cells(_) => 0.0,
+            };
+            [distance, polar::support_radius(lobe.sharpness)]
+        };
+        let integrals = &mut self.integrals;
+        let find = |pixel, place, distance| {
+            *integrals += 1;
+            let (pixel, waiting) = of(pixel, place);
+            let SphericalGaussian {
+                axis, sharpness, ..
+            } = waiting.lobe;
+            let normal = pixel.point.normal;
+            match self.method {
+                Method::Polar(options) => {
+                    let options = options.for_share(waiting.asked.share);
+                    polar::visible_fraction(
+                        pixel.field,
+                        sharpness,
+                        axis,
+                        normal,
+                        distance,
+                        &options,
+                    )
+                }
+                Method::Ambient | Method::Cells(_) => {
+                    ambient::integrate(pixel.field, sharpness, axis, normal)
+                        / waiting.unoccluded.max(f32::MIN_POSITIVE)
+                }
+            }
+        };
+        self.parents.fractions(&asked, look, find)
+    }
+}
+
+impl<F> Pixel<'_, F> {
+    /// Leaves in `waiting`, a lobe of light `index`, what the corners of the pixel's triangle know of it.
+    fn ask_corners(&self, index: usize, waiting: &mut Waiting) {
+        if waiting.asked.unknown == 0.0 {
+            return;
+        }
+        let light = self.lighting.light(index, self.point.position);
+        let fractions = self.lighting.fractions(index, self.point);
+        if let Some(fraction) = fractions.whole(&light, &waiting.lobe) {
+            waiting.asked.known = fraction;
+            waiting.asked.unknown = 0.0;
+        }
+    }
+}

@@ -1,0 +1,240 @@
+// Twin of pixel_visibility.rs: a workgroup is a tile, whose invocations find together what its pixels see
+// of lobes. A kernel says what a lobe is, and integrates it: pixel_axis, pixel_find. A round: pixel_ask for
+// every lobe of the invocation's pixel, pixel_settle, pixel_fraction.
+
+// Of every pixel: where it is, and material + 1; 0: nothing is seen.
+var<workgroup> pixel_places: array<vec4<f32>, PIXEL_COUNT>;
+var<workgroup> pixel_normals: array<vec3<f32>, PIXEL_COUNT>;
+// Of every pixel and lobe: what is known of the visible fraction, to which comes `unknown` times what
+// is found; how deep the axis lies; what the lobe can add.
+var<workgroup> pixel_fractions: array<f32, PIXEL_LOBES>;
+var<workgroup> pixel_unknown: array<f32, PIXEL_LOBES>;
+var<workgroup> pixel_depths: array<f32, PIXEL_LOBES>;
+var<workgroup> pixel_shares: array<f32, PIXEL_LOBES>;
+// Those to integrate: of pixels that others may ask, then of the others.
+var<workgroup> pixel_queue: array<u32, PIXEL_LOBES>;
+var<workgroup> pixel_queued: array<atomic<u32>, 2>;
+var<workgroup> pixel_work: atomic<u32>;
+var<workgroup> pixel_any_work: u32;
+
+// The invocation's pixel in the tile; the picture's pixel that the tile begins with.
+var<private> pixel_own: u32;
+var<private> pixel_first: vec2<u32>;
+// Whether it takes fractions from others.
+var<private> pixel_asks: bool;
+
+// Depth of an axis that nobody has looked along.
+const PIXEL_UNSEEN: f32 = 10.0;
+
+// Call these three in order, in uniform control flow.
+fn pixel_enter(invocation: u32, workgroup: vec3<u32>) {
+    pixel_own = invocation;
+    pixel_first = workgroup.xy * PIXEL_SIDE + vec2(frame.first_column, frame.first_row);
+    if invocation < 2u {
+        atomicStore(&pixel_queued[invocation], 0u);
+    }
+    if invocation == 0u {
+        atomicStore(&pixel_work, 0u);
+    }
+    workgroupBarrier();
+}
+
+fn pixel_put(works: bool, position: vec3<f32>, normal: vec3<f32>, surface: u32) {
+    pixel_places[pixel_own] = vec4(position, bitcast<f32>(surface));
+    pixel_normals[pixel_own] = normal;
+    if works {
+        atomicStore(&pixel_work, 1u);
+    }
+}
+
+// Whether any pixel of the tile works.
+fn pixel_works() -> bool {
+    workgroupBarrier();
+    if pixel_own == 0u {
+        pixel_any_work = atomicLoad(&pixel_work);
+    }
+    pixel_asks = pixel_may_ask();
+    return workgroupUniformLoad(&pixel_any_work) != 0u;
+}
+
+fn pixel_low(at: u32) -> u32 {
+    return select(select(select(7u, 5u, at < 7u), 2u, at < 5u), 0u, at < 2u);
+}
+
+fn pixel_high(at: u32) -> u32 {
+    return select(select(select(7u, 5u, at <= 5u), 2u, at <= 2u), 0u, at == 0u);
+}
+
+fn pixel_weight(at: u32) -> f32 {
+    let low = pixel_low(at);
+    return f32(at - low) / f32(max(pixel_high(at) - low, 1u));
+}
+
+// One of the four pixels about the invocation's, and its weight.
+struct PixelParent {
+    pixel: u32,
+    weight: f32,
+}
+
+fn pixel_parent(index: u32) -> PixelParent {
+    let at = vec2(pixel_own % PIXEL_SIDE, pixel_own / PIXEL_SIDE);
+    let right = pixel_weight(at.x);
+    let down = pixel_weight(at.y);
+    let column = select(pixel_low(at.x), pixel_high(at.x), (index & 1u) != 0u);
+    let row = select(pixel_low(at.y), pixel_high(at.y), index > 1u);
+    let weight = select(1.0 - right, right, (index & 1u) != 0u) * select(1.0 - down, down, index > 1u);
+    return PixelParent(row * PIXEL_SIDE + column, weight);
+}
+
+fn pixel_may_ask() -> bool {
+    if frame.method == METHOD_AMBIENT || frame.pixels_apart != 0u {
+        return false;
+    }
+    let place = pixel_places[pixel_own];
+    let normal = pixel_normals[pixel_own];
+    for (var index = 0u; index < 4u; index++) {
+        let parent = pixel_parent(index);
+        if parent.pixel == pixel_own {
+            return false;
+        }
+        if parent.weight > 0.0 {
+            let other = pixel_places[parent.pixel];
+            let between = other.xyz - place.xyz;
+            let same = bitcast<u32>(other.w) == bitcast<u32>(place.w)
+                && dot(normal, pixel_normals[parent.pixel]) >= PIXEL_LEAST_COSINE
+                && abs(dot(normal, between)) <= PIXEL_MOST_SLOPE * length(between);
+            if !same {
+                return false;
+            }
+        }
+    }
+    return true;
+}
+
+// A lobe that the pixel has; pixel_ask_nothing of one that it has not.
+fn pixel_ask(lobe: u32, known: f32, unknown: f32, share: f32) {
+    let index = pixel_own * SLOTS_WAITING + lobe;
+    pixel_fractions[index] = known;
+    pixel_unknown[index] = unknown;
+    pixel_depths[index] = select(2.0 * known - 1.0, PIXEL_UNSEEN, unknown > 0.0);
+    pixel_shares[index] = share;
+    if !pixel_asks && unknown > 0.0 {
+        pixel_queue[atomicAdd(&pixel_queued[0], 1u)] = index;
+    }
+}
+
+fn pixel_ask_nothing(lobe: u32) {
+    let index = pixel_own * SLOTS_WAITING + lobe;
+    pixel_fractions[index] = PIXEL_NONE;
+    pixel_unknown[index] = 0.0;
+}
+
+// Finds all that was asked, in uniform control flow.
+fn pixel_settle() {
+    workgroupBarrier();
+    if pixel_own == 0u {
+        atomicStore(&pixel_queued[1], 0u);
+    }
+    pixel_integrate(0u);
+    workgroupBarrier();
+    if pixel_own == 0u {
+        atomicStore(&pixel_queued[0], 0u);
+    }
+    if pixel_asks {
+        pixel_interpolate();
+    }
+    workgroupBarrier();
+    pixel_integrate(1u);
+    workgroupBarrier();
+}
+
+// After pixel_settle; less than zero: it was not asked for.
+fn pixel_fraction(lobe: u32) -> f32 {
+    return pixel_fractions[pixel_own * SLOTS_WAITING + lobe];
+}
+
+// Takes what lies between the fractions of pixels about the invocation's, and queues what is in doubt.
+fn pixel_interpolate() {
+    var loaded = false;
+    for (var lobe = 0u; lobe < SLOTS_WAITING; lobe++) {
+        let index = pixel_own * SLOTS_WAITING + lobe;
+        let unknown = pixel_unknown[index];
+        if unknown == 0.0 {
+            continue;
+        }
+        let leeway = clamp(PIXEL_SMALL_SHARE / pixel_shares[index], 1.0, PIXEL_MOST_LEEWAY);
+        var mean = vec2(0.0);
+        var low = 1.0;
+        var high = 0.0;
+        for (var i = 0u; i < 4u; i++) {
+            let parent = pixel_parent(i);
+            if parent.weight > 0.0 {
+                let other = parent.pixel * SLOTS_WAITING + lobe;
+                let fraction = pixel_fractions[other];
+                mean += parent.weight * vec2(fraction, pixel_depths[other]);
+                low = min(low, fraction);
+                high = max(high, fraction);
+            }
+        }
+        var doubt = pixel_doubt((high - low) / (PIXEL_AGREEMENT * leeway));
+        if low < 0.0 {
+            doubt = 1.0;
+            mean.x = 0.0;
+        }
+        if doubt < 1.0 {
+            if !loaded {
+                pixel_load(pixel_own);
+                loaded = true;
+            }
+            let axis = pixel_axis(pixel_own, lobe);
+            let distance = ssdf_distance(axis.xyz);
+            pixel_depths[index] = distance;
+            let aside = abs(clamp(distance / polar_support_radius(axis.w), -1.0, 1.0) - mean.y);
+            doubt = max(doubt, pixel_doubt(aside / (PIXEL_DEPTH_AGREEMENT * leeway)));
+        }
+        pixel_fractions[index] = mix(mean.x, pixel_fractions[index], doubt);
+        pixel_unknown[index] = unknown * doubt;
+        if doubt > 0.0 {
+            pixel_queue[atomicAdd(&pixel_queued[1], 1u)] = index;
+        }
+    }
+}
+
+fn pixel_doubt(part: f32) -> f32 {
+    return clamp((part - PIXEL_FIRM) / (1.0 - PIXEL_FIRM), 0.0, 1.0);
+}
+
+// Integrates what is queued: any invocation for any pixel, so that none waits for others' lobes.
+fn pixel_integrate(queue: u32) {
+    let count = atomicLoad(&pixel_queued[queue]);
+    for (var i = pixel_own; i < count; i += PIXEL_COUNT) {
+        let index = pixel_queue[i];
+        let pixel = index / SLOTS_WAITING;
+        let lobe = index % SLOTS_WAITING;
+        pixel_load(pixel);
+        let axis = pixel_axis(pixel, lobe);
+        let normal = pixel_normals[pixel];
+        var found = 0.0;
+        if frame.method == METHOD_AMBIENT {
+            found = ambient_integrate(axis.w, axis.xyz, normal)
+                / max(tables_cosine_integral(axis.w, dot(normal, axis.xyz)), 1.17549435e-38);
+        } else {
+            var distance = pixel_depths[index];
+            if distance == PIXEL_UNSEEN {
+                distance = ssdf_distance(axis.xyz);
+            }
+            pixel_depths[index] = clamp(distance / polar_support_radius(axis.w), -1.0, 1.0);
+            let spokes = polar_spokes(frame.spokes, pixel_shares[index]);
+            found = polar_fraction(axis.w, axis.xyz, normal, distance, spokes);
+        }
+        pixel_fractions[index] += pixel_unknown[index] * found;
+    }
+}
+
+// The SSDF of a pixel of the tile.
+fn pixel_load(pixel: u32) {
+    let at = pixel_first + vec2(pixel % PIXEL_SIDE, pixel / PIXEL_SIDE);
+    let seen = seen_triangle(at);
+    let triangle = triangles[min(seen.x, frame.triangle_count - 1u)];
+    ssdf_load(clusters[triangle.w >> 16u], triangle.xyz, seen_barycentrics(triangle.xyz, at, seen.y));
+}

@@ -1,19 +1,20 @@
 // Twin of pixel_visibility.rs: a workgroup is a tile, whose invocations find together what its pixels see
-// of lobes. A kernel says what a lobe is, and integrates it: pixel_axis, pixel_find. A round: pixel_ask for
+// of lobes. A kernel says what a lobe is by pixel_axis. A round: pixel_ask for
 // every lobe of the invocation's pixel, pixel_settle, pixel_fraction.
 
 // Of every pixel: where it is, and material + 1; 0: nothing is seen.
 var<workgroup> pixel_places: array<vec4<f32>, PIXEL_COUNT>;
 var<workgroup> pixel_normals: array<vec3<f32>, PIXEL_COUNT>;
 // Of every pixel and lobe: what is known of the visible fraction, to which comes `unknown` times what
-// is found; how deep the axis lies; what the lobe can add.
+// is found; how deep the axis lies, before that how far it is from where visibility changes; what the lobe can add.
 var<workgroup> pixel_fractions: array<f32, PIXEL_LOBES>;
 var<workgroup> pixel_unknown: array<f32, PIXEL_LOBES>;
 var<workgroup> pixel_depths: array<f32, PIXEL_LOBES>;
 var<workgroup> pixel_shares: array<f32, PIXEL_LOBES>;
-// Those to integrate: of pixels that others may ask, then of the others.
+// From its start: lobes to integrate, first of pixels that others may ask, then of the others. From its end: those
+// of the others, to interpolate.
 var<workgroup> pixel_queue: array<u32, PIXEL_LOBES>;
-var<workgroup> pixel_queued: array<atomic<u32>, 2>;
+var<workgroup> pixel_queued: array<atomic<u32>, 3>;
 var<workgroup> pixel_work: atomic<u32>;
 var<workgroup> pixel_any_work: u32;
 
@@ -23,14 +24,17 @@ var<private> pixel_first: vec2<u32>;
 // Whether it takes fractions from others.
 var<private> pixel_asks: bool;
 
-// Depth of an axis that nobody has looked along.
+// How far an axis is that nobody has looked along.
 const PIXEL_UNSEEN: f32 = 10.0;
+const PIXEL_INTEGRATE: u32 = 0u;
+const PIXEL_INTERPOLATE: u32 = 1u;
+const PIXEL_INTEGRATE_REST: u32 = 2u;
 
 // Call these three in order, in uniform control flow.
 fn pixel_enter(invocation: u32, workgroup: vec3<u32>) {
     pixel_own = invocation;
     pixel_first = workgroup.xy * PIXEL_SIDE + vec2(frame.first_column, frame.first_row);
-    if invocation < 2u {
+    if invocation < 3u {
         atomicStore(&pixel_queued[invocation], 0u);
     }
     if invocation == 0u {
@@ -70,14 +74,14 @@ fn pixel_weight(at: u32) -> f32 {
     return f32(at - low) / f32(max(pixel_high(at) - low, 1u));
 }
 
-// One of the four pixels about the invocation's, and its weight.
+// One of the four pixels about another, and its weight.
 struct PixelParent {
     pixel: u32,
     weight: f32,
 }
 
-fn pixel_parent(index: u32) -> PixelParent {
-    let at = vec2(pixel_own % PIXEL_SIDE, pixel_own / PIXEL_SIDE);
+fn pixel_parent(pixel: u32, index: u32) -> PixelParent {
+    let at = vec2(pixel % PIXEL_SIDE, pixel / PIXEL_SIDE);
     let right = pixel_weight(at.x);
     let down = pixel_weight(at.y);
     let column = select(pixel_low(at.x), pixel_high(at.x), (index & 1u) != 0u);
@@ -93,7 +97,7 @@ fn pixel_may_ask() -> bool {
     let place = pixel_places[pixel_own];
     let normal = pixel_normals[pixel_own];
     for (var index = 0u; index < 4u; index++) {
-        let parent = pixel_parent(index);
+        let parent = pixel_parent(pixel_own, index);
         if parent.pixel == pixel_own {
             return false;
         }
@@ -116,35 +120,37 @@ fn pixel_ask(lobe: u32, known: f32, unknown: f32, share: f32) {
     let index = pixel_own * SLOTS_WAITING + lobe;
     pixel_fractions[index] = known;
     pixel_unknown[index] = unknown;
-    pixel_depths[index] = select(2.0 * known - 1.0, PIXEL_UNSEEN, unknown > 0.0);
+    pixel_depths[index] = 2.0 * known - 1.0;
     pixel_shares[index] = share;
-    if !pixel_asks && unknown > 0.0 {
-        pixel_queue[atomicAdd(&pixel_queued[0], 1u)] = index;
+    if unknown > 0.0 {
+        if pixel_asks {
+            let place = atomicAdd(&pixel_queued[PIXEL_INTERPOLATE], 1u);
+            pixel_queue[PIXEL_LOBES - 1u - place] = index;
+        } else {
+            pixel_queue[atomicAdd(&pixel_queued[PIXEL_INTEGRATE], 1u)] = index;
+        }
     }
 }
 
 fn pixel_ask_nothing(lobe: u32) {
-    let index = pixel_own * SLOTS_WAITING + lobe;
-    pixel_fractions[index] = PIXEL_NONE;
-    pixel_unknown[index] = 0.0;
+    pixel_fractions[pixel_own * SLOTS_WAITING + lobe] = PIXEL_NONE;
 }
 
-// Finds all that was asked, in uniform control flow.
+// Finds all that was asked, in uniform control flow: any invocation for any pixel, so that none waits for
+// others' lobes.
 fn pixel_settle() {
-    workgroupBarrier();
-    if pixel_own == 0u {
-        atomicStore(&pixel_queued[1], 0u);
-    }
-    pixel_integrate(0u);
-    workgroupBarrier();
-    if pixel_own == 0u {
-        atomicStore(&pixel_queued[0], 0u);
-    }
-    if pixel_asks {
-        pixel_interpolate();
+    for (var phase = PIXEL_INTEGRATE; phase <= PIXEL_INTEGRATE_REST; phase++) {
+        workgroupBarrier();
+        let count = atomicLoad(&pixel_queued[phase]);
+        for (var i = pixel_own; i < count; i += PIXEL_COUNT) {
+            let index = pixel_queue[select(i, PIXEL_LOBES - 1u - i, phase == PIXEL_INTERPOLATE)];
+            pixel_find(phase, index);
+        }
     }
     workgroupBarrier();
-    pixel_integrate(1u);
+    if pixel_own < 3u {
+        atomicStore(&pixel_queued[pixel_own], 0u);
+    }
     workgroupBarrier();
 }
 
@@ -153,82 +159,80 @@ fn pixel_fraction(lobe: u32) -> f32 {
     return pixel_fractions[pixel_own * SLOTS_WAITING + lobe];
 }
 
-// Takes what lies between the fractions of pixels about the invocation's, and queues what is in doubt.
-fn pixel_interpolate() {
-    var loaded = false;
-    for (var lobe = 0u; lobe < SLOTS_WAITING; lobe++) {
-        let index = pixel_own * SLOTS_WAITING + lobe;
-        let unknown = pixel_unknown[index];
-        if unknown == 0.0 {
-            continue;
-        }
-        let leeway = clamp(PIXEL_SMALL_SHARE / pixel_shares[index], 1.0, PIXEL_MOST_LEEWAY);
-        var mean = vec2(0.0);
-        var low = 1.0;
-        var high = 0.0;
-        for (var i = 0u; i < 4u; i++) {
-            let parent = pixel_parent(i);
-            if parent.weight > 0.0 {
-                let other = parent.pixel * SLOTS_WAITING + lobe;
-                let fraction = pixel_fractions[other];
-                mean += parent.weight * vec2(fraction, pixel_depths[other]);
-                low = min(low, fraction);
-                high = max(high, fraction);
-            }
-        }
-        var doubt = pixel_doubt((high - low) / (PIXEL_AGREEMENT * leeway));
-        if low < 0.0 {
-            doubt = 1.0;
-            mean.x = 0.0;
-        }
-        if doubt < 1.0 {
-            if !loaded {
-                pixel_load(pixel_own);
-                loaded = true;
-            }
-            let axis = pixel_axis(pixel_own, lobe);
-            let distance = ssdf_distance(axis.xyz);
-            pixel_depths[index] = distance;
-            let aside = abs(clamp(distance / polar_support_radius(axis.w), -1.0, 1.0) - mean.y);
-            doubt = max(doubt, pixel_doubt(aside / (PIXEL_DEPTH_AGREEMENT * leeway)));
-        }
-        pixel_fractions[index] = mix(mean.x, pixel_fractions[index], doubt);
-        pixel_unknown[index] = unknown * doubt;
-        if doubt > 0.0 {
-            pixel_queue[atomicAdd(&pixel_queued[1], 1u)] = index;
+// One lobe of one pixel.
+fn pixel_find(phase: u32, index: u32) {
+    let pixel = index / SLOTS_WAITING;
+    let lobe = index % SLOTS_WAITING;
+    var between = vec3(0.0, 0.0, 1.0);
+    if phase == PIXEL_INTERPOLATE {
+        between = pixel_between(pixel, lobe);
+    }
+    var distance = pixel_depths[index];
+    let axis = pixel_axis(pixel, lobe);
+    let radius = polar_support_radius(axis.w);
+    if between.z < 1.0 || phase != PIXEL_INTERPOLATE {
+        pixel_load(pixel);
+        if phase != PIXEL_INTEGRATE_REST || distance == PIXEL_UNSEEN {
+            distance = ssdf_distance(axis.xyz);
         }
     }
+    if phase == PIXEL_INTERPOLATE {
+        var doubt = between.z;
+        if doubt < 1.0 {
+            let aside = abs(clamp(distance / radius, -1.0, 1.0) - between.y);
+            doubt = max(doubt, pixel_doubt(aside / (PIXEL_DEPTH_AGREEMENT * pixel_leeway(index))));
+        } else {
+            distance = PIXEL_UNSEEN;
+        }
+        pixel_depths[index] = distance;
+        pixel_fractions[index] = mix(between.x, pixel_fractions[index], doubt);
+        pixel_unknown[index] *= doubt;
+        if doubt > 0.0 {
+            pixel_queue[atomicAdd(&pixel_queued[PIXEL_INTEGRATE_REST], 1u)] = index;
+        }
+        return;
+    }
+    let normal = pixel_normals[pixel];
+    var found = 0.0;
+    if frame.method == METHOD_AMBIENT {
+        found = ambient_integrate(axis.w, axis.xyz, normal)
+            / max(tables_cosine_integral(axis.w, dot(normal, axis.xyz)), 1.17549435e-38);
+    } else {
+        let spokes = polar_spokes(frame.spokes, pixel_shares[index]);
+        found = polar_fraction(axis.w, axis.xyz, normal, distance, spokes);
+    }
+    pixel_depths[index] = clamp(distance / radius, -1.0, 1.0);
+    pixel_fractions[index] += pixel_unknown[index] * found;
+}
+
+// Fraction and depth of a lobe between those of the pixels about one, and the part that it has to find for itself.
+fn pixel_between(pixel: u32, lobe: u32) -> vec3<f32> {
+    var mean = vec2(0.0);
+    var low = 1.0;
+    var high = 0.0;
+    for (var i = 0u; i < 4u; i++) {
+        let parent = pixel_parent(pixel, i);
+        if parent.weight > 0.0 {
+            let other = parent.pixel * SLOTS_WAITING + lobe;
+            let fraction = pixel_fractions[other];
+            mean += parent.weight * vec2(fraction, pixel_depths[other]);
+            low = min(low, fraction);
+            high = max(high, fraction);
+        }
+    }
+    if low < 0.0 {
+        return vec3(0.0, 0.0, 1.0);
+    }
+    let leeway = pixel_leeway(pixel * SLOTS_WAITING + lobe);
+    return vec3(mean, pixel_doubt((high - low) / (PIXEL_AGREEMENT * leeway)));
+}
+
+fn pixel_leeway(index: u32) -> f32 {
+    return clamp(PIXEL_SMALL_SHARE / pixel_shares[index], 1.0, PIXEL_MOST_LEEWAY);
 }
 
 fn pixel_doubt(part: f32) -> f32 {
     return clamp((part - PIXEL_FIRM) / (1.0 - PIXEL_FIRM), 0.0, 1.0);
-}
-
-// Integrates what is queued: any invocation for any pixel, so that none waits for others' lobes.
-fn pixel_integrate(queue: u32) {
-    let count = atomicLoad(&pixel_queued[queue]);
-    for (var i = pixel_own; i < count; i += PIXEL_COUNT) {
-        let index = pixel_queue[i];
-        let pixel = index / SLOTS_WAITING;
-        let lobe = index % SLOTS_WAITING;
-        pixel_load(pixel);
-        let axis = pixel_axis(pixel, lobe);
-        let normal = pixel_normals[pixel];
-        var found = 0.0;
-        if frame.method == METHOD_AMBIENT {
-            found = ambient_integrate(axis.w, axis.xyz, normal)
-                / max(tables_cosine_integral(axis.w, dot(normal, axis.xyz)), 1.17549435e-38);
-        } else {
-            var distance = pixel_depths[index];
-            if distance == PIXEL_UNSEEN {
-                distance = ssdf_distance(axis.xyz);
-            }
-            pixel_depths[index] = clamp(distance / polar_support_radius(axis.w), -1.0, 1.0);
-            let spokes = polar_spokes(frame.spokes, pixel_shares[index]);
-            found = polar_fraction(axis.w, axis.xyz, normal, distance, spokes);
-        }
-        pixel_fractions[index] += pixel_unknown[index] * found;
-    }
 }
 
 // The SSDF of a pixel of the tile.

@@ -172,15 +172,6 @@ pub(crate) fn source_image_layout(device: &wgpu::Device) -> wgpu::BindGroupLayou
     })
 }
 
-/// Group 2 of bindings.wgsl as irradiance needs it.
-pub(crate) fn diffuse_image_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
-    let [visibility, radiance, ..] = image_entries();
-    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-        label: Some("relight irradiance images"),
-        entries: &[visibility, radiance],
-    })
-}
-
 /// Group 0 of bindings.wgsl as vertices need it.
 pub(crate) fn vertex_frame_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
     let uniform = wgpu::BindingType::Buffer {
@@ -276,7 +267,7 @@ pub(crate) fn image_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
     })
 }
 
-pub(crate) fn image_entries() -> [wgpu::BindGroupLayoutEntry; 4] {
+pub(crate) fn image_entries() -> [wgpu::BindGroupLayoutEntry; 3] {
     let texture = |sample_type| wgpu::BindingType::Texture {
         sample_type,
         view_dimension: wgpu::TextureViewDimension::D2,
@@ -298,7 +289,6 @@ pub(crate) fn image_entries() -> [wgpu::BindGroupLayoutEntry; 4] {
         layout_entry(0, compute, texture(wgpu::TextureSampleType::Uint)),
         layout_entry(1, compute, radiance),
         layout_entry(2, compute, layers),
-        layout_entry(3, compute, texture(sources)),
     ]
 }
 

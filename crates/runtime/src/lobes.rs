@@ -4,7 +4,9 @@
 use std::sync::OnceLock;
 
 use relight_shading::slots;
-use relight_shading::wgsl::{AROUND, IMAGES, INTEGRALS, Kernel, PRODUCTS, REFLECTIONS, SHADE};
+use relight_shading::wgsl::{
+    AROUND, DIFFUSE, IMAGES, INTEGRALS, Kernel, PRODUCTS, REFLECTIONS, SHADE,
+};
 
 use crate::layouts::{
     STORAGE, compute_pipeline, image_entries, layout_entry, scene_entries, texture_entry,
@@ -37,6 +39,7 @@ pub(crate) struct LobePasses {
     /// Groups 2 of the kernel that finds reflections, and of the others.
     images: [wgpu::BindGroupLayout; 2],
     reflections: [OnceLock<wgpu::ComputePipeline>; 2],
+    diffuse: OnceLock<wgpu::ComputePipeline>,
     products: [OnceLock<wgpu::ComputePipeline>; 2],
     integrals: [OnceLock<wgpu::ComputePipeline>; 2],
     around: [OnceLock<wgpu::ComputePipeline>; 3],
@@ -91,7 +94,7 @@ impl LobePasses {
                 .collect();
             layout(device, &entries)
         };
-        let [visibility, radiance, sources, irradiance] = image_entries();
+        let [visibility, radiance, sources] = image_entries();
         let read = |binding| layout_entry(binding, wgpu::ShaderStages::COMPUTE, STORAGE);
         let written = |binding| {
             let kind = wgpu::BindingType::Buffer {
@@ -106,13 +109,11 @@ impl LobePasses {
             frame: frame.clone(),
             scenes: SCENE_BINDINGS.map(scene),
             images: [
-                layout(
-                    device,
-                    &[visibility, sources, irradiance, written(6), written(7)],
-                ),
+                layout(device, &[visibility, sources, written(6), written(7)]),
                 layout(device, &[visibility, radiance, read(6), written(7)]),
             ],
             reflections: Default::default(),
+            diffuse: OnceLock::new(),
             products: Default::default(),
             integrals: Default::default(),
             around: Default::default(),
@@ -121,9 +122,9 @@ impl LobePasses {
         }
     }
 
-    /// Slots for bands of so many pixels; the images are the visibility buffer, radiance, what sources
-    /// add to it and irradiance.
-    pub(crate) fn slots(&self, count: u32, images: [&wgpu::TextureView; 4]) -> Slots {
+    /// Slots for bands of so many pixels; the images are the visibility buffer, radiance and what
+    /// sources add to it.
+    pub(crate) fn slots(&self, count: u32, images: [&wgpu::TextureView; 3]) -> Slots {
         let buffer = |label| {
             self.device.create_buffer(&wgpu::BufferDescriptor {
                 label: Some(label),
@@ -137,7 +138,7 @@ impl LobePasses {
     }
 
     /// The same slots for other images: those of one are done with before another's begin.
-    pub(crate) fn beside(&self, slots: &Slots, images: [&wgpu::TextureView; 4]) -> Slots {
+    pub(crate) fn beside(&self, slots: &Slots, images: [&wgpu::TextureView; 3]) -> Slots {
         self.slots_of(slots.count, slots.buffers.clone(), images)
     }
 
@@ -145,7 +146,7 @@ impl LobePasses {
         &self,
         count: u32,
         buffers: [wgpu::Buffer; 2],
-        images: [&wgpu::TextureView; 4],
+        images: [&wgpu::TextureView; 3],
     ) -> Slots {
         let group = |layout, textures: &[usize]| {
             let textures = textures.iter();
@@ -164,7 +165,7 @@ impl LobePasses {
         let [first, others] = &self.images;
         Slots {
             count,
-            groups: [group(first, &[0, 2, 3]), group(others, &[0, 1])],
+            groups: [group(first, &[0, 2]), group(others, &[0, 1])],
             buffers,
         }
     }
@@ -198,6 +199,9 @@ impl LobePasses {
             for reflection in 0..work.reflections.max(1) {
                 let next = usize::from(reflection > 0);
                 run(&self.reflections[next], &REFLECTIONS[next], (0, 0));
+                if next == 0 {
+                    run(&self.diffuse, &DIFFUSE, (1, 1));
+                }
                 if work.bounced || work.image {
                     let kind = usize::from(work.bounced) + 2 * usize::from(work.image) - 1;
                     run(&self.around[kind], &AROUND[kind], (1, 1));

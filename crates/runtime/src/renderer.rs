@@ -12,10 +12,10 @@ use wgpu::util::DeviceExt as _;
 use crate::fill_texture::FillPass;
 use crate::frame::LocalFrame;
 use crate::layouts::{
-    buffer_entry, compute_pipeline, diffuse_image_layout, frame_layout, frame_uniform_entry,
-    image_layout, scene_layout, source_frame_layout, source_image_layout, source_scene_layout,
-    surface_frame_layout, surface_image_layout, texture_entry, vertex_frame_layout,
-    vertex_image_layout, vertex_scene_layout, visibility_pipeline,
+    buffer_entry, compute_pipeline, frame_layout, frame_uniform_entry, image_layout, scene_layout,
+    source_frame_layout, source_image_layout, source_scene_layout, surface_frame_layout,
+    surface_image_layout, texture_entry, vertex_frame_layout, vertex_image_layout,
+    vertex_scene_layout, visibility_pipeline,
 };
 use crate::lobes::{self, LobePasses, Slots};
 use crate::motion::MotionPass;
@@ -46,8 +46,6 @@ pub struct Renderer {
     image_layout: wgpu::BindGroupLayout,
     /// Groups 0, 1 and 2 of the pass for sources.
     source_layouts: [wgpu::BindGroupLayout; 3],
-    /// Group 2 of the pass for irradiance.
-    diffuse_image_layout: wgpu::BindGroupLayout,
     /// Of the pass for surfaces.
     surface_layouts: [wgpu::BindGroupLayout; 2],
     /// For pixels of one surface and of several.
@@ -81,7 +79,6 @@ pub struct Renderer {
 struct Kernels {
     vertices_mark: OnceLock<wgpu::ComputePipeline>,
     vertices: OnceLock<wgpu::ComputePipeline>,
-    diffuse: OnceLock<wgpu::ComputePipeline>,
     cells: OnceLock<wgpu::ComputePipeline>,
     sources: OnceLock<wgpu::ComputePipeline>,
     motion: OnceLock<MotionPass>,
@@ -131,7 +128,6 @@ impl Renderer {
                 source_scene_layout(device),
                 source_image_layout(device),
             ],
-            diffuse_image_layout: diffuse_image_layout(device),
             surface_pipelines: OnceLock::new(),
             surface_layouts: [surface_frame_layout(device), surface_image_layout(device)],
             composite_pipelines: Default::default(),
@@ -164,7 +160,6 @@ impl Renderer {
             scene_layout: self.scene_layout.clone(),
             image_layout: self.image_layout.clone(),
             source_layouts: self.source_layouts.clone(),
-            diffuse_image_layout: self.diffuse_image_layout.clone(),
             surface_layouts: self.surface_layouts.clone(),
             composite_layouts: self.composite_layouts.clone(),
             visibility_pipeline: self.visibility_pipeline.clone(),
@@ -472,11 +467,6 @@ impl Renderer {
             pass.set_bind_group(2, images, &[]);
             pass.dispatch_workgroups(x, y, 1);
         }
-        let mut dispatch = |pipeline: &wgpu::ComputePipeline, groups: [&wgpu::BindGroup; 3]| {
-            dispatch_bands(pass, pipeline, groups, resources, (rows, 1));
-        };
-        let diffuse = [frame_group, &scene.bind_group, &images.diffuse];
-        dispatch(self.diffuse_pipeline(), diffuse);
         let work = lobes::Work::of(frame, scene);
         let dispatches = resources.dispatches(rows);
         let groups = (frame_group, &scene.lobe_groups);
@@ -539,7 +529,6 @@ impl Renderer {
         let layouts = ImageLayouts {
             shade: &self.image_layout,
             sources: &self.source_layouts[2],
-            diffuse: &self.diffuse_image_layout,
             surfaces: &self.surface_layouts[1],
             lobes: &self.lobes,
             slots,
@@ -659,13 +648,6 @@ impl Renderer {
         let layouts = self.shading_layouts();
         (self.kernels.cells)
             .get_or_init(|| compute_pipeline(&self.device, &layouts, &wgsl::SHADE_CELLS))
-    }
-
-    fn diffuse_pipeline(&self) -> &wgpu::ComputePipeline {
-        let image = &self.diffuse_image_layout;
-        let layouts = [&self.frame_layout, &self.scene_layout, image];
-        (self.kernels.diffuse)
-            .get_or_init(|| compute_pipeline(&self.device, &layouts, &wgsl::DIFFUSE))
     }
 
     fn mark_pipeline(&self) -> &wgpu::ComputePipeline {

@@ -148,8 +148,6 @@ pub(crate) struct Images {
     pub(crate) shown_view: wgpu::TextureView,
     shown: wgpu::Texture,
     pub(crate) bind_group: wgpu::BindGroup,
-    /// Group 2 of the pass for irradiance.
-    pub(crate) diffuse: wgpu::BindGroup,
     /// What the passes that shade by lobes hand on.
     pub(crate) slots: Slots,
     /// Group 2 of the pass for sources, if there was one.
@@ -186,7 +184,6 @@ pub(crate) struct Needs {
 pub(crate) struct ImageLayouts<'a> {
     pub(crate) shade: &'a wgpu::BindGroupLayout,
     pub(crate) sources: &'a wgpu::BindGroupLayout,
-    pub(crate) diffuse: &'a wgpu::BindGroupLayout,
     pub(crate) surfaces: &'a wgpu::BindGroupLayout,
     pub(crate) lobes: &'a LobePasses,
     /// Slots that there is to be room for.
@@ -306,20 +303,13 @@ impl Images {
             dimension: Some(wgpu::TextureViewDimension::D2Array),
             ..Default::default()
         });
-        let irradiance = texture("relight irradiance", RADIANCE_FORMAT, written, 1, shaded);
-        let irradiance_view = view(&irradiance);
-        // Visibility buffer in, another image out.
-        let writing = |image| {
-            let views = [&seen_view, image];
-            group("relight images before shading", layouts.diffuse, &views)
-        };
-        let views = [&seen_view, &radiance_view, &source_view, &irradiance_view];
+        let views = [&seen_view, &radiance_view, &source_view];
         let slots = layouts.lobes.slots(layouts.slots, views);
         let open = open.then(|| {
             let usage = usage | copied;
             let radiance = texture("relight open radiance", RADIANCE_FORMAT, usage, 1, shaded);
             let view = view(&radiance);
-            let views = [&seen_view, &view, &source_view, &irradiance_view];
+            let views = [&seen_view, &view, &source_view];
             OpenImage {
                 slots: layouts.lobes.beside(&slots, views),
                 bind_group: group("relight open images", layouts.shade, &views),
@@ -329,7 +319,6 @@ impl Images {
         });
         Self {
             slots,
-            diffuse: writing(&irradiance_view),
             sources: (source_layers > 0).then(|| {
                 let views = [&seen_view, &source_view];
                 group("relight sources' images", layouts.sources, &views)

@@ -39,12 +39,13 @@ pub fn wgsl_constants() -> String {
         ("POSITION", 6),
         ("GREYS", GREYS),
         ("LOBES", LOBES),
-        // Of what is gathered. The Lambertian base is where lobes wait later.
+        // Of what is gathered. The Lambertian base and its irradiance are where lobes wait later.
         ("SUM", 0),
         ("BESIDE", 1),
         ("SCALED", 2),
         ("VISIBLE", 3),
         ("DIFFUSE", FIRST),
+        ("IRRADIANCE", FIRST + 1),
         ("FIRST", FIRST),
         ("FIELDS", FIELDS),
         ("WAITING", WAITING),

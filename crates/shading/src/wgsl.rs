@@ -21,11 +21,11 @@ pub enum Entry {
     /// Visible fractions of lights at vertices: `vertices_mark`, workgroups of 8 × 8 pixels, and
     /// `vertices_main`, workgroups of 64 vertices and four lights.
     Vertices,
-    /// Visibility buffer to irradiance: `diffuse_main`, workgroups of 8 × 8 pixels.
-    Diffuse,
-    /// Visibility buffer and irradiance to a reflection and its lobes: `reflections_main`, as the
-    /// following four workgroups of 8 × 8 pixels.
+    /// Visibility buffer to a reflection and its lobes: `reflections_main`, as the following five
+    /// workgroups of 8 × 8 pixels.
     Reflections,
+    /// Lambertian base and lights to what it shows of them: `diffuse_main`.
+    Diffuse,
     /// Reflection and lights to lobes that wait: `products_main`.
     Products,
     /// Lobes that wait to what is visible of them: `integrals_main`.
@@ -65,8 +65,8 @@ impl Entry {
         Self::SurfaceSamples,
         Self::Surfaces,
         Self::Vertices,
-        Self::Diffuse,
         Self::Reflections,
+        Self::Diffuse,
         Self::Products,
         Self::Integrals,
         Self::Around,
@@ -99,9 +99,9 @@ pub struct Kernel {
 pub const KERNELS: &[Kernel] = &[
     VERTICES_MARK,
     VERTICES,
-    DIFFUSE,
     REFLECTIONS[0],
     REFLECTIONS[1],
+    DIFFUSE,
     PRODUCTS[0],
     PRODUCTS[1],
     INTEGRALS[0],
@@ -131,7 +131,7 @@ pub const VERTICES: Kernel = Kernel {
     constants: &[],
 };
 
-/// Irradiance of every pixel.
+/// What every pixel's Lambertian base shows of lights.
 pub const DIFFUSE: Kernel = Kernel {
     name: "diffuse",
     entry: Entry::Diffuse,
@@ -324,7 +324,7 @@ pub fn source(entry: Entry) -> String {
             source += include_str!("wgsl/vertices.wgsl");
         }
         Entry::Diffuse => {
-            source += &library(LOBES);
+            source += &library(SLOTS);
             source += include_str!("wgsl/pixel_visibility.wgsl");
             source += include_str!("wgsl/diffuse.wgsl");
         }

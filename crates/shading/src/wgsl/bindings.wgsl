@@ -251,8 +251,6 @@ struct Material {
 @group(2) @binding(1) var radiance: texture_storage_2d<rgba32float, write>;
 // What every source adds to the radiance, a layer each.
 @group(2) @binding(2) var source_radiance: texture_2d_array<f32>;
-// Irradiance by `lights` and `local_lights`, unless by cells.
-@group(2) @binding(3) var irradiance: texture_2d<f32>;
 // Light fractions at vertices alone: the stamp of the frame that each was last wanted in, and what
 // light_fractions is.
 @group(2) @binding(4) var<storage, read_write> vertex_states: array<atomic<u32>>;

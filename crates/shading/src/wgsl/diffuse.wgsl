@@ -1,5 +1,4 @@
-// Twin of irradiance in tile.rs, and the entry point that finds a pixel's irradiance: no material
-// but the normal has a part in it.
+// Twin of irradiance in tile.rs, and the entry point that finds what a pixel's Lambertian base shows of lights.
 
 // The first light of the round.
 var<private> diffuse_first: u32;
@@ -7,58 +6,64 @@ var<private> diffuse_first: u32;
 @compute @workgroup_size(8, 8)
 fn diffuse_main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
+    @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) invocation: u32,
 ) {
+    slots_enter(workgroup, workgroups, invocation);
     pixel_enter(invocation, workgroup);
-    let pixel = pixel_first + vec2(invocation % PIXEL_SIDE, invocation / PIXEL_SIDE);
-    let seen = seen_triangle(pixel);
-    let is_seen = seen.x < frame.triangle_count;
+    let seen = seen_triangle(pixel_at(invocation));
     var works = false;
-    var corners = vec3(0u);
-    var weights = vec3(0.0);
-    var vertex_cosine = 0.0;
-    if is_seen {
-        let triangle = triangles[seen.x];
-        let material = triangle.w & 0xffffu;
-        corners = triangle.xyz;
-        weights = seen_barycentrics(corners, pixel, seen.y);
-        let shape = surface_shape(corners, material, weights);
-        works = materials[material].has_diffuse != 0u && dot(shape.normal, shape.view) > 0.0;
-        vertex_cosine = shape.vertex_cosine;
-        pixel_put(works, shape.position, shape.normal, material + 1u);
+    if seen.x < frame.triangle_count {
+        works = slots_gathered_at(SLOTS_DIFFUSE).w != 0u;
+        let position = slots_reflection_value(SLOTS_POSITION).xyz;
+        let normal = slots_reflection_value(SLOTS_NORMAL).xyz;
+        pixel_put(works, position, normal, (triangles[seen.x].w & 0xffffu) + 1u);
     } else {
         pixel_put(false, vec3(0.0), vec3(0.0), 0u);
     }
-    var sum = vec3(0.0);
-    if pixel_works() {
-        let holds = vertex_visibility_holds(vertex_cosine);
-        let count = frame.light_count + frame.local_light_count;
-        for (diffuse_first = 0u; diffuse_first < count; diffuse_first += SLOTS_WAITING) {
-            if works {
-                diffuse_ask(sum, min(SLOTS_WAITING, count - diffuse_first), holds, corners, weights);
-            } else {
-                for (var lobe = 0u; lobe < SLOTS_WAITING; lobe++) {
-                    pixel_ask_nothing(lobe);
-                }
-            }
-            pixel_settle();
-            if works {
-                for (var lobe = 0u; lobe < SLOTS_WAITING; lobe++) {
-                    let fraction = pixel_fraction(lobe);
-                    if fraction >= 0.0 {
-                        sum += fraction * diffuse_whole(diffuse_light(pixel_own, lobe));
-                    }
-                }
+    if !pixel_works() {
+        return;
+    }
+    if works {
+        slots_put_value(SLOTS_IRRADIANCE, vec3(0.0), 0u);
+    }
+    let count = frame.light_count + frame.local_light_count;
+    for (diffuse_first = 0u; diffuse_first < count; diffuse_first += SLOTS_WAITING) {
+        if works {
+            diffuse_ask(min(SLOTS_WAITING, count - diffuse_first));
+        } else {
+            for (var lobe = 0u; lobe < SLOTS_WAITING; lobe++) {
+                pixel_ask_nothing(lobe);
             }
         }
+        pixel_settle();
+        if works {
+            var sum = slots_gathered_value(SLOTS_IRRADIANCE).xyz;
+            for (var lobe = 0u; lobe < SLOTS_WAITING; lobe++) {
+                let fraction = pixel_fraction(lobe);
+                if fraction >= 0.0 {
+                    sum += fraction * diffuse_whole(diffuse_light(pixel_own, lobe));
+                }
+            }
+            slots_put_value(SLOTS_IRRADIANCE, sum, 0u);
+        }
     }
-    if is_seen {
-        textureStore(radiance, pixel, vec4(sum, select(0.0, 1.0, works)));
+    if works {
+        let before = slots_gathered_at(SLOTS_SUM);
+        let base = slots_gathered_value(SLOTS_DIFFUSE).xyz / PI;
+        let shown = base * slots_gathered_value(SLOTS_IRRADIANCE).xyz;
+        slots_put_value(SLOTS_SUM, bitcast<vec3<f32>>(before.xyz) + shown, before.w);
     }
 }
 
-fn diffuse_ask(sum: vec3<f32>, count: u32, holds: bool, corners: vec3<u32>, weights: vec3<f32>) {
-    var estimate = sum;
+// Asks for the `count` lights of a round, where the corners of the pixel's triangle agree on them known from those.
+fn diffuse_ask(count: u32) {
+    let pixel = pixel_at(pixel_own);
+    let seen = seen_triangle(pixel);
+    let corners = triangles[seen.x].xyz;
+    let weights = seen_barycentrics(corners, pixel, seen.y);
+    let holds = slots_corners_hold();
+    var estimate = slots_gathered_value(SLOTS_IRRADIANCE).xyz;
     for (var lobe = 0u; lobe < SLOTS_WAITING; lobe++) {
         if lobe >= count {
             pixel_ask_nothing(lobe);

@@ -16,8 +16,7 @@ fn integrals_main(
     integrals_first_slot = slot;
     slot += invocation;
     pixel_enter(invocation, workgroup);
-    let pixel = pixel_first + vec2(invocation % PIXEL_SIDE, invocation / PIXEL_SIDE);
-    let seen = seen_triangle(pixel);
+    let seen = seen_triangle(pixel_at(invocation));
     var waiting = 0u;
     var corners = vec3(0u);
     if seen.x < frame.triangle_count {

@@ -192,6 +192,7 @@ fn pixel_find(phase: u32, index: u32) {
         }
         return;
     }
+    pixel_depths[index] = clamp(distance / radius, -1.0, 1.0);
     let normal = pixel_normals[pixel];
     var found = 0.0;
     if frame.method == METHOD_AMBIENT {
@@ -201,7 +202,6 @@ fn pixel_find(phase: u32, index: u32) {
         let spokes = polar_spokes(frame.spokes, pixel_shares[index]);
         found = polar_fraction(axis.w, axis.xyz, normal, distance, spokes);
     }
-    pixel_depths[index] = clamp(distance / radius, -1.0, 1.0);
     pixel_fractions[index] += pixel_unknown[index] * found;
 }
 
@@ -235,9 +235,14 @@ fn pixel_doubt(part: f32) -> f32 {
     return clamp((part - PIXEL_FIRM) / (1.0 - PIXEL_FIRM), 0.0, 1.0);
 }
 
+// Where a pixel of the tile is in the picture.
+fn pixel_at(pixel: u32) -> vec2<u32> {
+    return pixel_first + vec2(pixel % PIXEL_SIDE, pixel / PIXEL_SIDE);
+}
+
 // The SSDF of a pixel of the tile.
 fn pixel_load(pixel: u32) {
-    let at = pixel_first + vec2(pixel % PIXEL_SIDE, pixel / PIXEL_SIDE);
+    let at = pixel_at(pixel);
     let seen = seen_triangle(at);
     let triangle = triangles[min(seen.x, frame.triangle_count - 1u)];
     ssdf_load(clusters[triangle.w >> 16u], triangle.xyz, seen_barycentrics(triangle.xyz, at, seen.y));

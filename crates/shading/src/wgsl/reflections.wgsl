@@ -1,5 +1,5 @@
 // The entry point that finds what a pixel's first reflection, or its next, is: the only pass that
-// knows of materials, but for those of irradiance and of emission.
+// knows of materials, but for those of sources and of emission.
 
 override REFLECTIONS_FIRST: bool = true;
 
@@ -29,11 +29,11 @@ fn reflections_main(
             for (var source = 0u; source < frame.source_count; source++) {
                 sum += textureLoad(source_radiance, pixel, source, 0).xyz;
             }
-            sum += point.appearance.diffuse / PI * textureLoad(irradiance, pixel, 0).xyz;
         }
         let diffuse = select(vec3(0.0), point.appearance.diffuse, lit);
+        let has_diffuse = lit && materials[triangle.w & 0xffffu].has_diffuse != 0u;
         slots_put_value(SLOTS_BESIDE, vec3(0.0), 0u);
-        slots_put_value(SLOTS_DIFFUSE, diffuse, 0u);
+        slots_put_value(SLOTS_DIFFUSE, diffuse, u32(has_diffuse));
     } else {
         let before = slots_gathered_at(SLOTS_SUM);
         sum = bitcast<vec3<f32>>(before.xyz);

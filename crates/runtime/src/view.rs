@@ -22,7 +22,7 @@ pub(crate) const RADIANCE_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgb
 /// Images of one size, and what else is kept from frame to frame:
 /// [`Renderer::prepare`] fills it, [`Renderer::composite`] draws it.
 ///
-/// It holds 44 bytes per pixel, 16 more per source, 116 and 24 more per source with antialiasing; and
+/// It holds 28 bytes per pixel, 16 more per source, 92 and 24 more per source with antialiasing; and
 /// 512 for each of at most 131,072 pixels that are shaded at a time. An app
 /// has one per camera, and another, or [`Self::resize`], for another size.
 #[derive(Debug)]

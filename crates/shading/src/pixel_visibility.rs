@@ -17,14 +17,14 @@ pub const PIXELS: usize = (SIDE * SIDE) as usize;
 pub const COARSE: [u32; 4] = [0, 2, 5, 7];
 
 /// Fractions about a pixel that differ by no more than this agree.
-pub const AGREEMENT: f32 = 0.2;
+pub const AGREEMENT: f32 = 0.3;
 /// A lobe that can add less than this, in what has been gathered before, may differ by more.
 pub const SMALL_SHARE: f32 = 0.1;
 /// How many times as much, at most.
-pub const MOST_LEEWAY: f32 = 10.0;
+pub const MOST_LEEWAY: f32 = 30.0;
 /// How deep a lobe's axis lies in what is visible, in the lobe's radius, may differ by as much from what lies
 /// between those of the pixels about it, with the same leeway: thin shadows between them are found by this.
-pub const DEPTH_AGREEMENT: f32 = 0.2;
+pub const DEPTH_AGREEMENT: f32 = 0.3;
 /// Part of what they may differ by up to which a pixel does not look for itself at all; from
 /// there on it does more and more, so that neighbours differ by little.
 pub const FIRM: f32 = 0.8;
@@ -240,4 +240,146 @@ pub fn wgsl_constants() -> String {
              const PIXEL_LOBES: u32 = {}u;\n",
             PIXELS as u32 * crate::slots::WAITING,
         )
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::RefCell;
+
+    use super::*;
+
+    /// A plane, seen obliquely.
+    fn plane() -> Vec<Option<Place>> {
+        (0..SIDE * SIDE)
+            .map(|pixel| {
+                let (x, y) = ((pixel % SIDE) as f32, (pixel / SIDE) as f32);
+                Some(Place {
+                    position: Vec3::new(0.1 * x, 0.0, 0.3 * y),
+                    normal: Vec3::Y,
+                    surface: [1, 2],
+                })
+            })
+            .collect()
+    }
+
+    /// What pixels find of one lobe whose visible fraction and depth these are, and which of them integrate.
+    fn found(
+        places: &[Option<Place>],
+        share: f32,
+        fraction: impl Fn(usize) -> f32,
+        depth: impl Fn(usize) -> f32,
+    ) -> (Vec<f32>, Vec<usize>) {
+        let asked = Some(Asked {
+            known: 0.0,
+            unknown: 1.0,
+            share,
+        });
+        let integrated = RefCell::new(Vec::new());
+        let find = |pixel, _, distance: f32| {
+            assert_eq!(distance, depth(pixel), "{pixel}");
+            integrated.borrow_mut().push(pixel);
+            fraction(pixel)
+        };
+        let asked = vec![[asked]; places.len()];
+        let look = |pixel, _| [depth(pixel), 1.0];
+        let found = Parents::new(places).fractions(&asked, look, find);
+        let found = found.iter().map(|[fraction]| *fraction).collect();
+        (found, integrated.into_inner())
+    }
+
+    fn is_coarse(pixel: usize) -> bool {
+        [pixel % 8, pixel / 8].map(|at| COARSE.contains(&(at as u32))) == [true, true]
+    }
+
+    #[test]
+    fn what_changes_evenly_is_found_at_a_quarter_of_the_pixels() {
+        let slope = |pixel: usize| 0.3 + 0.03 * (pixel % 8) as f32 + 0.02 * (pixel / 8) as f32;
+        let (fractions, integrated) = found(&plane(), 1.0, slope, slope);
+        assert_eq!(integrated.len(), PIXELS / 4);
+        assert!(integrated.iter().all(|&pixel| is_coarse(pixel)));
+        for (pixel, fraction) in fractions.iter().enumerate() {
+            assert!((fraction - slope(pixel)).abs() < 1e-6, "{pixel}");
+        }
+    }
+
+    #[test]
+    fn shadows_edges_are_integrated() {
+        // Visible up to the sixth column.
+        let edge = |pixel: usize| if pixel % 8 < 6 { 1.0 } else { 0.0 };
+        let depth = |pixel: usize| (0.5 * (5.5 - (pixel % 8) as f32)).clamp(-1.0, 1.0);
+        let (fractions, _) = found(&plane(), 1.0, edge, depth);
+        assert!((0..PIXELS).all(|pixel| (fractions[pixel] - edge(pixel)).abs() < 1e-6));
+    }
+
+    #[test]
+    fn thin_shadows_between_others_are_found() {
+        // The fourth column is hidden, and those beside it see all.
+        let thin = |pixel: usize| if pixel % 8 == 3 { 0.0 } else { 1.0 };
+        let depth = |pixel: usize| if pixel % 8 == 3 { -0.2 } else { 1.0 };
+        let (fractions, integrated) = found(&plane(), 1.0, thin, depth);
+        assert!((0..PIXELS).all(|pixel| (fractions[pixel] - thin(pixel)).abs() < 1e-6));
+        assert_eq!(integrated.len(), PIXELS / 4 + 8);
+    }
+
+    #[test]
+    fn lobes_that_add_little_may_differ_by_more() {
+        // By more than what agrees in one row.
+        let rough = |pixel: usize| if pixel / 8 < 4 { 0.2 } else { 0.9 };
+        let integrated = |share| found(&plane(), share, rough, |_| 0.0).1.len();
+        assert!(integrated(1.0) > PIXELS / 4);
+        assert_eq!(integrated(0.001), PIXELS / 4);
+    }
+
+    #[test]
+    fn other_surfaces_say_nothing() {
+        let changes: [fn(&mut Place); 4] = [
+            |place| place.surface[0] = 0,
+            |place| place.surface[1] = 0,
+            |place| place.normal = Vec3::new(0.8, 0.6, 0.0),
+            |place| place.position.y += 1.0,
+        ];
+        for change in changes {
+            let mut places = plane();
+            // One of those that others ask, and all of its neighbours but one row.
+            change(places[2 + 8 * 2].as_mut().unwrap());
+            let (fractions, integrated) = found(&places, 1.0, |_| 0.5, |_| 0.5);
+            assert!(
+                fractions
+                    .iter()
+                    .all(|fraction| (fraction - 0.5).abs() < 1e-6)
+            );
+            let alone: Vec<usize> = (integrated.into_iter())
+                .filter(|&pixel| !is_coarse(pixel))
+                .collect();
+            let (rows, columns) = (1..5, 1..5);
+            let about = rows.flat_map(|y| columns.clone().map(move |x| 8 * y + x));
+            let about: Vec<usize> = about.filter(|&pixel| !is_coarse(pixel)).collect();
+            assert_eq!(alone, about);
+        }
+        let mut places = plane();
+        places[0] = None;
+        let (_, integrated) = found(&places, 1.0, |_| 0.5, |_| 0.5);
+        // The pixel that is not there asks as well here.
+        assert_eq!(integrated.len(), PIXELS / 4 + 3);
+    }
+
+    #[test]
+    fn what_a_pixel_alone_is_asked_it_finds() {
+        let mut asked = vec![[None; 2]; PIXELS];
+        asked[9] = [
+            None,
+            Some(Asked {
+                known: 0.1,
+                unknown: 0.5,
+                share: 1.0,
+            }),
+        ];
+        let look = |_, _| [0.0, 1.0];
+        let found = Parents::new(&plane()).fractions(&asked, look, |pixel, lobe, _| {
+            assert_eq!((pixel, lobe), (9, 1));
+            0.6
+        });
+        assert!((found[9][1] - 0.4).abs() < 1e-6 && found[9][0] == NONE);
+        assert_eq!(found[8], [NONE; 2]);
+    }
 }

@@ -86,7 +86,7 @@ pub fn integrate(
         return 0.0;
     }
     let distance = field.distance(axis);
-    let fraction = visible_fraction(field, sharpness, axis, normal, distance, options);
+    let fraction = visible_fraction(field, sharpness, axis, normal, distance, *options);
     Tables::get().cosine_integral(sharpness, cosine) * fraction
 }
 
@@ -103,7 +103,7 @@ pub(crate) fn visible_fraction(
     axis: Vec3,
     normal: Vec3,
     distance: f32,
-    options: &PolarOptions,
+    options: PolarOptions,
 ) -> f32 {
     let cosine = normal.dot(axis);
     let radius = support_radius(sharpness);

@@ -376,14 +376,7 @@ impl<'a, F: SignedDistance> Tile<'a, F> {
             match self.method {
                 Method::Polar(options) => {
                     let options = options.for_share(waiting.asked.share);
-                    polar::visible_fraction(
-                        pixel.field,
-                        sharpness,
-                        axis,
-                        normal,
-                        distance,
-                        &options,
-                    )
+                    polar::visible_fraction(pixel.field, sharpness, axis, normal, distance, options)
                 }
                 Method::Ambient | Method::Cells(_) => {
                     ambient::integrate(pixel.field, sharpness, axis, normal)

@@ -285,7 +285,9 @@ pub fn work(scene: &Scene, frame: &Frame, width: u32, height: u32) -> Result<Wor
     let size = [width, height];
     let stage = Stage::new(&[scene.into()], &[&prepared], &[], frame, size, &|| true)?;
     let counts = stage.map_tiles(|pixels| {
-        let fields: Vec<Option<Counted>> = pixels.iter().map(Counted::new).collect();
+        let fields: Vec<Option<Counted>> = (pixels.iter())
+            .map(|ready| Counted::new(ready.as_ref()))
+            .collect();
         let mut integrals = 0;
         tile::shade(&counted(pixels, &fields), &frame.method, &mut integrals);
         let count = |(ready, field): (&Option<Ready>, &Option<Counted>)| {
@@ -329,8 +331,8 @@ struct Counted<'a> {
 }
 
 impl<'a> Counted<'a> {
-    fn new(ready: &'a Option<Ready>) -> Option<Self> {
-        let field = &ready.as_ref()?.field;
+    fn new(ready: Option<&'a Ready>) -> Option<Self> {
+        let field = &ready?.field;
         let samples = Cell::new(0);
         Some(Self { field, samples })
     }

@@ -29,17 +29,16 @@ fn diffuse_main(
     }
     let count = frame.light_count + frame.local_light_count;
     for (diffuse_first = 0u; diffuse_first < count; diffuse_first += SLOTS_WAITING) {
+        // No more than there are, which also keeps compilers from writing the loops out.
+        let lobes = min(SLOTS_WAITING, count - diffuse_first);
+        pixel_ask_nothing();
         if works {
-            diffuse_ask(min(SLOTS_WAITING, count - diffuse_first));
-        } else {
-            for (var lobe = 0u; lobe < SLOTS_WAITING; lobe++) {
-                pixel_ask_nothing(lobe);
-            }
+            diffuse_ask(lobes);
         }
         pixel_settle();
         if works {
             var sum = slots_gathered_value(SLOTS_IRRADIANCE).xyz;
-            for (var lobe = 0u; lobe < SLOTS_WAITING; lobe++) {
+            for (var lobe = 0u; lobe < lobes; lobe++) {
                 let fraction = pixel_fraction(lobe);
                 if fraction >= 0.0 {
                     sum += fraction * diffuse_whole(diffuse_light(pixel_own, lobe));
@@ -64,15 +63,10 @@ fn diffuse_ask(count: u32) {
     let weights = seen_barycentrics(corners, pixel, seen.y);
     let holds = slots_corners_hold();
     var estimate = slots_gathered_value(SLOTS_IRRADIANCE).xyz;
-    for (var lobe = 0u; lobe < SLOTS_WAITING; lobe++) {
-        if lobe >= count {
-            pixel_ask_nothing(lobe);
-            continue;
-        }
+    for (var lobe = 0u; lobe < count; lobe++) {
         let light = diffuse_light(pixel_own, lobe);
         let whole = spherical_gaussian_integral(light);
         if shade_negligible(whole, estimate) {
-            pixel_ask_nothing(lobe);
             continue;
         }
         let share = shade_share(whole, estimate);

@@ -36,7 +36,9 @@ fn integrals_main(
     pixel_settle();
     slot = integrals_first_slot + invocation;
     if waiting != 0u {
-        for (var place = 0u; place < SLOTS_WAITING; place++) {
+        // As many as there are: compilers unroll what they can count.
+        let places = firstLeadingBit(waiting) + 1u;
+        for (var place = 0u; place < places; place++) {
             let fraction = pixel_fraction(place);
             if fraction >= 0.0 {
                 integrals_add(place, fraction);
@@ -56,11 +58,9 @@ fn integrals_ask(waiting: u32, corners: vec3<u32>) {
     if waiting != 0u {
         estimate = slots_gathered_value(select(SLOTS_SUM, SLOTS_SCALED, INTEGRALS_OF_IMAGE)).xyz;
     }
-    for (var place = 0u; place < SLOTS_WAITING; place++) {
-        if extractBits(waiting, place, 1u) == 0u {
-            pixel_ask_nothing(place);
-            continue;
-        }
+    pixel_ask_nothing();
+    for (var left = waiting; left != 0u; left &= left - 1u) {
+        let place = firstTrailingBit(left);
         if integrals_is_everywhere(place) {
             pixel_ask(place, 0.0, 1.0, SHADE_EVEN);
             continue;
@@ -73,7 +73,6 @@ fn integrals_ask(waiting: u32, corners: vec3<u32>) {
             whole = amplitude * spherical_gaussian_energy(shape.w);
         }
         if shade_negligible(whole, estimate) {
-            pixel_ask_nothing(place);
             continue;
         }
         let share = shade_share(whole, estimate);

@@ -115,7 +115,7 @@ fn pixel_may_ask() -> bool {
     return true;
 }
 
-// A lobe that the pixel has; pixel_ask_nothing of one that it has not.
+// A lobe that the pixel has.
 fn pixel_ask(lobe: u32, known: f32, unknown: f32, share: f32) {
     let index = pixel_own * SLOTS_WAITING + lobe;
     pixel_fractions[index] = known;
@@ -132,8 +132,11 @@ fn pixel_ask(lobe: u32, known: f32, unknown: f32, share: f32) {
     }
 }
 
-fn pixel_ask_nothing(lobe: u32) {
-    pixel_fractions[pixel_own * SLOTS_WAITING + lobe] = PIXEL_NONE;
+// Before a round: the pixel has none of its lobes, but for those that pixel_ask is called for.
+fn pixel_ask_nothing() {
+    for (var lobe = 0u; lobe < SLOTS_WAITING; lobe++) {
+        pixel_fractions[pixel_own * SLOTS_WAITING + lobe] = PIXEL_NONE;
+    }
 }
 
 // Finds all that was asked, in uniform control flow: any invocation for any pixel, so that none waits for
@@ -163,10 +166,7 @@ fn pixel_fraction(lobe: u32) -> f32 {
 fn pixel_find(phase: u32, index: u32) {
     let pixel = index / SLOTS_WAITING;
     let lobe = index % SLOTS_WAITING;
-    var between = vec3(0.0, 0.0, 1.0);
-    if phase == PIXEL_INTERPOLATE {
-        between = pixel_between(pixel, lobe);
-    }
+    let between = pixel_between(pixel, lobe, select(0u, 4u, phase == PIXEL_INTERPOLATE));
     var distance = pixel_depths[index];
     let axis = pixel_axis(pixel, lobe);
     let radius = polar_support_radius(axis.w);
@@ -206,11 +206,12 @@ fn pixel_find(phase: u32, index: u32) {
 }
 
 // Fraction and depth of a lobe between those of the pixels about one, and the part that it has to find for itself.
-fn pixel_between(pixel: u32, lobe: u32) -> vec3<f32> {
+// Of so many pixels: compilers unroll what they can count.
+fn pixel_between(pixel: u32, lobe: u32, parents: u32) -> vec3<f32> {
     var mean = vec2(0.0);
     var low = 1.0;
     var high = 0.0;
-    for (var i = 0u; i < 4u; i++) {
+    for (var i = 0u; i < parents; i++) {
         let parent = pixel_parent(pixel, i);
         if parent.weight > 0.0 {
             let other = parent.pixel * SLOTS_WAITING + lobe;
@@ -220,7 +221,7 @@ fn pixel_between(pixel: u32, lobe: u32) -> vec3<f32> {
             high = max(high, fraction);
         }
     }
-    if low < 0.0 {
+    if low < 0.0 || parents == 0u {
         return vec3(0.0, 0.0, 1.0);
     }
     let leeway = pixel_leeway(pixel * SLOTS_WAITING + lobe);

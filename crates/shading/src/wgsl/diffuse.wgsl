@@ -28,9 +28,11 @@ fn diffuse_main(
         slots_put_value(SLOTS_IRRADIANCE, vec3(0.0), 0u);
     }
     let count = frame.light_count + frame.local_light_count;
-    for (diffuse_first = 0u; diffuse_first < count; diffuse_first += SLOTS_WAITING) {
+    // By a variable of the function: of others browsers do not know that all invocations have the same.
+    for (var first = 0u; first < count; first += SLOTS_WAITING) {
+        diffuse_first = first;
         // No more than there are, which also keeps compilers from writing the loops out.
-        let lobes = min(SLOTS_WAITING, count - diffuse_first);
+        let lobes = min(SLOTS_WAITING, count - first);
         pixel_ask_nothing();
         if works {
             diffuse_ask(lobes);

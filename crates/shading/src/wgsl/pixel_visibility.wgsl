@@ -12,7 +12,8 @@ var<workgroup> pixel_unknown: array<f32, PIXEL_LOBES>;
 var<workgroup> pixel_depths: array<f32, PIXEL_LOBES>;
 var<workgroup> pixel_shares: array<f32, PIXEL_LOBES>;
 // From its start: lobes to integrate, first of pixels that others may ask, then of the others. From its end: those
-// of the others, to interpolate.
+// of the others, to interpolate. Of these, lobes to integrate stay where they are once those before them reach them;
+// the rest become PIXEL_DONE.
 var<workgroup> pixel_queue: array<u32, PIXEL_LOBES>;
 var<workgroup> pixel_queued: array<atomic<u32>, 3>;
 var<workgroup> pixel_work: atomic<u32>;
@@ -26,6 +27,7 @@ var<private> pixel_asks: bool;
 
 // How far an axis is that nobody has looked along.
 const PIXEL_UNSEEN: f32 = 10.0;
+const PIXEL_DONE: u32 = 0xffffffffu;
 const PIXEL_INTEGRATE: u32 = 0u;
 const PIXEL_INTERPOLATE: u32 = 1u;
 const PIXEL_INTEGRATE_REST: u32 = 2u;
@@ -144,10 +146,22 @@ fn pixel_ask_nothing() {
 fn pixel_settle() {
     for (var phase = PIXEL_INTEGRATE; phase <= PIXEL_INTEGRATE_REST; phase++) {
         workgroupBarrier();
-        let count = atomicLoad(&pixel_queued[phase]);
-        for (var i = pixel_own; i < count; i += PIXEL_COUNT) {
-            let index = pixel_queue[select(i, PIXEL_LOBES - 1u - i, phase == PIXEL_INTERPOLATE)];
-            pixel_find(phase, index);
+        let interpolated = atomicLoad(&pixel_queued[PIXEL_INTERPOLATE]);
+        // From the start of the queue, then from its end.
+        var first = min(atomicLoad(&pixel_queued[phase]), PIXEL_LOBES - interpolated);
+        var last = 0u;
+        if phase == PIXEL_INTERPOLATE {
+            first = 0u;
+            last = interpolated;
+        } else if atomicLoad(&pixel_queued[phase]) > first {
+            last = interpolated;
+        }
+        for (var i = pixel_own; i < first + last; i += PIXEL_COUNT) {
+            let at = select(PIXEL_LOBES - 1u - (i - first), i, i < first);
+            let index = pixel_queue[at];
+            if index != PIXEL_DONE {
+                pixel_find(phase, index, at);
+            }
         }
     }
     workgroupBarrier();
@@ -162,8 +176,8 @@ fn pixel_fraction(lobe: u32) -> f32 {
     return pixel_fractions[pixel_own * SLOTS_WAITING + lobe];
 }
 
-// One lobe of one pixel.
-fn pixel_find(phase: u32, index: u32) {
+// One lobe of one pixel, which is at that place of the queue.
+fn pixel_find(phase: u32, index: u32, at: u32) {
     let pixel = index / SLOTS_WAITING;
     let lobe = index % SLOTS_WAITING;
     let between = pixel_between(pixel, lobe, select(0u, 4u, phase == PIXEL_INTERPOLATE));
@@ -187,8 +201,17 @@ fn pixel_find(phase: u32, index: u32) {
         pixel_depths[index] = distance;
         pixel_fractions[index] = mix(between.x, pixel_fractions[index], doubt);
         pixel_unknown[index] *= doubt;
+        // What waits at the end of the queue may not have been read yet.
+        var moved = true;
         if doubt > 0.0 {
-            pixel_queue[atomicAdd(&pixel_queued[PIXEL_INTEGRATE_REST], 1u)] = index;
+            let place = atomicAdd(&pixel_queued[PIXEL_INTEGRATE_REST], 1u);
+            moved = place < PIXEL_LOBES - atomicLoad(&pixel_queued[PIXEL_INTERPOLATE]);
+            if moved {
+                pixel_queue[place] = index;
+            }
+        }
+        if moved {
+            pixel_queue[at] = PIXEL_DONE;
         }
         return;
     }

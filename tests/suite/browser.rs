@@ -32,8 +32,11 @@ pub fn trials() -> Vec<Trial> {
     ]
 }
 
-/// Of a picture by SwiftShader from the twin's, over the brightest value: they round differently.
-const MOST_APART: f32 = 1e-4;
+/// Of a picture by SwiftShader from the twin's, over the brightest value. Its samplers round weights to 8 bits, of
+/// images of 32 texels per side as drafts have them; pixels that take what they see from others may then do so a little
+/// less, more where they are few.
+const MOST_APART: f32 = 3e-4;
+const MOST_APART_OF_FEW: f32 = 2e-3;
 /// Part of the pixels that may see another triangle, or just not the same light.
 const MOST_ON_EDGES: f64 = 0.01;
 
@@ -182,12 +185,12 @@ fn picture(browser: &str) -> Outcome {
         ..Frame::under(scene.camera.ok_or("a camera")?, &light)
     };
     let expected = twin::render(&scene, &frame, width, height)?;
-    assert_same(&pixels, &expected, MOST_ON_EDGES);
+    assert_same(&pixels, &expected, MOST_ON_EDGES, MOST_APART);
     Ok(())
 }
 
 /// That a browser's picture is the twin's, but for a part of the pixels.
-fn assert_same(pixels: &[[f32; 4]], expected: &Image, on_edges: f64) {
+fn assert_same(pixels: &[[f32; 4]], expected: &Image, on_edges: f64, most_apart: f32) {
     assert_eq!(pixels.len(), expected.pixels.len());
     let brightest = (expected.pixels.iter().flatten()).fold(0f32, |most, value| most.max(*value));
     let apart = |(found, expected): (&[f32; 4], &[f32; 4])| {
@@ -201,7 +204,7 @@ fn assert_same(pixels: &[[f32; 4]], expected: &Image, on_edges: f64) {
     let edges = (differences.len() as f64 * on_edges) as usize;
     let most = differences[differences.len() - 1 - edges];
     assert!(
-        most < MOST_APART,
+        most < most_apart,
         "{most}; {:?}",
         &differences[differences.len().saturating_sub(80)..]
     );
@@ -566,7 +569,7 @@ fn application(browser: &str) -> Outcome {
         let found: Vec<[f32; 4]> = bytemuck::pod_collect_to_vec(found);
         let expected = twin::render(&scene, &frame, width, height)?;
         // Of 900 pixels most are near edges, and rays to sources just meet something or just do not.
-        assert_same(&found, &expected, 4.0 * MOST_ON_EDGES);
+        assert_same(&found, &expected, 4.0 * MOST_ON_EDGES, MOST_APART_OF_FEW);
     }
     Ok(())
 }

@@ -3,17 +3,14 @@
 use bytemuck::Zeroable as _;
 use relight_format::TextureEncoding;
 use relight_shading::gpu::TextureFill;
-use relight_shading::textures::{PackedTexture, level_count};
+use relight_shading::textures::level_count;
 use relight_shading::wgsl::FILL_TEXTURE;
 
 use crate::layouts::{compute_pipeline, layout_entry, texture_entry};
-use crate::resources::UNIFORM_STRIDE;
+use crate::resources::{UNIFORM_STRIDE, strided};
 use crate::transfer::filled_buffer;
 use crate::view::WORKGROUP;
 use crate::{Error, GpuScene, Renderer};
-
-/// Most points of an image that are averaged for a texel, per side.
-const MOST_TAPS: u32 = 16;
 
 /// The pipeline, which is made when it is first needed.
 #[derive(Debug)]
@@ -100,17 +97,18 @@ impl Renderer {
             return Err(Error::NoImage { index });
         }
         self.check_image(image.texture())?;
-        let source = image.texture();
-        let fills = fills(
-            texture,
-            [source.width(), source.height()],
-            source.mip_level_count(),
-        );
-        let mut uniforms = Vec::with_capacity(fills.len() * UNIFORM_STRIDE);
-        for fill in &fills {
-            uniforms.extend_from_slice(bytemuck::bytes_of(fill));
-            uniforms.resize(uniforms.len().next_multiple_of(UNIFORM_STRIDE), 0);
-        }
+        let fills: Vec<TextureFill> = (0..level_count(texture.shape))
+            .map(|level| {
+                let (corner, size) = texture.level(level);
+                TextureFill {
+                    corner,
+                    srgb: u32::from(texture.shape.encoding == TextureEncoding::Srgb),
+                    size,
+                    ..TextureFill::zeroed()
+                }
+            })
+            .collect();
+        let uniforms = strided(&fills);
         let device = self.device();
         let usage = wgpu::BufferUsages::UNIFORM;
         let uniforms = filled_buffer(device, "relight texture", &uniforms, usage)?;
@@ -171,28 +169,4 @@ impl Renderer {
             ),
         })
     }
-}
-
-/// What fills the levels of a texture from an image of so many columns, rows and levels.
-fn fills(texture: &PackedTexture, image: [u32; 2], levels: u32) -> Vec<TextureFill> {
-    let fill = |level: u32| {
-        let (corner, size) = texture.level(level);
-        // Texels of the image for one of the level's.
-        let ratio = [0, 1].map(|side| f64::from(image[side]) / f64::from(size[side]));
-        let known = ratio[0].min(ratio[1]).max(1.0).log2().floor() as u32;
-        let known = known.min(levels - 1);
-        let taps = |ratio: f64| {
-            let left = ratio / f64::from(known).exp2();
-            (left.ceil() as u32).clamp(1, MOST_TAPS)
-        };
-        TextureFill {
-            corner,
-            srgb: u32::from(texture.shape.encoding == TextureEncoding::Srgb),
-            size,
-            taps: ratio.map(taps),
-            level: known as f32,
-            ..TextureFill::zeroed()
-        }
-    };
-    (0..level_count(texture.shape)).map(fill).collect()
 }

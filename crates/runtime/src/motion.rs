@@ -7,7 +7,7 @@ use relight_shading::wgsl::MOTION;
 
 use crate::layouts::{compute_pipeline, image_entries, layout_entry, texture_entry};
 use crate::renderer::clear;
-use crate::resources::{Slot, UNIFORM_STRIDE};
+use crate::resources::{Slot, UNIFORM_STRIDE, strided};
 use crate::{Error, Instance, Placement, Renderer, View};
 
 /// Format of motion.
@@ -106,7 +106,7 @@ impl Renderer {
                 });
             }
         }
-        let mut uniforms = Vec::with_capacity(instances.len() * UNIFORM_STRIDE);
+        let mut uniforms = Vec::with_capacity(instances.len());
         for (instance, placement) in instances.iter().zip(before.placements) {
             if instance.scene.owner != *self.owner() {
                 return Err(Error::Foreign { what: "scene" });
@@ -119,9 +119,9 @@ impl Renderer {
                 size: size.map(|side| side as f32),
                 ..gpu::Motion::zeroed()
             };
-            uniforms.extend_from_slice(bytemuck::bytes_of(&uniform));
-            uniforms.resize(uniforms.len().next_multiple_of(UNIFORM_STRIDE), 0);
+            uniforms.push(uniform);
         }
+        let mut uniforms = strided(&uniforms);
         if uniforms.is_empty() {
             // A binding must not be empty.
             uniforms.resize(UNIFORM_STRIDE, 0);

@@ -58,6 +58,16 @@ impl Slot {
     }
 }
 
+/// Uniforms one after the other, as dynamic offsets need them.
+pub(crate) fn strided<T: bytemuck::Pod>(uniforms: &[T]) -> Vec<u8> {
+    let mut bytes = Vec::with_capacity(uniforms.len() * UNIFORM_STRIDE);
+    for uniform in uniforms {
+        bytes.extend_from_slice(bytemuck::bytes_of(uniform));
+        bytes.resize(bytes.len().next_multiple_of(UNIFORM_STRIDE), 0);
+    }
+    bytes
+}
+
 /// Buffers and bind groups of one instance in one view.
 #[derive(Debug, Default)]
 pub(crate) struct Resources {
@@ -141,13 +151,12 @@ impl Resources {
             let begin = |band: Region| (first + 2 * (band.row - extras.row), band);
             self.bands.extend(bands(extras).map(begin));
         }
-        let mut uniforms = Vec::with_capacity(self.bands.len() * UNIFORM_STRIDE);
         let first_extra = numbered.extras.map_or(u32::MAX, |extras| extras.row);
-        for (_, band) in &self.bands {
+        let banded = |(_, band): &(u32, Region)| {
             uniform.pixels_apart = u32::from(band.row >= first_extra);
-            uniforms.extend_from_slice(bytemuck::bytes_of(&band.uniform(&uniform)));
-            uniforms.resize(uniforms.len().next_multiple_of(UNIFORM_STRIDE), 0);
-        }
+            band.uniform(&uniform)
+        };
+        let uniforms = strided(&self.bands.iter().map(banded).collect::<Vec<_>>());
         // A binding must not be empty.
         let none = [bytemuck::Zeroable::zeroed()];
         let lights = if lights.is_empty() {

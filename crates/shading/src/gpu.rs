@@ -383,7 +383,7 @@ pub struct Motion {
     pub reserved_1: u32,
 }
 
-/// What fills one level of a texture with an image (uniform, 48 bytes).
+/// What fills one level of a texture with an image (uniform, 32 bytes).
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct TextureFill {
@@ -393,16 +393,10 @@ pub struct TextureFill {
     pub srgb: u32,
     /// Columns and rows of the level.
     pub size: [u32; 2],
-    /// Points of the image that are averaged for a texel, from left to right and from top to bottom.
-    pub taps: [u32; 2],
-    /// Level of the image that they are looked up at.
-    pub level: f32,
     /// Zero.
     pub reserved_0: u32,
     /// Zero.
     pub reserved_1: u32,
-    /// Zero.
-    pub reserved_2: u32,
 }
 
 /// Nothing behind the scene.
@@ -857,11 +851,8 @@ mod tests {
                 corner,
                 srgb,
                 size,
-                taps,
-                level,
                 reserved_0,
                 reserved_1,
-                reserved_2,
             }
         );
         let module = naga::front::wgsl::parse_str(&source(Entry::Motion)).expect("valid WGSL");

@@ -22,6 +22,8 @@ use crate::gpu::LimitError;
 
 /// Most points of one level that are looked up for a pixel.
 pub const TAPS: f32 = 8.0;
+/// Most points of an app's image that are averaged for a texel, per side.
+const MOST_TAPS: u32 = 16;
 /// Most layers of the texture that holds them: places have six bits for it.
 pub const MAX_LAYERS: u32 = 1 << (32 - 2 * SIDE_BITS);
 /// Longest side of a layer and of a texture: WebGPU's default limit.
@@ -512,7 +514,8 @@ pub fn wgsl_constants() -> String {
     format!(
         "const TEXTURES_TAPS: f32 = {TAPS:?};\n\
          const TEXTURES_SIDE_BITS: u32 = {SIDE_BITS}u;\n\
-         const TEXTURES_WIDEST: f32 = {WIDEST:?};\n",
+         const TEXTURES_WIDEST: f32 = {WIDEST:?};\n\
+         const TEXTURES_MOST_TAPS: u32 = {MOST_TAPS}u;\n",
     )
 }
 

@@ -109,11 +109,11 @@ pub fn vertices_of(group: &[u32], triangles: &[[u32; 3]]) -> Vec<u32> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
 
     /// Squares of two triangles each on n² cells, so high at every vertex.
-    fn grid(n: u32, height: impl Fn(u32, u32) -> f32) -> (Vec<Vec3>, Vec<[u32; 3]>) {
+    pub(crate) fn grid(n: u32, height: impl Fn(u32, u32) -> f32) -> (Vec<Vec3>, Vec<[u32; 3]>) {
         let positions = (0..(n + 1) * (n + 1))
             .map(|i| {
                 let (x, z) = (i % (n + 1), i / (n + 1));

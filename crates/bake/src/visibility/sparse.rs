@@ -301,27 +301,13 @@ impl Walk {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mesh::cluster::tests::grid;
 
     fn spacing(distance: f32) -> Spacing {
         Spacing {
             distance,
             smooth: 0.9,
         }
-    }
-
-    /// A square of n² cells of side 1, lifted.
-    fn grid(n: u32, height: impl Fn(f32, f32) -> f32) -> (Vec<Vec3>, Vec<[u32; 3]>) {
-        let origins = (0..(n + 1) * (n + 1))
-            .map(|i| [i % (n + 1), i / (n + 1)].map(|x| x as f32))
-            .map(|[x, z]| Vec3::new(x, height(x, z), z))
-            .collect();
-        let triangles = (0..n * n)
-            .flat_map(|i| {
-                let a = i / n * (n + 1) + i % n;
-                [[a, a + n + 1, a + 1], [a + 1, a + n + 1, a + n + 2]]
-            })
-            .collect();
-        (origins, triangles)
     }
 
     fn sampled(sparse: &Sparse, places: u32) -> Vec<u32> {
@@ -364,7 +350,7 @@ mod tests {
 
     #[test]
     fn creases_are_sampled_and_not_crossed() {
-        let (origins, triangles) = grid(20, |x, _| (x - 10.0).abs());
+        let (origins, triangles) = grid(20, |x, _| x.abs_diff(10) as f32);
         let sparse = Sparse::new(&origins, &triangles, spacing(5.0), |place| place == 30);
         let count = origins.len() as u32;
         let sampled = sampled(&sparse, count);

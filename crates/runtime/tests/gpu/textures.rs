@@ -167,13 +167,30 @@ fn image(gpu: &Gpu, texture: &Texture, format: wgpu::TextureFormat, levels: u32)
         texels.extend_from_slice(&finer.texels);
         level = coarser(&finer);
     }
+    image_of(
+        gpu,
+        [texture.width, texture.height],
+        format,
+        levels,
+        &texels,
+    )
+}
+
+/// An app's own image, of such bytes.
+fn image_of(
+    gpu: &Gpu,
+    [width, height]: [u32; 2],
+    format: wgpu::TextureFormat,
+    levels: u32,
+    bytes: &[u8],
+) -> wgpu::Texture {
     gpu.device.create_texture_with_data(
         &gpu.queue,
         &wgpu::TextureDescriptor {
             label: None,
             size: wgpu::Extent3d {
-                width: texture.width,
-                height: texture.height,
+                width,
+                height,
                 depth_or_array_layers: 1,
             },
             mip_level_count: levels,
@@ -184,7 +201,7 @@ fn image(gpu: &Gpu, texture: &Texture, format: wgpu::TextureFormat, levels: u32)
             view_formats: &[],
         },
         TextureDataOrder::LayerMajor,
-        &texels,
+        bytes,
     )
 }
 
@@ -238,6 +255,28 @@ pub fn images_take_the_place_of_textures(gpu: &mut Gpu) -> Outcome {
     } else {
         println!("this device has no BC");
     }
+    // A view without the finest level shows what an image of the others does.
+    let linear = wgpu::TextureFormat::Rgba8Unorm;
+    let mut pictures = Vec::new();
+    for left_out in [0, 1] {
+        let mut texture = scene.textures[1].clone();
+        if left_out == 1 {
+            texture = coarser(&texture).ok_or("another level")?;
+        }
+        let of_coarser = wgpu::TextureViewDescriptor {
+            base_mip_level: 1 - left_out,
+            ..Default::default()
+        };
+        let view = image(gpu, &texture, linear, levels - left_out).create_view(&of_coarser);
+        let uploaded = gpu.upload(&scene)?;
+        let descriptor = wgpu::CommandEncoderDescriptor::default();
+        let mut encoder = gpu.device.create_command_encoder(&descriptor);
+        (gpu.renderer).set_texture(&mut encoder, &uploaded, 1, &view)?;
+        gpu.queue.submit([encoder.finish()]);
+        pictures.push(gpu.render(&uploaded, &frame, width, height)?.linear);
+    }
+    assert!(relative_rmse(&pictures[0], &before) > 1e-4);
+    assert!(pictures[0] == pictures[1]);
     // What cannot be sampled, and what is not there.
     let mut encoder = gpu
         .device
@@ -276,26 +315,8 @@ fn compressed_image(gpu: &mut Gpu, scene: &Scene, frame: &Frame) -> Result<f32, 
             ]
         })
         .collect();
-    let size = wgpu::Extent3d {
-        width: side,
-        height: side,
-        depth_or_array_layers: 1,
-    };
-    let image = gpu.device.create_texture_with_data(
-        &gpu.queue,
-        &wgpu::TextureDescriptor {
-            label: None,
-            size,
-            mip_level_count: 1,
-            sample_count: 1,
-            dimension: wgpu::TextureDimension::D2,
-            format: wgpu::TextureFormat::Bc1RgbaUnormSrgb,
-            usage: wgpu::TextureUsages::TEXTURE_BINDING,
-            view_formats: &[],
-        },
-        TextureDataOrder::LayerMajor,
-        &data,
-    );
+    let format = wgpu::TextureFormat::Bc1RgbaUnormSrgb;
+    let image = image_of(gpu, [side; 2], format, 1, &data);
     let uploaded = gpu.upload(scene)?;
     let mut encoder = gpu
         .device

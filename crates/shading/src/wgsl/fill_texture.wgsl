@@ -7,13 +7,8 @@ struct TextureFill {
     srgb: u32,
     // Columns and rows of the level.
     size: vec2<u32>,
-    // Points of the image that are averaged for a texel, from left to right and from top to bottom.
-    taps: vec2<u32>,
-    // Of the image, that they are looked up at.
-    level: f32,
     reserved_0: u32,
     reserved_1: u32,
-    reserved_2: u32,
 }
 
 @group(0) @binding(0) var<uniform> fill: TextureFill;
@@ -26,15 +21,22 @@ fn fill_texture_main(@builtin(global_invocation_id) id: vec3<u32>) {
     if any(id.xy >= fill.size) {
         return;
     }
+    // The finest level that the image has which is no coarser, and points of it that are averaged for a texel: as
+    // many as its texels are in one. All by what the view shows, which may leave out levels of its texture.
+    let whole = textureDimensions(fill_image, 0);
+    let ratio = max(min(whole.x / fill.size.x, whole.y / fill.size.y), 1u);
+    let level = min(firstLeadingBit(ratio), textureNumLevels(fill_image) - 1u);
+    let side = fill.size << vec2(level);
+    let taps = clamp((whole + side - 1u) / side, vec2(1u), vec2(TEXTURES_MOST_TAPS));
     var sum = vec4(0.0);
-    for (var row = 0u; row < fill.taps.y; row++) {
-        for (var column = 0u; column < fill.taps.x; column++) {
-            let within = (vec2<f32>(vec2(column, row)) + 0.5) / vec2<f32>(fill.taps);
+    for (var row = 0u; row < taps.y; row++) {
+        for (var column = 0u; column < taps.x; column++) {
+            let within = (vec2<f32>(vec2(column, row)) + 0.5) / vec2<f32>(taps);
             let at = (vec2<f32>(id.xy) + within) / vec2<f32>(fill.size);
-            sum += textureSampleLevel(fill_image, fill_sampler, at, fill.level);
+            sum += textureSampleLevel(fill_image, fill_sampler, at, f32(level));
         }
     }
-    var color = clamp(sum / f32(fill.taps.x * fill.taps.y), vec4(0.0), vec4(1.0));
+    var color = clamp(sum / f32(taps.x * taps.y), vec4(0.0), vec4(1.0));
     if fill.srgb != 0u {
         color = vec4(
             tonemap_encode_srgb(color.r),

@@ -12,7 +12,7 @@ fn textures_enter(a: Vertex, b: Vertex, c: Vertex, position: vec3<f32>) {
     let normal = cross(ab, ac);
     let area = dot(normal, normal);
     let steps = camera_steps(normal, position);
-    if area == 0.0 || (all(steps[0] == vec3(0.0)) && all(steps[1] == vec3(0.0))) {
+    if area == 0.0 {
         return;
     }
     let uv_b = vec2(b.u - a.u, b.v - a.v);

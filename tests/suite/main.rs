@@ -20,6 +20,7 @@ mod gpu;
 mod import;
 mod lab;
 mod meshes;
+mod modules;
 mod real_meshes;
 mod support;
 mod truth;
@@ -37,6 +38,7 @@ fn main() -> ExitCode {
         gpu::trials(),
         import::trials(),
         lab::trials(),
+        modules::trials(),
         real_meshes::trials(),
         truth::trials(),
         viewer::trials(),

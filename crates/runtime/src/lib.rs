@@ -96,7 +96,7 @@
 //!
 //! The major version of this crate follows that of `wgpu`, which is re-exported: [`wgpu`], as is [`glam`], whose vectors
 //! and matrices cameras and placements are made of. `relight-shading` has
-//! the same stages as WGSL (`wgsl::source`, `wgsl::KERNELS`) and packed buffers (`gpu::pack_scene`, `textures`) without
+//! the same stages as WGSL (`wgsl::source`, `wgsl::KERNELS`) and packed buffers (`pack::pack_scene`, `textures`) without
 //! any type of `wgpu`, for engines on another version or API.
 //! `public-api.txt` in the repository lists what may be named.
 //!

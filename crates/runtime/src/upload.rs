@@ -6,8 +6,9 @@ use bytemuck::Pod;
 use glam::Vec3;
 use relight_format::{Material, Scene, TextureShape};
 use relight_shading::catcher;
-use relight_shading::gpu::{self, AtlasLayout, LimitError, PackedScene, pack_scene};
+use relight_shading::gpu::{self, AtlasLayout, LimitError};
 use relight_shading::occluders::Occluders;
+use relight_shading::pack::{self, PackedScene, pack_scene};
 use relight_shading::spherical_gaussian::SphericalGaussian;
 use relight_shading::textures::PackedTexture;
 use relight_shading::transfer::{self, DistantLight, PackedTransfer};
@@ -114,7 +115,7 @@ impl Renderer {
 fn scene_bytes(scene: &Scene, textures: bool) -> Result<u64, Error> {
     let words = PackedTransfer::new(scene).map_or(1, |packed| packed.words().len());
     let words = 4 * word_count(words) as u64;
-    Ok(words + gpu::packed_bytes(scene, textures).map_err(Error::Scene)?)
+    Ok(words + pack::packed_bytes(scene, textures).map_err(Error::Scene)?)
 }
 
 /// What groups of a scene have of some bounced light.
@@ -341,7 +342,7 @@ impl GpuScene {
             None if material.shadow_catcher => return Err(Error::NoCatcher { index }),
             None => {}
         }
-        let packed = gpu::pack_material(material, &self.textures);
+        let packed = pack::pack_material(material, &self.textures);
         reflections.store(packed.reflections(), Ordering::Relaxed);
         let offset = (index * size_of::<gpu::Material>()) as u64;
         self.queue

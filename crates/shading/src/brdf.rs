@@ -17,11 +17,10 @@
 use glam::{Vec2, Vec2Swizzles as _, Vec3};
 use relight_format::math;
 
-use crate::reference;
 use crate::spherical_gaussian::SphericalGaussian;
 #[cfg(test)]
 use crate::surface::MAX_EXPONENT;
-use crate::surface::{MIN_ALPHA, Model, Reflection, SurfacePoint};
+use crate::surface::{MIN_ALPHA, Model, Reflection, SurfacePoint, schlick};
 use crate::tables::{self, Tables};
 
 /// Most spherical Gaussians that a specular reflection becomes: those of an anisotropic one.
@@ -289,7 +288,7 @@ fn modulation(reflection: &Reflection, wo: Vec3, azimuth: Vec2, cosine: f32) -> 
     }
     let f0 = reflection.specular.element_sum();
     let f90 = reflection.grazing.element_sum();
-    let fresnel = f0 + (f90 - f0) * reference::schlick(half_cosine);
+    let fresnel = f0 + (f90 - f0) * schlick(half_cosine);
     masking * fresnel.max(MIN_FRESNEL * f90)
 }
 
@@ -508,12 +507,12 @@ fn reference_albedo(reflection: &Reflection, wo: Vec3) -> [f64; 2] {
         for angle in 0..ANGLES {
             let u = (radius as f32 + 0.5) / RADII as f32;
             let v = (angle as f32 + 0.5) / ANGLES as f32;
-            let Some((wi, weight)) = reference::sample_specular(reflection, wo, u, v) else {
+            let Some((wi, weight)) = crate::reference::sample_specular(reflection, wo, u, v) else {
                 continue;
             };
             let half = (wi + wo).normalize();
             let white = if reflection.has_fresnel() {
-                reference::schlick(half.dot(wo))
+                schlick(half.dot(wo))
             } else {
                 0.0
             };

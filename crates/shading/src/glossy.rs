@@ -11,8 +11,8 @@ use glam::Vec3;
 use relight_format::math;
 
 use crate::brdf::{MAX_SPECULAR_LOBES, SpecularLobes, local_lobes};
+use crate::contribution::negligible;
 use crate::reference;
-use crate::shade::negligible;
 use crate::spherical_gaussian::{SphericalGaussian, energy};
 use crate::surface::{Reflection, SurfacePoint};
 use crate::tables::Tables;

@@ -164,11 +164,6 @@ impl Reflection<'_> {
     }
 }
 
-/// Schlick's (1 − cosθ)⁵.
-pub(crate) fn schlick(cosine: f32) -> f32 {
-    (1.0 - cosine).clamp(0.0, 1.0).powi(5)
-}
-
 fn ggx(h: Vec3, alpha: Vec2) -> f32 {
     let d = (h.x / alpha.x).powi(2) + (h.y / alpha.y).powi(2) + h.z * h.z;
     1.0 / (PI * alpha.x * alpha.y * d * d)

@@ -7,6 +7,7 @@ use std::f32::consts::{FRAC_1_PI, FRAC_PI_2, PI, TAU};
 use glam::{Mat3, Vec3};
 
 use crate::cells::CellsOptions;
+use crate::contribution::{DARK, NEGLIGIBLE, negligible};
 use crate::glossy::Glossy;
 use crate::gpu;
 use crate::polar::PolarOptions;
@@ -16,14 +17,7 @@ use crate::ssdf::SignedDistance;
 use crate::surface::SurfacePoint;
 use crate::tables::Tables;
 use crate::vertex_visibility::{self, Corners, LightFractions};
-use crate::{ambient, cells, polar, slots, sources, tile};
-
-/// A product lobe whose whole energy is below this fraction of the radiance gathered so
-/// far, in every channel, is not integrated.
-pub const NEGLIGIBLE: f32 = 3e-4;
-
-/// Radiance that is as good as none.
-pub const DARK: f32 = 1e-30;
+use crate::{ambient, cells, polar, slots, sources};
 
 /// How lobes are integrated over the visible region.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -134,24 +128,7 @@ pub fn product_lobes(
     }
 }
 
-/// Radiance from `point` towards the eye.
-pub fn shade(
-    point: &SurfacePoint,
-    lighting: &Lighting,
-    field: &impl SignedDistance,
-    method: &Method,
-) -> Vec3 {
-    let pixel = tile::Pixel {
-        point,
-        lighting: *lighting,
-        field,
-        surface: [0; 2],
-        has_diffuse: point.appearance.diffuse != Vec3::ZERO,
-    };
-    tile::shade(&[Some(pixel)], method, &mut 0)[0]
-}
-
-/// The same by cells; adds the number of groups of lobes that were integrated.
+/// Radiance from `point` towards the eye, by cells; adds the number of groups of lobes that were integrated.
 pub(crate) fn by_cells(
     point: &SurfacePoint,
     lighting: &Lighting,
@@ -365,17 +342,6 @@ pub(crate) fn image_seen(image: Vec3, scaled: Vec3, visible: Vec3, part: f32) ->
     unshadowed * (visible + even * part) / (scaled + even).max(Vec3::splat(f32::MIN_POSITIVE))
 }
 
-/// Whether a lobe of the integral `whole` adds nothing to what has been gathered before.
-pub(crate) fn negligible(whole: Vec3, gathered: Vec3) -> bool {
-    whole.cmple(NEGLIGIBLE * gathered).all()
-}
-
-/// What a lobe of the integral `whole` can add, in what has been gathered before, in the
-/// channel where that is most.
-pub(crate) fn share(whole: Vec3, gathered: Vec3) -> f32 {
-    (whole / gathered.max(Vec3::splat(DARK))).max_element()
-}
-
 /// Light from everywhere, as a part of what a lobe reflects, that takes part in saying how
 /// much is visible: where the lights are dark, it alone.
 pub const EVEN: f32 = 0.01;
@@ -402,8 +368,10 @@ pub fn gpu_tables() -> Vec<f32> {
 mod tests {
     use super::*;
     use crate::accuracy::local_point;
+    use crate::contribution::share;
     use crate::reference;
     use crate::surface::{Appearance, Model, Reflection};
+    use crate::tile::point_radiance as shade;
     use glam::Vec2;
 
     /// Visible on one side of a plane through the point.

@@ -12,8 +12,7 @@ use relight_format::{
     Texture, TextureSlot, Vertex,
 };
 
-use crate::reference::schlick;
-use crate::textures::{self, Filter, Footprint};
+use crate::textures::{self, Filter, Footprint, RGBE_BIAS, decode_rgbe};
 
 /// Smallest roughness that is shaded, on the scale of GGX alpha. Its lobe falls to a third
 /// within 0.04 rad, little more than a texel of a 128 × 128 visibility bitmap.
@@ -22,8 +21,6 @@ pub const MIN_ALPHA: f32 = 0.02;
 pub const MAX_EXPONENT: f32 = 2.0 / (MIN_ALPHA * MIN_ALPHA);
 /// Reflectance of a dielectric at normal incidence in glTF 2.0 (index of refraction 1.5).
 pub const DIELECTRIC_F0: f32 = 0.04;
-/// Exponent of a ratio's texel that multiplies its bytes by 1.
-const RGBE_BIAS: i32 = 136;
 /// Least product of sines by which the azimuth of a ratio is divided.
 const LEAST_RATIO_SINE: f32 = 1e-6;
 /// Least cosine between the shading normal and the direction to an eye that sees the front of a
@@ -565,12 +562,6 @@ pub fn emission(
     emission * textures::sample(scene, slot, uv, filter).xyz()
 }
 
-/// Ward 1991, "Real pixels", without the half that is added to each byte there.
-pub fn decode_rgbe([r, g, b, exponent]: [u8; 4]) -> Vec3 {
-    let scale = 2f32.powi(i32::from(exponent) - RGBE_BIAS);
-    Vec3::new(f32::from(r), f32::from(g), f32::from(b)) * scale
-}
-
 /// Where a ratio is looked up for two unit vectors above the surface, each from 0 to 1; they are
 /// explained at [`relight_format::RATIO_NODES`].
 pub fn ratio_coordinates(wi: Vec3, wo: Vec3) -> Vec3 {
@@ -598,6 +589,11 @@ pub fn sample_ratio(texture: &Texture, wi: Vec3, wo: Vec3) -> Vec3 {
     let row = |y, z| at(0, y, z).lerp(at(1, y, z), f.x);
     let plane = |z| row(0, z).lerp(row(1, z), f.y);
     plane(0).lerp(plane(1), f.z)
+}
+
+/// Schlick's (1 − cosθ)⁵.
+pub(crate) fn schlick(cosine: f32) -> f32 {
+    (1.0 - cosine).clamp(0.0, 1.0).powi(5)
 }
 
 /// `vector` at unit length, or `fallback` where it is zero or not a number.

@@ -20,6 +20,8 @@ use relight_format::{Scene, Texture, TextureEncoding, TextureShape, TextureSlot,
 use crate::camera::View;
 use crate::gpu::LimitError;
 
+/// Exponent of a ratio's texel that multiplies its bytes by 1.
+pub(crate) const RGBE_BIAS: i32 = 136;
 /// Most points of one level that are looked up for a pixel.
 pub const TAPS: f32 = 8.0;
 /// Most points of an app's image that are averaged for a texel, per side.
@@ -314,13 +316,19 @@ fn row(texture: &Texture, uv: Vec2, row: u32) -> Vec4 {
     weight * texel(texture, x0, y).lerp(texel(texture, x1, y), f.x)
 }
 
+/// Ward 1991, "Real pixels", without the half that is added to each byte there.
+pub fn decode_rgbe([r, g, b, exponent]: [u8; 4]) -> Vec3 {
+    let scale = 2f32.powi(i32::from(exponent) - RGBE_BIAS);
+    Vec3::new(f32::from(r), f32::from(g), f32::from(b)) * scale
+}
+
 fn texel(texture: &Texture, x: u32, y: u32) -> Vec4 {
     let start = (y as usize * texture.width as usize + x as usize) * 4;
     let bytes: [u8; 4] = std::array::from_fn(|channel| texture.texels[start + channel]);
     let value = Vec4::from(bytes.map(f32::from)) / 255.0;
     match texture.encoding {
         TextureEncoding::Linear => value,
-        TextureEncoding::Rgbe => crate::surface::decode_rgbe(bytes).extend(1.0),
+        TextureEncoding::Rgbe => decode_rgbe(bytes).extend(1.0),
         TextureEncoding::Srgb => {
             let [r, g, b] = value.xyz().to_array().map(decode_srgb);
             Vec3::new(r, g, b).extend(value.w)

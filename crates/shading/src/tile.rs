@@ -7,11 +7,11 @@ use std::f32::consts::FRAC_1_PI;
 
 use glam::Vec3;
 
+use crate::contribution::{negligible, share};
 use crate::glossy::Glossy;
 use crate::pixel_visibility::{Asked, PIXELS, Parents, Place};
 use crate::shade::{
-    EVEN, EVENLY, Lighting, Method, by_cells, diffused, image_reflected, image_seen, negligible,
-    share,
+    EVEN, EVENLY, Lighting, Method, by_cells, diffused, image_reflected, image_seen,
 };
 use crate::spherical_gaussian::SphericalGaussian;
 use crate::ssdf::SignedDistance;
@@ -107,6 +107,23 @@ pub fn shade<F: SignedDistance>(
     (radiance.iter().zip(&beside))
         .map(|(radiance, beside)| (radiance + beside).max(Vec3::ZERO))
         .collect()
+}
+
+/// Radiance of one point towards the eye.
+pub fn point_radiance(
+    point: &SurfacePoint,
+    lighting: &Lighting,
+    field: &impl SignedDistance,
+    method: &Method,
+) -> Vec3 {
+    let pixel = Pixel {
+        point,
+        lighting: *lighting,
+        field,
+        surface: [0; 2],
+        has_diffuse: point.appearance.diffuse != Vec3::ZERO,
+    };
+    shade(&[Some(pixel)], method, &mut 0)[0]
 }
 
 /// A lobe of a round.

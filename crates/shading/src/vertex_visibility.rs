@@ -8,8 +8,8 @@
 use glam::Vec3;
 use relight_format::math;
 
+use crate::contribution::{negligible, share};
 use crate::polar::{self, PolarOptions, support_radius};
-use crate::shade::{negligible, share};
 use crate::spherical_gaussian::SphericalGaussian;
 use crate::ssdf::SignedDistance;
 use crate::tables::Tables;

@@ -15,7 +15,7 @@ use relight_bake::monitor::{Monitor, Progress};
 use relight_bake::scene::{self, description, load};
 use relight_format::{Camera, Environment, FieldOfView, Limits, Scene};
 use relight_lab::truth::{self, Filter, Geometry, full, lobes};
-use relight_lab::{bench, camera, compare, demo, experiments, image_file, render};
+use relight_lab::{bench, camera, compare, demo, display, experiments, image_file, render};
 use relight_shading::camera::View;
 use relight_shading::cells::CellsOptions;
 use relight_shading::gpu;
@@ -466,7 +466,7 @@ fn run_render(arguments: &Render) -> anyhow::Result<Value> {
     let start = Instant::now();
     let image = renderer.render(&scene, &frame, picture.size)?;
     let seconds = start.elapsed().as_secs_f64();
-    image_file::write(&picture.output, &image, picture.exposure)?;
+    display::write_image(&picture.output, &image, picture.exposure)?;
     Ok(json!({
         "output": picture.output,
         "width": image.width,
@@ -653,7 +653,7 @@ fn run_truth(arguments: &Truth) -> anyhow::Result<Value> {
     };
     let seconds = start.elapsed().as_secs_f64();
     bar.finish_and_clear();
-    image_file::write(&picture.output, &image, picture.exposure)?;
+    display::write_image(&picture.output, &image, picture.exposure)?;
     Ok(json!({
         "output": picture.output,
         "width": width,

@@ -1,10 +1,12 @@
 //! Linear radiance to 8-bit sRGB, for eyes and for FLIP: as the runtime shows it.
 
+use std::path::Path;
+
 use glam::Vec3;
 pub use relight_shading::tonemap::luminance;
 use relight_shading::tonemap::{self, encode_srgb, neutral};
 
-use crate::image_file::Image;
+use crate::image_file::{Error, Image, write_exr, write_png};
 
 /// Linear grey shown where nothing covers the pixel.
 const BACKGROUND: f32 = 0.18;
@@ -12,6 +14,19 @@ const BACKGROUND: f32 = 0.18;
 /// Where exposed radiance is cut off: beyond it the curve is white, and infinity is not a
 /// colour.
 const BRIGHTEST: f32 = 1e6;
+
+/// Writes `image` as EXR, or tone-mapped at `exposure` stops as PNG, by the name's ending.
+pub fn write_image(path: &Path, image: &Image, exposure: f32) -> Result<(), Error> {
+    match path.extension().and_then(|extension| extension.to_str()) {
+        Some(extension) if extension.eq_ignore_ascii_case("exr") => write_exr(path, image),
+        Some(extension) if extension.eq_ignore_ascii_case("png") => {
+            write_png(path, image.width, &pixels(image, exposure))
+        }
+        _ => Err(Error::Extension {
+            path: path.display().to_string(),
+        }),
+    }
+}
 
 /// Tone-mapped sRGB pixels over a neutral background. `exposure` is in stops.
 pub fn pixels(image: &Image, exposure: f32) -> Vec<[u8; 3]> {

@@ -205,19 +205,6 @@ pub fn write_png(path: &Path, width: u32, pixels: &[[u8; 3]]) -> Result<(), Erro
     Ok(relight_format::write_file(path, &bytes)?)
 }
 
-/// Writes `image` as EXR, or tone-mapped at `exposure` stops as PNG, by the name's ending.
-pub fn write(path: &Path, image: &Image, exposure: f32) -> Result<(), Error> {
-    match path.extension().and_then(|extension| extension.to_str()) {
-        Some(extension) if extension.eq_ignore_ascii_case("exr") => write_exr(path, image),
-        Some(extension) if extension.eq_ignore_ascii_case("png") => {
-            write_png(path, image.width, &crate::display::pixels(image, exposure))
-        }
-        _ => Err(Error::Extension {
-            path: path.display().to_string(),
-        }),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -267,7 +254,7 @@ mod tests {
         assert!(matches!(absent, Err(Error::Io { .. })));
         let other = folder.path().join("image.jpeg");
         assert!(matches!(
-            write(&other, &gradient(false), 0.0),
+            crate::display::write_image(&other, &gradient(false), 0.0),
             Err(Error::Extension { .. })
         ));
         assert!(!other.exists());

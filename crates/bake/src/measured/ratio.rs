@@ -9,7 +9,8 @@ use rayon::prelude::*;
 use relight_format::math;
 use relight_format::{RATIO_NODES, RATIO_SIZE, Texture, TextureEncoding};
 use relight_shading::reference;
-use relight_shading::surface::{Appearance, decode_rgbe};
+use relight_shading::surface::Appearance;
+use relight_shading::textures::decode_rgbe;
 
 use super::Table;
 

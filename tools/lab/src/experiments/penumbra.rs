@@ -9,10 +9,11 @@ use relight_bake::scene::description::Ground;
 use relight_bake::scene::load::SceneInput;
 use relight_format::{Camera, FieldOfView, Specular, Surface};
 use relight_runtime::{Frame, twin};
-use relight_shading::shade::{self, Lighting};
+use relight_shading::shade::Lighting;
 use relight_shading::spherical_gaussian::SphericalGaussian;
 use relight_shading::ssdf::{SignedDistance, Ssdf};
 use relight_shading::surface::SurfacePoint;
+use relight_shading::tile::point_radiance;
 
 use super::report::{Section, Table};
 use super::{Laboratory, METHODS, camera, error};
@@ -152,7 +153,7 @@ fn unblocked(
         }
     }
     let shade = |point: &SurfacePoint, lighting: &Lighting, _: &Ssdf| {
-        let radiance = shade::shade(point, lighting, &Open, &frame.method);
+        let radiance = point_radiance(point, lighting, &Open, &frame.method);
         radiance.extend(1.0).to_array()
     };
     Ok(Image {

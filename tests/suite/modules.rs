@@ -1,0 +1,172 @@
+//! Modules of a crate use one another in one direction.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use libtest_mimic::Trial;
+
+use crate::support::Outcome;
+
+/// Crates whose modules still form cycles. One that no longer does has to leave this list.
+const CYCLIC: [&str; 2] = ["crates/runtime", "tools/viewer"];
+
+/// What each module at a crate's top level uses of the others.
+type Uses = BTreeMap<String, BTreeSet<String>>;
+
+pub fn trials() -> Vec<Trial> {
+    vec![
+        Trial::test("modules::no_cycles_inside_crates", no_cycles),
+        Trial::test("modules::a_cycle_is_found", a_cycle_is_found),
+    ]
+}
+
+fn no_cycles() -> Outcome {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let (mut checked, mut wrong) = (0, String::new());
+    for group in ["crates", "tools"] {
+        for entry in fs::read_dir(root.join(group))? {
+            let name = format!("{group}/{}", entry?.file_name().display());
+            let source = root.join(&name).join("src");
+            if !source.is_dir() {
+                continue;
+            }
+            checked += 1;
+            let uses = uses(&files(&source)?);
+            match (cycle(&uses), CYCLIC.contains(&name.as_str())) {
+                (Some(cycle), false) => wrong += &format!("{name}: {}\n", cycle.join(" -> ")),
+                (None, true) => wrong += &format!("{name}: has no cycle; take it off the list\n"),
+                _ => {}
+            }
+        }
+    }
+    assert!(checked > CYCLIC.len(), "only {checked} crates");
+    assert!(wrong.is_empty(), "\n{wrong}");
+    Ok(())
+}
+
+/// Every source file's module at the top level of its crate, and its text.
+fn files(source: &Path) -> Result<Vec<(String, String)>, std::io::Error> {
+    let mut found = Vec::new();
+    let mut folders: Vec<PathBuf> = vec![source.to_path_buf()];
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(folder)? {
+            let path = entry?.path();
+            if path.is_dir() {
+                folders.push(path);
+            } else if path.extension().is_some_and(|extension| extension == "rs") {
+                let inside = path.strip_prefix(source).unwrap_or(&path);
+                let top = inside
+                    .iter()
+                    .next()
+                    .map(Path::new)
+                    .and_then(Path::file_stem);
+                let module = top.unwrap_or_default().to_string_lossy().into_owned();
+                found.push((module, fs::read_to_string(&path)?));
+            }
+        }
+    }
+    Ok(found)
+}
+
+/// What modules name after `crate::`, but in comments and in the tests at a file's end. The
+/// crate's root may use any and is used by any.
+fn uses(files: &[(String, String)]) -> Uses {
+    let inner = |module: &String| !matches!(module.as_str(), "lib" | "main");
+    let modules: BTreeSet<&String> = files
+        .iter()
+        .map(|(module, _)| module)
+        .filter(|m| inner(m))
+        .collect();
+    let mut uses = Uses::new();
+    for (module, text) in files.iter().filter(|(module, _)| inner(module)) {
+        let product = text.split("#[cfg(test)]\nmod ").next().unwrap_or_default();
+        let code: Vec<&str> = product
+            .lines()
+            .map(|line| line.split("//").next().unwrap_or_default())
+            .collect();
+        let used = uses.entry(module.clone()).or_default();
+        for rest in code.join("\n").split("crate::").skip(1) {
+            let names = named(rest)
+                .into_iter()
+                .filter(|name| modules.contains(name));
+            used.extend(names.filter(|name| name != module));
+        }
+    }
+    uses
+}
+
+/// First names of the paths that follow `crate::`: one, or those of a group in braces.
+fn named(rest: &str) -> Vec<String> {
+    let name = |text: &str| -> String {
+        let letters = text.trim_start().chars();
+        letters
+            .take_while(|&c| c.is_alphanumeric() || c == '_')
+            .collect()
+    };
+    let Some(group) = rest.strip_prefix('{') else {
+        return vec![name(rest)];
+    };
+    let (mut depth, mut start, mut names) = (0, 0, Vec::new());
+    for (at, letter) in group.char_indices() {
+        match letter {
+            '{' => depth += 1,
+            '}' if depth > 0 => depth -= 1,
+            ',' | '}' if depth == 0 => {
+                names.push(name(&group[start..at]));
+                start = at + 1;
+                if letter == '}' {
+                    break;
+                }
+            }
+            _ => {}
+        }
+    }
+    names
+}
+
+/// A way from a module back to itself, the shortest one.
+fn cycle(uses: &Uses) -> Option<Vec<&str>> {
+    let ways = uses.keys().filter_map(|start| way_back(uses, start));
+    ways.min_by_key(Vec::len)
+}
+
+fn way_back<'a>(uses: &'a Uses, start: &'a str) -> Option<Vec<&'a str>> {
+    let mut seen = BTreeSet::new();
+    let mut ways = std::collections::VecDeque::from([vec![start]]);
+    while let Some(way) = ways.pop_front() {
+        let last = *way.last()?;
+        for next in uses.get(last).into_iter().flatten() {
+            let longer = [&way[..], &[next.as_str()]].concat();
+            if next == start {
+                return Some(longer);
+            }
+            if seen.insert(next.as_str()) {
+                ways.push_back(longer);
+            }
+        }
+    }
+    None
+}
+
+/// The check itself: one use closes a cycle, in a group, over a folder; none in comments, tests, the root.
+fn a_cycle_is_found() -> Outcome {
+    let with = |last: &str| {
+        let text = [
+            ("lib", "pub use crate::a::A;"),
+            ("a", "use crate::{Error, b::{self, B}, d};\n// crate::c\n"),
+            (
+                "b",
+                "use crate::c::C;\n#[cfg(test)]\nmod tests { use crate::a; }",
+            ),
+            ("c", last),
+            ("d", ""),
+        ];
+        uses(&text.map(|(module, text)| (module.to_owned(), text.to_owned())))
+    };
+    let open = with("use crate::d::D; use crate::c;");
+    assert_eq!(cycle(&open), None);
+    let closed = with("fn f() { crate::a::g() }");
+    assert_eq!(cycle(&closed), Some(vec!["a", "b", "c", "a"]));
+    Ok(())
+}

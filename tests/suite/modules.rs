@@ -1,4 +1,4 @@
-//! Modules of a crate use one another in one direction.
+//! Modules of a crate use one another in one direction, and WGSL has no function that nothing calls.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -18,6 +18,7 @@ pub fn trials() -> Vec<Trial> {
     vec![
         Trial::test("modules::no_cycles_inside_crates", no_cycles),
         Trial::test("modules::a_cycle_is_found", a_cycle_is_found),
+        Trial::test("modules::wgsl_functions_are_used", wgsl_functions_are_used),
     ]
 }
 
@@ -169,4 +170,49 @@ fn a_cycle_is_found() -> Outcome {
     let closed = with("fn f() { crate::a::g() }");
     assert_eq!(cycle(&closed), Some(vec!["a", "b", "c", "a"]));
     Ok(())
+}
+
+fn wgsl_functions_are_used() -> Outcome {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../crates/shading/src/wgsl");
+    let mut code = String::new();
+    for entry in fs::read_dir(folder)? {
+        for line in fs::read_to_string(entry?.path())?.lines() {
+            code += line.split("//").next().unwrap_or_default();
+            code.push('\n');
+        }
+    }
+    let unused = unused(&code);
+    assert!(unused.is_empty(), "no shader calls {unused:?}");
+    // The check itself: entries need no caller, a function's own name is no call.
+    let of = "@compute @workgroup_size(8)\nfn main() { a(); }\nfn a() {}\nfn ab() {}\n";
+    assert_eq!(self::unused(of), ["ab"]);
+    Ok(())
+}
+
+/// Functions that are no entries and occur in `code` only where they are defined.
+fn unused(code: &str) -> Vec<&str> {
+    let letter = |c: char| c.is_alphanumeric() || c == '_';
+    let words: Vec<&str> = code
+        .split(|c| !letter(c))
+        .filter(|word| !word.is_empty())
+        .collect();
+    let mut found = Vec::new();
+    let mut before = "";
+    for line in code.lines() {
+        if let Some((name, _)) = line
+            .strip_prefix("fn ")
+            .and_then(|rest| rest.split_once('('))
+        {
+            let defined = words
+                .windows(2)
+                .filter(|pair| pair == &["fn", name])
+                .count();
+            let named = words.iter().filter(|word| **word == name).count();
+            if named == defined && !before.starts_with('@') {
+                found.push(name);
+            }
+        }
+        before = line;
+    }
+    found
 }

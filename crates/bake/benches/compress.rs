@@ -6,7 +6,7 @@ mod common;
 
 use nalgebra::DMatrix;
 use relight_bake::compress::{self, Samples, Weighting};
-use relight_bake::ssdf::Transform;
+use relight_bake::ssdf::DistanceTransform;
 use relight_bake::visibility::ray::RayCaster;
 use relight_bake::visibility::{self, Crossings, Directions};
 
@@ -32,7 +32,7 @@ fn main() {
         let subject = common::subject(path, vertices);
         let caster = RayCaster::new(&subject.soup);
         let directions = Directions::new(RESOLUTION);
-        let transform = Transform::new(&directions, RESOLUTION);
+        let transform = DistanceTransform::new(&directions, RESOLUTION);
         let columns: Vec<f32> = (subject.origins.iter())
             .flat_map(|&origin| {
                 let bitmap = visibility::sample(&caster, origin, &directions);

@@ -5,7 +5,7 @@
 
 mod common;
 
-use relight_bake::ssdf::Transform;
+use relight_bake::ssdf::DistanceTransform;
 use relight_bake::visibility::Directions;
 use relight_bake::visibility::contour::{ContourMesh, GROUP};
 
@@ -36,7 +36,7 @@ fn main() {
             };
             let visibility = common::best(rounds, &mut sample);
             let mut scratch = contours.scratch(&directions);
-            let mut apply = |transform: Option<&Transform>| {
+            let mut apply = |transform: Option<&DistanceTransform>| {
                 for group in subject.origins.chunks(GROUP) {
                     contours.prepare(group, &mut scratch);
                     for &origin in group {
@@ -53,7 +53,7 @@ fn main() {
                 cells.extend([visibility, crossings - visibility]);
             }
             for &resolution in resolutions {
-                let transform = Transform::new(&directions, resolution);
+                let transform = DistanceTransform::new(&directions, resolution);
                 cells.push(common::best(rounds, || apply(Some(&transform))) - crossings);
             }
         }

@@ -18,7 +18,7 @@ use std::time::Instant;
 use common::Subject;
 use glam::Vec3;
 use rayon::prelude::*;
-use relight_bake::ssdf::Transform;
+use relight_bake::ssdf::DistanceTransform;
 use relight_bake::visibility::contour::{ContourMesh, GROUP};
 use relight_bake::visibility::{self, Bitmap, Directions};
 use serde_json::{Value, json};
@@ -100,7 +100,7 @@ fn measure(subject: &Subject, rounds: usize, threads: usize) -> Value {
     let setup = Instant::now();
     let contours = ContourMesh::new(soup);
     let setup = setup.elapsed().as_secs_f64();
-    let transform = Transform::new(&directions, BASIS_RESOLUTION);
+    let transform = DistanceTransform::new(&directions, BASIS_RESOLUTION);
     let mut embree =
         Embree::find().map(|program| Embree::start(&program, subject, &directions, threads));
     // Contours, rays, Embree, contours with crossings, and with crossings and distances.
@@ -131,7 +131,7 @@ fn measure(subject: &Subject, rounds: usize, threads: usize) -> Value {
                 .map(|&origin| visibility::sample(contours.caster(), origin, &directions))
                 .collect();
         });
-        let distances = |scratch: &mut _, group: &[Vec3], transform: Option<&Transform>| {
+        let distances = |scratch: &mut _, group: &[Vec3], transform: Option<&DistanceTransform>| {
             contours.prepare(group, scratch);
             for &origin in group {
                 let (bitmap, _) = contours.sample(origin, &directions, scratch);

@@ -25,7 +25,7 @@ pub struct Images {
 }
 
 /// Mean and leading principal components of a set of SSDFs.
-pub struct Basis {
+pub struct FittedBasis {
     /// Column 0 is the mean; the others are orthonormal, by falling variance.
     pub images: Images,
     /// Projections of the centred SSDFs: one row per component (without the mean), one
@@ -36,7 +36,7 @@ pub struct Basis {
 /// Principal component analysis: the mean and at most `rank` components.
 ///
 /// Randomised subspace iteration (Halko, Martinsson & Tropp 2011) from a fixed seed.
-pub fn analyse(samples: &Samples, rank: usize) -> Basis {
+pub fn analyse(samples: &Samples, rank: usize) -> FittedBasis {
     let ssdfs = &samples.ssdfs;
     let (texels, vertices) = ssdfs.shape();
     let mean = ssdfs.column_mean();
@@ -75,7 +75,7 @@ pub fn analyse(samples: &Samples, rank: usize) -> Basis {
     let amplitudes = std::iter::once(1.0)
         .chain(spread.map(|length| length / (vertices as f32).sqrt()))
         .collect();
-    Basis {
+    FittedBasis {
         images: Images { values, amplitudes },
         projections,
     }
@@ -86,7 +86,7 @@ pub fn analyse(samples: &Samples, rank: usize) -> Basis {
 /// coefficients that the images go with, too: one row per image, one column per vertex.
 pub fn reweight(
     fitted: &Fitted,
-    basis: &Basis,
+    basis: &FittedBasis,
     channels: usize,
     rounds: usize,
 ) -> (Images, DMatrix<f32>) {

@@ -16,7 +16,7 @@ mod samples;
 
 pub use encode::{Compressed, decode, encode};
 pub use error::{Normal, Weighting};
-pub use fit::{Basis, Images, alternate, analyse, reweight};
+pub use fit::{FittedBasis, Images, alternate, analyse, reweight};
 pub use samples::{Fitted, Samples};
 
 #[cfg(test)]

@@ -49,7 +49,7 @@ const STRANDS: usize = 8;
 const SLACK: f32 = 1e-5;
 
 /// Tables for the transform between two resolutions.
-pub struct Transform {
+pub struct DistanceTransform {
     /// Texels per side of the visibility bitmap.
     n: usize,
     /// Texels per side that distances are wanted at.
@@ -122,7 +122,7 @@ struct Boundary {
     needed: Vec<u32>,
 }
 
-impl Transform {
+impl DistanceTransform {
     /// Tables from bitmaps of the resolution of `samples` to distances at `resolution`
     /// squared texels. `resolution` must divide that of the samples, and be at least a
     /// [`MAX_SPAN`]th of it.
@@ -271,9 +271,9 @@ impl Transform {
     }
 }
 
-/// The vectorised body of [`Transform::distances`].
+/// The vectorised body of [`DistanceTransform::distances`].
 struct AtCentres<'a> {
-    transform: &'a Transform,
+    transform: &'a DistanceTransform,
     visible: &'a Bitmap,
     places: &'a [Place],
     limit: f32,
@@ -685,7 +685,7 @@ mod tests {
     fn equals_brute_force() {
         for (samples, resolution) in [(16, 16), (48, 24), (64, 16)] {
             let directions = Directions::new(samples);
-            let transform = Transform::new(&directions, resolution);
+            let transform = DistanceTransform::new(&directions, resolution);
             for (number, bitmap) in patterns(&directions).iter().enumerate() {
                 for limit in [0.5, 3.0] {
                     let fast = transform.at_centres(bitmap, &Crossings::default(), limit);
@@ -710,7 +710,7 @@ mod tests {
 
     fn matches_analytic_cap(resolution: u32) {
         let directions = Directions::new(128);
-        let transform = Transform::new(&directions, resolution);
+        let transform = DistanceTransform::new(&directions, resolution);
         let (axis, radius) = (Vec3::new(0.3, 0.8, -0.5).normalize(), 0.6f32);
         let angle = |direction: Vec3| math::acos(axis.dot(direction).clamp(-1.0, 1.0));
         let texels = directions.as_slice();

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::Transform;
+use super::DistanceTransform;
 use crate::visibility::contour::{ContourMesh, GROUP, Scratch};
 use crate::visibility::{Bitmap, Crossings, Directions, arrange};
 
@@ -23,7 +23,7 @@ pub(crate) struct Sampled<'a> {
 /// Samples points at one pair of resolutions, and counts what that takes.
 pub(crate) struct Sampler {
     directions: Directions,
-    transform: Transform,
+    transform: DistanceTransform,
     /// SSDFs are clamped to ± this angle, radians.
     clamp: f32,
     rays: AtomicU64,
@@ -36,7 +36,7 @@ impl Sampler {
     pub fn new(samples: u32, resolution: u32, clamp: f32) -> Self {
         let directions = Directions::new(samples);
         Self {
-            transform: Transform::new(&directions, resolution),
+            transform: DistanceTransform::new(&directions, resolution),
             directions,
             clamp,
             rays: AtomicU64::default(),
@@ -51,7 +51,7 @@ impl Sampler {
     }
 
     /// From bitmaps to SSDFs.
-    pub fn transform(&self) -> &Transform {
+    pub fn transform(&self) -> &DistanceTransform {
         &self.transform
     }
 

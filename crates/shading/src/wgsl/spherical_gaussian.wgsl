@@ -6,11 +6,6 @@ struct SphericalGaussian {
     amplitude: vec3<f32>,
 }
 
-fn spherical_gaussian_evaluate(lobe: SphericalGaussian, direction: vec3<f32>) -> vec3<f32> {
-    let chord = direction - lobe.axis;
-    return lobe.amplitude * exp(-0.5 * lobe.sharpness * dot(chord, chord));
-}
-
 fn spherical_gaussian_product(a: SphericalGaussian, b: SphericalGaussian) -> SphericalGaussian {
     let sum = a.sharpness * a.axis + b.sharpness * b.axis;
     let sharpness = length(sum);
@@ -27,10 +22,6 @@ fn spherical_gaussian_product(a: SphericalGaussian, b: SphericalGaussian) -> Sph
 
 fn spherical_gaussian_integral(lobe: SphericalGaussian) -> vec3<f32> {
     return lobe.amplitude * spherical_gaussian_energy(lobe.sharpness);
-}
-
-fn spherical_gaussian_rotate(lobe: SphericalGaussian, rotation: mat3x3<f32>) -> SphericalGaussian {
-    return SphericalGaussian(rotation * lobe.axis, lobe.sharpness, lobe.amplitude);
 }
 
 fn spherical_gaussian_energy(sharpness: f32) -> f32 {

@@ -4,7 +4,7 @@
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use relight_bake::import;
-use relight_bake::ssdf::Transform;
+use relight_bake::ssdf::DistanceTransform;
 use relight_bake::visibility::contour::ContourMesh;
 use relight_bake::visibility::{Bitmap, Crossings, Directions};
 use relight_shading::octahedral::Footprint;
@@ -37,7 +37,7 @@ const LIMIT: f32 = 0.5;
 /// One way to make distances.
 struct Variant {
     directions: Directions,
-    transform: Transform,
+    transform: DistanceTransform,
     resolution: u32,
     crossings: bool,
     fitted: bool,
@@ -47,7 +47,7 @@ impl Variant {
     fn new((samples, resolution, crossings, fitted): (u32, u32, bool, bool)) -> Self {
         let directions = Directions::new(samples);
         Self {
-            transform: Transform::new(&directions, resolution),
+            transform: DistanceTransform::new(&directions, resolution),
             directions,
             resolution,
             crossings,

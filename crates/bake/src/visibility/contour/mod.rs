@@ -341,7 +341,7 @@ mod tests {
     fn errors_near_a_cap(sample_resolution: u32, resolution: u32) -> [f32; 2] {
         let directions = Directions::new(sample_resolution);
         let (centre, radius, bitmap, crossings) = ball(&directions);
-        let transform = ssdf::Transform::new(&directions, resolution);
+        let transform = ssdf::DistanceTransform::new(&directions, resolution);
         [&Crossings::default(), &crossings].map(|crossings| {
             let distances = transform.at_centres(&bitmap, crossings, 0.5);
             let errors: Vec<f32> = (Directions::new(resolution).as_slice().iter())
@@ -387,7 +387,7 @@ mod tests {
         for (samples, resolution) in [(128, 64), (128, 32)] {
             let directions = Directions::new(samples);
             let (centre, radius, bitmap, crossings) = ball(&directions);
-            let transform = ssdf::Transform::new(&directions, resolution);
+            let transform = ssdf::DistanceTransform::new(&directions, resolution);
             let axis = centre.normalize();
             let mean =
                 |distances: Vec<f32>| mean_at_the_boundary(&distances, resolution, axis, radius);

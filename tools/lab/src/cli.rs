@@ -724,9 +724,9 @@ fn run_demo(arguments: &Demo, json: bool) -> anyhow::Result<Value> {
     println!("against truth       relative RMSE   noise-free   mean FLIP  energy ratio");
     for (name, c) in [("ambient", &report.ambient), ("polar", &report.polar)] {
         println!(
-            "{name:<18} {:>12.2} % {:>10.2} % {:>11.4} {:>13.4}",
+            "{name:<18} {:>12.2} % {:>10} % {:>11.4} {:>13.4}",
             100.0 * c.relative_rmse,
-            100.0 * c.noiseless(),
+            c.noiseless_percent(2),
             c.mean_flip,
             c.energy_ratio,
         );

@@ -31,12 +31,32 @@ pub struct Comparison {
     /// `relative_rmse` with the noise taken out of the mean square; 0 where noise explains
     /// all of it.
     pub relative_rmse_corrected: Option<f64>,
+    /// What that may be at most: two standard errors of the mean square more, as pixels scatter about it.
+    pub relative_rmse_at_most: Option<f64>,
 }
+
+/// Standard errors within which noise may explain what is found.
+const STANDARD_ERRORS: f64 = 2.0;
 
 impl Comparison {
     /// `relative_rmse` with the noise taken out, where it is known.
     pub fn noiseless(&self) -> f64 {
         self.relative_rmse_corrected.unwrap_or(self.relative_rmse)
+    }
+
+    /// What there is besides noise, at most, where noise may explain all that is found.
+    pub fn below_noise(&self) -> Option<f64> {
+        // The mean square is no further from zero than the bound is from it.
+        let (found, most) = (self.relative_rmse_corrected?, self.relative_rmse_at_most?);
+        (2.0 * found * found <= most * most).then_some(most)
+    }
+
+    /// [`Self::noiseless`], percent, for people: `< 1.2` where noise may explain all of it.
+    pub fn noiseless_percent(&self, digits: usize) -> String {
+        match self.below_noise() {
+            Some(most) => format!("< {:.digits$}", 100.0 * most),
+            None => format!("{:.digits$}", 100.0 * self.noiseless()),
+        }
     }
 }
 
@@ -108,21 +128,28 @@ pub fn compare(candidate: &Image, truth: &Image) -> Result<Comparison, Error> {
     let count = common.len() as f64;
     let (mut square, mut sum, mut truth_sum) = ([0.0; 3], [0.0; 3], [0.0; 3]);
     let mut variance = 0.0;
+    // Of pixels' squares without their noise.
+    let mut square_of_squares = 0.0;
     for &index in &common {
+        let mut beyond_noise = 0.0;
         for channel in 0..3 {
             let [a, b] = [candidate, truth].map(|image| {
                 f64::from(image.pixels[index][channel]) / f64::from(image.pixels[index][3])
             });
             square[channel] += (a - b) * (a - b);
+            beyond_noise += (a - b) * (a - b);
             sum[channel] += a;
             truth_sum[channel] += b;
             for image in [candidate, truth] {
                 if let Some(values) = &image.variance {
                     let alpha = f64::from(image.pixels[index][3]);
-                    variance += f64::from(values[index][channel]) / (alpha * alpha);
+                    let noise = f64::from(values[index][channel]) / (alpha * alpha);
+                    variance += noise;
+                    beyond_noise -= noise;
                 }
             }
         }
+        square_of_squares += (beyond_noise / 3.0).powi(2);
     }
     let truth_mean = truth_sum.iter().sum::<f64>() / (3.0 * count);
     if truth_mean <= 0.0 {
@@ -130,6 +157,9 @@ pub fn compare(candidate: &Image, truth: &Image) -> Result<Comparison, Error> {
     }
     let mean_square = square.iter().sum::<f64>() / (3.0 * count);
     let mean_variance = variance / (3.0 * count);
+    let corrected = mean_square - mean_variance;
+    let scatter = (square_of_squares / count - corrected * corrected).max(0.0);
+    let most = corrected.max(0.0) + STANDARD_ERRORS * (scatter / count).sqrt();
     let noisy = candidate.variance.is_some() || truth.variance.is_some();
     Ok(Comparison {
         covered_pixels: common.len() as u64,
@@ -140,8 +170,8 @@ pub fn compare(candidate: &Image, truth: &Image) -> Result<Comparison, Error> {
         energy_ratio: sum.iter().sum::<f64>() / truth_sum.iter().sum::<f64>(),
         energy_ratio_rgb: [0, 1, 2].map(|i| sum[i] / truth_sum[i]),
         relative_noise: noisy.then(|| mean_variance.sqrt() / truth_mean),
-        relative_rmse_corrected: noisy
-            .then(|| (mean_square - mean_variance).max(0.0).sqrt() / truth_mean),
+        relative_rmse_corrected: noisy.then(|| corrected.max(0.0).sqrt() / truth_mean),
+        relative_rmse_at_most: noisy.then(|| most.sqrt() / truth_mean),
     })
 }
 
@@ -247,6 +277,38 @@ mod tests {
         let result = compare(&flat([1.4; 3]), &truth).unwrap();
         close(result.relative_rmse, 0.5);
         close(result.relative_rmse_corrected.unwrap(), 0.4);
+    }
+
+    #[test]
+    fn noise_is_not_taken_for_exactness() {
+        let noisy = |offset: f32| {
+            let mut state = 1u32;
+            let mut candidate = Image::new(64, 64);
+            for pixel in &mut candidate.pixels {
+                *pixel = [0, 1, 2, 3].map(|channel| {
+                    state = state.wrapping_mul(747_796_405).wrapping_add(2_891_336_453);
+                    let noise = 0.1 * 3f32.sqrt() * (state as f32 / 2f32.powi(31) - 1.0);
+                    1.0 + if channel < 3 { offset + noise } else { 0.0 }
+                });
+            }
+            candidate.variance = Some(vec![[0.01; 3]; 64 * 64]);
+            let mut truth = Image::new(64, 64);
+            truth.pixels.fill([1.0; 4]);
+            compare(&candidate, &truth).unwrap()
+        };
+        // Offsets far below what 4,096 pixels can tell from noise, and far above it.
+        for offset in [0.0, 0.002, 0.05] {
+            let found = noisy(offset);
+            let most = found.relative_rmse_at_most.unwrap();
+            assert!(most >= f64::from(offset), "{offset}: {found:?}");
+            assert_eq!(
+                found.below_noise(),
+                (offset < 0.01).then_some(most),
+                "{offset}: {found:?}"
+            );
+            assert!(most < f64::from(offset) + 0.03, "{offset}: {found:?}");
+            assert_eq!(found.noiseless_percent(1).starts_with('<'), offset < 0.01);
+        }
     }
 
     #[test]

@@ -10,7 +10,7 @@ use relight_runtime::Frame;
 use relight_shading::camera::View;
 
 use super::report::{Section, Table};
-use super::{Laboratory, Light, camera, create, error};
+use super::{Laboratory, Light, camera, create};
 use crate::image_file::Image;
 use crate::truth::lobes::Visibility;
 use crate::truth::{ALL_BOUNCES, Geometry, Options, full, lobes};
@@ -102,10 +102,10 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
         let more = |with: f64, without: f64| (100.0 * (with / without - 1.0)).into();
         table.row([
             name.into(),
-            percent(error(&whole_without, &truth)?),
-            percent(error(&whole_with, &truth)?),
-            percent(error(&without, &traced)?),
-            percent(error(&with, &traced)?),
+            super::percent(&whole_without, &truth)?,
+            super::percent(&whole_with, &truth)?,
+            super::percent(&without, &traced)?,
+            super::percent(&with, &traced)?,
             percent(part.missing),
             percent(part.error),
             percent(part_turned.error),

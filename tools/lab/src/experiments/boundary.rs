@@ -14,7 +14,7 @@ use relight_shading::ssdf::{SignedDistance, Ssdf};
 use relight_shading::surface::SurfacePoint;
 
 use super::report::{Section, Table};
-use super::{Laboratory, camera, error};
+use super::{Laboratory, camera, percent};
 use crate::image_file::Image;
 
 /// Samples per half-sphere, θ and φ; every cell has as many as fit in it, and at least [`LEAST`].
@@ -92,8 +92,8 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
         table.row([
             name.into(),
             (cells as f64 / covered.max(1) as f64).into(),
-            (100.0 * error(&straight, &reference)?).into(),
-            (100.0 * error(&linear, &reference)?).into(),
+            percent(&straight, &reference)?,
+            percent(&linear, &reference)?,
         ]);
         straights.push(straight);
         linears.push(linear);

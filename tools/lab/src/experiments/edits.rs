@@ -9,7 +9,7 @@ use relight_format::{Scene, Specular, Surface, Texture, TextureEncoding, Texture
 use relight_runtime::{Frame, LocalLight};
 
 use super::report::{Section, Table};
-use super::{Laboratory, camera, error};
+use super::{Laboratory, camera, percent};
 use crate::image_file::Image;
 
 /// Width and height of generated textures, texels.
@@ -168,8 +168,11 @@ fn strip(
         };
         let image = laboratory.draw(&step.scene, &frame)?;
         let truth = laboratory.truth(&step.scene, &frame)?;
-        let found = 100.0 * error(&image, &truth)?;
-        section.tables[0].row([name.into(), step.label.as_str().into(), found.into()]);
+        section.tables[0].row([
+            name.into(),
+            step.label.as_str().into(),
+            percent(&image, &truth)?,
+        ]);
         images.push(image);
         truths.push(truth);
     }

@@ -9,7 +9,7 @@ use relight_runtime::{Frame, twin};
 use relight_shading::camera::View;
 
 use super::report::{Section, Table};
-use super::{Laboratory, METHODS, camera, difference, error};
+use super::{Laboratory, METHODS, camera, difference, percent};
 use crate::image_file::Image;
 use crate::truth::lobes::Visibility;
 use crate::truth::{Geometry, Options, SEED, full};
@@ -97,7 +97,6 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
         };
         let [width, height] = laboratory.settings.size;
         let work = twin::work(&scene, &frame, width, height)?;
-        let percent = |a: &Image, b: &Image| anyhow::Ok((100.0 * error(a, b)?).into());
         table.row([
             scene_name.into(),
             light_name.into(),

@@ -13,7 +13,7 @@ use relight_runtime::Frame;
 use relight_shading::spherical_gaussian::SphericalGaussian;
 
 use super::report::{Section, Table};
-use super::{Laboratory, camera, error};
+use super::{Laboratory, camera, percent};
 use crate::image_file::Image;
 use crate::shapes::{cuboid, over_ground};
 
@@ -108,7 +108,7 @@ fn compare_bakes(
             label.into(),
             scene.vertices.len().into(),
             (bytes as f64 / 1e3).into(),
-            (100.0 * error(&image, truth)?).into(),
+            percent(&image, truth)?,
         ]);
         images.push(image);
     }

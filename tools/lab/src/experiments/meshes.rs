@@ -16,8 +16,9 @@ use relight_format::{Camera, Surface, write_file};
 use serde_json::json;
 
 use super::report::{Cell, Section, Table};
-use super::{Laboratory, METHODS, create, error};
+use super::{Laboratory, METHODS, create, percent_of};
 use crate::camera::framing;
+use crate::compare::compare;
 use crate::display;
 use crate::image_file::Image;
 use crate::shapes::{cuboid, sphere};
@@ -98,7 +99,8 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
             None => laboratory.truth(&scene, &frame)?,
         };
         let image = laboratory.draw(&scene, &frame)?;
-        let found = 100.0 * error(&image, &truth)?;
+        let compared = compare(&image, &truth)?;
+        let found = compared.noiseless();
         let bytes = relight_format::write_scene(&scene)?.len();
         let warnings = &scene.report.warnings;
         let row = vec![
@@ -107,7 +109,7 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
             triangles.into(),
             scene.vertices.len().into(),
             (bytes as f64 / 1e6).into(),
-            found.into(),
+            percent_of(&compared),
             warnings.join("; ").as_str().into(),
         ];
         if case.like.is_none() {

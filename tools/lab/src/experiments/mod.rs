@@ -32,10 +32,10 @@ use relight_format::{self as format, Camera, Environment, Limits, Scene};
 use relight_runtime::{CellsOptions, Frame, Method, PolarOptions, Prefiltered, Sources};
 use relight_shading::spherical_gaussian::SphericalGaussian;
 
-use self::report::Figure;
 pub use self::report::Section;
+use self::report::{Cell, Figure};
 use crate::bench::{self, Timed};
-use crate::compare::compare;
+use crate::compare::{Comparison, compare};
 use crate::image_file::{self, Image};
 use crate::render::Renderer;
 use crate::truth::lobes::{self, Visibility};
@@ -605,6 +605,19 @@ fn camera(scene: &Scene) -> anyhow::Result<Camera> {
 /// Relative RMSE, noise removed.
 fn error(candidate: &Image, truth: &Image) -> anyhow::Result<f64> {
     Ok(compare(candidate, truth)?.noiseless())
+}
+
+/// The same for a table, percent.
+fn percent(candidate: &Image, truth: &Image) -> anyhow::Result<Cell> {
+    Ok(percent_of(&compare(candidate, truth)?))
+}
+
+/// How far off something is, percent: a bound where noise may explain all of it.
+fn percent_of(found: &Comparison) -> Cell {
+    found.below_noise().map_or_else(
+        || (100.0 * found.noiseless()).into(),
+        |most| Cell::below(100.0 * most),
+    )
 }
 
 /// |a − b| with the coverage of `b`, `scale` times.

@@ -4,7 +4,7 @@
 use relight_runtime::Frame;
 
 use super::report::{Section, Table};
-use super::{Laboratory, METHODS, camera, difference};
+use super::{Laboratory, METHODS, camera, difference, percent_of};
 use crate::compare::compare;
 use crate::image_file::Image;
 
@@ -48,7 +48,7 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
                     scene_name.into(),
                     light_name.into(),
                     name.into(),
-                    (100.0 * found.noiseless()).into(),
+                    percent_of(&found),
                     found.mean_flip.into(),
                     found.energy_ratio.into(),
                 ]);

@@ -16,7 +16,7 @@ use relight_shading::surface::SurfacePoint;
 use relight_shading::tile::point_radiance;
 
 use super::report::{Section, Table};
-use super::{Laboratory, METHODS, camera, error};
+use super::{Laboratory, METHODS, camera, percent};
 use crate::image_file::Image;
 use crate::shapes::{over_ground, sphere};
 
@@ -74,7 +74,7 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
                 penumbra.pixels.len().into(),
                 hue.into(),
                 (100.0 * rmse).into(),
-                (100.0 * error(&image, &truth)?).into(),
+                percent(&image, &truth)?,
             ]);
             images.push(image);
         }

@@ -81,6 +81,11 @@ impl From<&str> for Cell {
 }
 
 impl Cell {
+    /// Some number less than this.
+    pub fn below(number: f64) -> Self {
+        Self::Text(format!("< {}", Self::Number(number).shown()))
+    }
+
     /// For people: three significant digits of what is below a thousand.
     fn shown(&self) -> String {
         match self {

@@ -3,7 +3,7 @@
 use relight_runtime::{Frame, twin};
 
 use super::report::{Section, Table};
-use super::{Laboratory, METHODS, camera};
+use super::{Laboratory, METHODS, camera, percent_of};
 use crate::compare::compare;
 use crate::image_file::Image;
 
@@ -78,7 +78,7 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
                 seconds.into(),
                 (1.0 / seconds).into(),
                 (seconds / base_seconds).into(),
-                (100.0 * error).into(),
+                percent_of(&found),
                 (error / base_error).into(),
                 found.mean_flip.into(),
             ]);

@@ -14,6 +14,7 @@ mod meshes;
 mod occluders;
 mod penumbra;
 pub mod report;
+mod scale;
 mod scenes;
 mod speed;
 
@@ -52,7 +53,7 @@ pub struct Experiment {
 }
 
 /// All of them but `compression`, in the order of the report.
-pub const ALL: [Experiment; 13] = [
+pub const ALL: [Experiment; 14] = [
     Experiment {
         name: "boundary",
         title: "Errors of boundaries and of lobes (Fig. 6)",
@@ -92,6 +93,11 @@ pub const ALL: [Experiment; 13] = [
         name: "speed",
         title: "Quality against speed",
         run: speed::run,
+    },
+    Experiment {
+        name: "scale",
+        title: "Work against lobes, pixels and triangles",
+        run: scale::run,
     },
     Experiment {
         name: "end-to-end",
@@ -160,7 +166,7 @@ pub fn write_report(folder: &Path) -> anyhow::Result<PathBuf> {
 }
 
 /// Tables that RESULTS.md has room for, and the columns of them.
-const SHORT: [(&str, &[&str]); 9] = [
+const SHORT: [(&str, &[&str]); 12] = [
     ("boundary", &[]),
     (
         "adaptive",
@@ -189,8 +195,29 @@ const SHORT: [(&str, &[&str]); 9] = [
     ),
     ("interpolation", &[]),
     ("readings", &[]),
+    (
+        "scale",
+        &[
+            "what varies",
+            "is",
+            "clusters",
+            "pixels covered",
+            "integrals per pixel",
+            "samples per pixel",
+            "fetches per pixel",
+            "floor, fetches per pixel",
+            "fetches per pixel for vertices",
+            "nanoseconds per pixel",
+            "relative RMSE, %",
+        ],
+    ),
     ("end-to-end", &[]),
     ("contours", &[]),
+    ("bounce", &[]),
+    (
+        "meshes",
+        &["mesh", "triangles", "asset, MB", "relative RMSE, %"],
+    ),
 ];
 
 /// Replaces what stands between the markers of a Markdown file by the sections' tables.
@@ -226,7 +253,7 @@ fn digest(sections: &[Section]) -> Vec<Section> {
             // Sizes are in the commands.
             provenance: (section.provenance.iter())
                 .filter(|(key, _)| {
-                    ["Relight", "commit", "processor", "seed"].contains(&key.as_str())
+                    ["Relight", "commit", "processor", "threads", "seed"].contains(&key.as_str())
                 })
                 .cloned()
                 .collect(),
@@ -246,12 +273,18 @@ fn markdown(digest: &[Section]) -> String {
     let mut text = String::new();
     for section in digest {
         text += &format!("\n**{}** (`{}`)\n", section.title, section.command);
+        // Sections may be of different runs.
+        let commit = section.provenance.iter().find(|(key, _)| key == "commit");
+        if let Some((_, commit)) = commit {
+            text += &format!("\nCommit {commit}.\n");
+        }
         for table in &section.tables {
             text += &format!("\n{}:\n\n{}", table.caption, table.markdown());
         }
     }
     if let Some(section) = digest.first() {
         let made: Vec<String> = (section.provenance.iter())
+            .filter(|(key, _)| key != "commit")
             .map(|(key, value)| format!("{key} {value}"))
             .collect();
         text += &format!("\nMade with {}.\n", made.join(", "));

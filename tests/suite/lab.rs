@@ -274,7 +274,9 @@ fn report(browser: &str) -> Outcome {
     // Three angles, three methods: polar is closest to truth at each.
     assert_eq!(rows.len(), 9, "{table}");
     for angle in rows.chunks(3) {
-        let error = |row: usize| angle[row][5].parse::<f64>();
+        // Of what noise may explain there is a bound.
+        let error = |row: usize| angle[row][5].trim_start_matches("< ").parse::<f64>();
+        assert!(!angle[0][5].starts_with('<'), "{table}");
         assert_eq!([angle[0][1], angle[2][1]], ["ambient", "polar"]);
         assert!(error(2)? < 0.8 * error(0)?, "{table}");
         assert!(angle[2][2].parse::<f64>()? > 100.0, "{table}");
@@ -394,7 +396,7 @@ fn results() -> Outcome {
         assert!(text.starts_with("before\n<!-- experiments -->\n"), "{text}");
         assert!(text.ends_with("<!-- /experiments -->\nafter\n"), "{text}");
         assert!(text.contains("| bunny | 1.25 |"), "{text}");
-        assert!(text.contains("commit 0123456"), "{text}");
+        assert!(text.contains("Commit 0123456."), "{text}");
         for gone in ["of yesterday", "left out"] {
             assert!(!text.contains(gone), "{text}");
         }

@@ -17,7 +17,7 @@ const LOBES: [usize; 6] = [8, 16, 32, 64, 128, 256];
 /// Of the experiment's width and height.
 const SIZES: [u32; 4] = [1, 2, 4, 8];
 /// Times that every triangle is divided into four.
-const DIVISIONS: [u32; 4] = [0, 1, 2, 3];
+const DIVISIONS: [u32; 3] = [0, 1, 2];
 /// Lobes where something else varies.
 const USUAL_LOBES: usize = 32;
 /// Bytes of four texels of four channels, which one fetch interpolates.
@@ -43,8 +43,7 @@ const COLUMNS: [&str; 14] = [
 pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result<()> {
     section.text = vec![format!(
         "Spot over its ground under grace, one thing varied at a time: lobes of the light; width and \
-         height of the picture; triangles, each divided into four again and again and pulled onto the curved \
-         surface that the normals tell of, baked as drafts. Else {USUAL_LOBES} lobes. A fetch \
+         height of the picture; triangles, each divided into four again and again, baked as drafts. Else {USUAL_LOBES} lobes. A fetch \
          interpolates four texels of four basis images, {FETCH_BYTES} bytes that neighbouring pixels mostly \
          share. What vertices take is for light that has just turned: while it stands still there is none. \
          The floor: every integral decided by a single sample, one fetch for each four coefficients \
@@ -162,23 +161,19 @@ fn measure(
     Ok(costs)
 }
 
-/// Each triangle as four, the new vertices on the curved surface that positions and normals tell of
-/// (Boubekeur and Alexa 2008, Phong tessellation, with their shape factor of 3/4).
+/// Each triangle as four, of the same surface.
 fn divided(mesh: &Mesh) -> Mesh {
-    const SHAPE: f32 = 0.75;
     let mut vertices = mesh.vertices.clone();
     let mut between = HashMap::new();
     let mut triangles = Vec::with_capacity(4 * mesh.triangles.len());
     for triangle in &mesh.triangles {
         let [a, b, c] = triangle.vertices;
         let [ab, bc, ca] = [[a, b], [b, c], [c, a]].map(|[from, to]| {
-            *between
-                .entry([from.min(to), from.max(to)])
-                .or_insert_with(|| {
-                    let ends = [from.min(to), from.max(to)].map(|end| mesh.vertices[end as usize]);
-                    vertices.push(middle(ends, SHAPE));
-                    vertices.len() as u32 - 1
-                })
+            let ends = [from.min(to), from.max(to)];
+            *between.entry(ends).or_insert_with(|| {
+                vertices.push(middle(ends.map(|end| mesh.vertices[end as usize])));
+                vertices.len() as u32 - 1
+            })
         });
         for corners in [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]] {
             triangles.push(Triangle {
@@ -194,17 +189,14 @@ fn divided(mesh: &Mesh) -> Mesh {
     }
 }
 
-fn middle([a, b]: [Vertex; 2], shape: f32) -> Vertex {
-    let flat = 0.5 * (a.position + b.position);
-    let onto = |vertex: Vertex| flat - (flat - vertex.position).dot(vertex.normal) * vertex.normal;
-    let curved = 0.5 * (onto(a) + onto(b));
+fn middle([a, b]: [Vertex; 2]) -> Vertex {
     let normal = (a.normal + b.normal).normalize_or(a.normal);
     let tangent: Vec3 = a.tangent + b.tangent;
+    let across = normal.any_orthonormal_vector();
     Vertex {
-        position: flat.lerp(curved, shape),
+        position: 0.5 * (a.position + b.position),
         normal,
-        tangent: (tangent - tangent.dot(normal) * normal)
-            .normalize_or(normal.any_orthonormal_vector()),
+        tangent: (tangent - tangent.dot(normal) * normal).normalize_or(across),
         uv: 0.5 * (a.uv + b.uv),
         ..a
     }

@@ -154,7 +154,7 @@ fn test() -> ExitCode {
 fn results() -> ExitCode {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let arguments = "run --release --package relight-lab --bin lab -- experiments all --device cpu \
-                     --size 160x120 --samples 512 --out out/results --results RESULTS.md";
+                     --size 160x120 --samples 256 --out out/results --results RESULTS.md";
     match Outcome::of(&mut cargo(&root, arguments)) {
         Outcome::Passed => ExitCode::SUCCESS,
         Outcome::Failed(why) | Outcome::Skipped(why) => {

@@ -300,14 +300,11 @@ fn packed_lights(frame: &Frame, local: &LocalFrame) -> Vec<gpu::Light> {
 /// All but what changes from dispatch to dispatch and from instance to instance.
 fn uniforms(scene: &GpuScene, frame: &Frame, local: &LocalFrame) -> gpu::Frame {
     let mut uniform = gpu::Frame::new(&local.view, &scene.atlas, scene.distance_clamp);
+    uniform.ambient = u32::from(frame.method == Method::Ambient);
     match frame.method {
-        Method::Ambient => uniform.method = gpu::METHOD_AMBIENT,
-        Method::Polar(options) => {
-            uniform.method = gpu::METHOD_POLAR;
-            uniform.spokes = options.spokes.max(1);
-        }
+        Method::Ambient => {}
+        Method::Polar(options) => uniform.spokes = options.spokes.max(1),
         Method::Cells(options) => {
-            uniform.method = gpu::METHOD_CELLS;
             uniform.boundary_error = options.boundary_error;
             uniform.lobe_error = options.lobe_error;
             uniform.cells = options.partition().unwrap_or([0; 2]);

@@ -13,12 +13,6 @@ pub const SURFACE_METALLIC_ROUGHNESS: u32 = 0;
 pub const SURFACE_LAYERED: u32 = 1;
 /// `Material::surface`: layers, which the anisotropy texture turns.
 pub const SURFACE_LAYERS: u32 = 2;
-/// `Frame::method`: one half-space per lobe.
-pub const METHOD_AMBIENT: u32 = 0;
-/// `Frame::method`: spokes about each lobe's axis.
-pub const METHOD_POLAR: u32 = 1;
-/// `Frame::method`: cells with straight boundaries, shared by lobes.
-pub const METHOD_CELLS: u32 = 2;
 
 /// Most layers of the basis atlas: WebGPU's default limit.
 pub const MAX_ATLAS_LAYERS: u32 = 256;
@@ -37,8 +31,8 @@ pub struct Frame {
     pub light_count: u32,
     /// [`View::corner`].
     pub corner: [f32; 3],
-    /// [`METHOD_AMBIENT`], [`METHOD_POLAR`] or [`METHOD_CELLS`].
-    pub method: u32,
+    /// 1: one visible fraction per lobe stands for where it is visible.
+    pub ambient: u32,
     /// Step of the direction from one column to the next.
     pub right: [f32; 3],
     /// Polar: number of spokes.
@@ -445,7 +439,7 @@ impl Frame {
             eye: view.eye.into(),
             light_count: 0,
             corner: view.corner.into(),
-            method: METHOD_AMBIENT,
+            ambient: 1,
             right: view.right.into(),
             spokes: 0,
             down: view.down.into(),
@@ -566,7 +560,7 @@ mod tests {
                 eye,
                 light_count,
                 corner,
-                method,
+                ambient,
                 right,
                 spokes,
                 down,

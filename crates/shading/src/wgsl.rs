@@ -407,7 +407,6 @@ fn constants() -> String {
         ("JOIN_ADD", Join::Add as u32),
         ("JOIN_OVER", Join::Over as u32),
         ("JOIN_COAT", Join::Coat as u32),
-        ("METHOD_AMBIENT", gpu::METHOD_AMBIENT),
         ("BACKGROUND_NONE", gpu::BACKGROUND_NONE),
         ("BACKGROUND_IMAGE", gpu::BACKGROUND_IMAGE),
         ("MAX_LOCAL_LIGHTS", gpu::MAX_LOCAL_LIGHTS),

@@ -96,6 +96,10 @@ fn main() -> ExitCode {
         ),
         with_gpu("frame_matches_twin", frame_matches_twin),
         with_gpu(
+            "tiles_whose_pixels_all_disagree_match_twin",
+            tiles_whose_pixels_all_disagree_match_twin,
+        ),
+        with_gpu(
             "light_at_vertices_is_kept_and_renewed",
             light_at_vertices_is_kept_and_renewed,
         ),
@@ -436,6 +440,44 @@ fn frame_matches_twin(gpu: &mut Gpu) -> Outcome {
             "{method:?}: relative RMSE {error}"
         );
     }
+    Ok(())
+}
+
+/// Three quarters of a tile's lobes wait to be interpolated, and then, as no two pixels agree, to be integrated: where
+/// that is so for two thirds of them, both are more than the queue holds.
+fn tiles_whose_pixels_all_disagree_match_twin(gpu: &mut Gpu) -> Outcome {
+    let scene = scenes::disagreeing_floor();
+    let lights: Vec<SphericalGaussian> = (0..12)
+        .map(|index| {
+            let azimuth = index as f32;
+            SphericalGaussian {
+                axis: Vec3::new(azimuth.sin(), 0.8, azimuth.cos()).normalize(),
+                sharpness: 20.0,
+                amplitude: Vec3::ONE,
+            }
+        })
+        .collect();
+    let frame = Frame {
+        camera: Camera {
+            position: [0.0, 5.0, 0.0],
+            target: [0.0; 3],
+            up: [0.0, 0.0, -1.0],
+            field_of_view: FieldOfView::Y(0.7),
+        }
+        .into(),
+        ..frame(&lights, POLAR)
+    };
+    let [width, height] = [64; 2];
+    let work = twin::work(&scene, &frame, width, height)?;
+    let asked = work.integrals as f32 / (work.pixels * lights.len() as u64) as f32;
+    assert_eq!(work.pixels, u64::from(width * height));
+    assert!(asked > 0.7, "only {asked} of all lobes are integrated");
+    let uploaded = gpu.upload(&scene)?;
+    let found = gpu.render(&uploaded, &frame, width, height)?.linear;
+    let expected = twin::render(&scene, &frame, width, height)?;
+    let error = relative_rmse(&found, &expected);
+    println!("relative RMSE {error:e}, {asked} of all lobes integrated");
+    assert!(error <= FRAME_RELATIVE_RMSE, "relative RMSE {error}");
     Ok(())
 }
 

@@ -145,6 +145,60 @@ pub fn noise(seed: u64) -> Scene {
     scene
 }
 
+/// A white floor whose vertices, about as close as pixels of a small picture, see what chance has: neighbours
+/// agree on no light.
+pub fn disagreeing_floor() -> Scene {
+    const CELLS: u32 = 64;
+    let mut random = Random(11);
+    let mut scene = empty();
+    scene.visibility.basis_resolution = 12;
+    scene.materials = vec![Material {
+        base_color_texture: None,
+        surface: Surface::Layered {
+            diffuse: [0.8; 3],
+            specular: Specular::None,
+        },
+        ..plane_material()
+    }];
+    scene.textures.clear();
+    let side = CELLS + 1;
+    scene.clusters = vec![Cluster {
+        first_vertex: 0,
+        vertex_count: side * side,
+        first_coefficient: 0,
+        first_tile: 0,
+        tiles: 8,
+        coefficient_scale: 0.15,
+    }];
+    for at in 0..side * side {
+        let uv = Vec2::new((at % side) as f32, (at / side) as f32) / CELLS as f32;
+        scene.vertices.push(Vertex {
+            position: [4.0 * uv.x - 2.0, 0.0, 4.0 * uv.y - 2.0],
+            normal: [0.0, 1.0, 0.0],
+            tangent: [1.0, 0.0, 0.0, -1.0],
+            uv: uv.into(),
+        });
+    }
+    for at in (0..CELLS * side).filter(|at| at % side < CELLS) {
+        for vertices in [[at, at + side, at + side + 1], [at, at + side + 1, at + 1]] {
+            scene.triangles.push(Triangle {
+                vertices,
+                material: 0,
+                cluster: 0,
+            });
+        }
+    }
+    let coefficients = side * side * 8 * 4;
+    let texels = 8 * 12 * 12 * 4;
+    scene.coefficients = (0..coefficients)
+        .map(|_| (random.next() as i16).max(-i16::MAX))
+        .collect();
+    scene.basis = (0..texels)
+        .map(|_| (random.next() as i8).max(-127))
+        .collect();
+    scene
+}
+
 /// SplitMix64 (Steele et al. 2014).
 pub struct Random(pub u64);
 

@@ -12,8 +12,8 @@ struct Frame {
     // The ray of pixel (x, y) has direction, or passes through, corner + (x + 1/2) right +
     // (y + 1/2) down.
     corner: vec3<f32>,
-    // METHOD_AMBIENT or another; pipelines tell the others apart.
-    method: u32,
+    // 1: one visible fraction per lobe stands for where it is visible. Pipelines tell other methods apart.
+    ambient: u32,
     right: vec3<f32>,
     // polar: number of spokes.
     spokes: u32,

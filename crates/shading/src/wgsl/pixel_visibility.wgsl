@@ -93,7 +93,7 @@ fn pixel_parent(pixel: u32, index: u32) -> PixelParent {
 }
 
 fn pixel_may_ask() -> bool {
-    if frame.method == METHOD_AMBIENT || frame.pixels_apart != 0u {
+    if frame.ambient != 0u || frame.pixels_apart != 0u {
         return false;
     }
     let place = pixel_places[pixel_own];
@@ -218,7 +218,7 @@ fn pixel_find(phase: u32, index: u32, at: u32) {
     pixel_depths[index] = clamp(distance / radius, -1.0, 1.0);
     let normal = pixel_normals[pixel];
     var found = 0.0;
-    if frame.method == METHOD_AMBIENT {
+    if frame.ambient != 0u {
         found = ambient_integrate(axis.w, axis.xyz, normal)
             / max(tables_cosine_integral(axis.w, dot(normal, axis.xyz)), 1.17549435e-38);
     } else {

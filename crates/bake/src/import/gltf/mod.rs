@@ -14,6 +14,7 @@ use base64::Engine as _;
 use base64::alphabet;
 use base64::engine::{DecodePaddingMode, GeneralPurpose, GeneralPurposeConfig};
 use gltf::json::{Index, Root, root::Get};
+use percent_encoding::percent_decode_str;
 use serde::Deserialize;
 
 use self::materials::Materials;
@@ -232,9 +233,10 @@ fn resolve(files: &Files, file: &Path, place: &str, uri: &str) -> Result<Vec<u8>
             .flatten();
         return decoded.ok_or_else(|| wrong("a malformed data URI"));
     }
-    let decoded = decode_percent(uri).filter(|path| !path.contains(':') && !path.is_empty());
+    let decoded = percent_decode_str(uri).decode_utf8().ok();
+    let decoded = decoded.filter(|path| !path.contains(':') && !path.is_empty());
     let path = decoded.ok_or_else(|| wrong(&format!("{uri:?}")))?;
-    let path = file.parent().unwrap_or(Path::new("")).join(path);
+    let path = file.parent().unwrap_or(Path::new("")).join(&*path);
     files.read(&path)
 }
 
@@ -245,21 +247,6 @@ fn decode_base64(text: &str) -> Option<Vec<u8>> {
         .with_decode_allow_trailing_bits(true);
     let engine = GeneralPurpose::new(&alphabet::STANDARD, lenient);
     engine.decode(text.trim_end_matches('=')).ok()
-}
-
-fn decode_percent(uri: &str) -> Option<String> {
-    let mut bytes = Vec::with_capacity(uri.len());
-    let mut rest = uri.bytes();
-    while let Some(byte) = rest.next() {
-        bytes.push(match byte {
-            b'%' => {
-                let [high, low] = [rest.next()?, rest.next()?].map(|b| (b as char).to_digit(16));
-                (high? * 16 + low?) as u8
-            }
-            _ => byte,
-        });
-    }
-    String::from_utf8(bytes).ok()
 }
 
 /// The parsed file and its buffers.

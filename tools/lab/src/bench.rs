@@ -38,6 +38,8 @@ pub struct Row {
     pub rays: f64,
     /// Relative RMSE against truth, its noise removed.
     pub relative_rmse: f64,
+    /// What it is at most, where noise may explain all of it.
+    pub below_noise: Option<f64>,
     /// The same over that of `ambient`.
     pub error_over_ambient: f64,
     /// Mean FLIP against truth.
@@ -109,6 +111,7 @@ pub fn run(
             vertex_fetches: work.vertex_fetches as f64 / pixels,
             rays: work.rays as f64 / pixels,
             relative_rmse,
+            below_noise: found.below_noise(),
             error_over_ambient: first.map_or(1.0, |first| relative_rmse / first.relative_rmse),
             mean_flip: found.mean_flip,
         });

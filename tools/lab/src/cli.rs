@@ -517,7 +517,7 @@ fn run_bench(arguments: &Bench, json: bool) -> anyhow::Result<Value> {
         );
         for row in &rows {
             println!(
-                "{:<16}{:>10.4}{:>10.2}{:>10.0}{:>10.0}{:>10.0}{:>10.1}{:>9.3}%{:>10.2}",
+                "{:<16}{:>10.4}{:>10.2}{:>10.0}{:>10.0}{:>10.0}{:>10.1}{:>9}%{:>10.2}",
                 row.method,
                 row.seconds,
                 row.time_over_ambient,
@@ -525,7 +525,7 @@ fn run_bench(arguments: &Bench, json: bool) -> anyhow::Result<Value> {
                 row.fetches,
                 row.vertex_fetches,
                 row.rays,
-                100.0 * row.relative_rmse,
+                compare::percent(row.relative_rmse, row.below_noise, 3),
                 row.error_over_ambient
             );
         }

@@ -53,10 +53,15 @@ impl Comparison {
 
     /// [`Self::noiseless`], percent, for people: `< 1.2` where noise may explain all of it.
     pub fn noiseless_percent(&self, digits: usize) -> String {
-        match self.below_noise() {
-            Some(most) => format!("< {:.digits$}", 100.0 * most),
-            None => format!("{:.digits$}", 100.0 * self.noiseless()),
-        }
+        percent(self.noiseless(), self.below_noise(), digits)
+    }
+}
+
+/// What is found, percent, for people, or the bound that it is known to be below.
+pub fn percent(found: f64, below: Option<f64>, digits: usize) -> String {
+    match below {
+        Some(most) => format!("< {:.digits$}", 100.0 * most),
+        None => format!("{:.digits$}", 100.0 * found),
     }
 }
 

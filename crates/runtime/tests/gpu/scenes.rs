@@ -134,14 +134,10 @@ pub fn noise(seed: u64) -> Scene {
         cluster.coefficient_scale = 0.02;
         first_tile += cluster.tiles;
         let count = cluster.vertex_count * cluster.tiles * 4;
-        scene
-            .coefficients
-            .extend((0..count).map(|_| (random.next() as i16).max(-i16::MAX)));
+        scene.coefficients.extend(random.coefficients(count));
     }
     let bytes = first_tile * 12 * 12 * 4;
-    scene
-        .basis
-        .extend((0..bytes).map(|_| (random.next() as i8).max(-127)));
+    scene.basis.extend(random.texels(bytes));
     scene
 }
 
@@ -190,12 +186,8 @@ pub fn disagreeing_floor() -> Scene {
     }
     let coefficients = side * side * 8 * 4;
     let texels = 8 * 12 * 12 * 4;
-    scene.coefficients = (0..coefficients)
-        .map(|_| (random.next() as i16).max(-i16::MAX))
-        .collect();
-    scene.basis = (0..texels)
-        .map(|_| (random.next() as i8).max(-127))
-        .collect();
+    scene.coefficients.extend(random.coefficients(coefficients));
+    scene.basis.extend(random.texels(texels));
     scene
 }
 
@@ -208,6 +200,16 @@ impl Random {
         let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
         let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
         z ^ (z >> 31)
+    }
+
+    /// Coefficients of SSDFs.
+    fn coefficients(&mut self, count: u32) -> impl Iterator<Item = i16> {
+        (0..count).map(|_| (self.next() as i16).max(-i16::MAX))
+    }
+
+    /// Channels of basis images.
+    fn texels(&mut self, count: u32) -> impl Iterator<Item = i8> {
+        (0..count).map(|_| (self.next() as i8).max(-127))
     }
 
     /// Uniform in [0, 1).

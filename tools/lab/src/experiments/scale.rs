@@ -14,7 +14,7 @@ use super::{Laboratory, camera, percent_of};
 use crate::compare::compare;
 
 const LOBES: [usize; 6] = [8, 16, 32, 64, 128, 256];
-/// Of the experiment's width and height.
+/// Quarters of the experiment's width and height.
 const SIZES: [u32; 4] = [1, 2, 4, 8];
 /// Times that every triangle is divided into four.
 const DIVISIONS: [u32; 3] = [0, 1, 2];

@@ -13,7 +13,10 @@ use relight_lab::camera::framing;
 use relight_lab::compare::compare;
 use relight_lab::image_file::Image;
 use relight_runtime::offscreen::Gpu;
-use relight_runtime::{Background, Frame, Method, PolarOptions, SphericalGaussian, twin, wgpu};
+use relight_runtime::twin::{self, Placed};
+use relight_runtime::{
+    Background, Frame, Instance, Method, Placement, PolarOptions, SphericalGaussian, wgpu,
+};
 
 use crate::meshes::sphere_over_ground;
 use crate::support::{Outcome, with_data_and_gpu, with_gpu};
@@ -97,6 +100,22 @@ fn matches_twin(mesh: &Path) -> Outcome {
     };
     let uploaded = gpu.upload(&scene)?;
     let lights = lights();
+    // Seen twice, so that each has bounced light of its own.
+    let beside = Placement {
+        rotation: Quat::from_rotation_y(2.0),
+        translation: 0.5 * (high - low),
+        scale: 0.5,
+    };
+    let placements = [Placement::IDENTITY, beside];
+    let instances = placements.map(|placement| Instance {
+        scene: &uploaded,
+        placement,
+    });
+    let placed = placements.map(|placement| Placed {
+        scene: &scene,
+        placement,
+    });
+    let mut view = gpu.renderer.view([WIDTH, HEIGHT])?;
     for method in [Method::Ambient, Method::Polar(PolarOptions::default())] {
         let frame = Frame {
             camera: framing(low, high).into(),
@@ -110,8 +129,17 @@ fn matches_twin(mesh: &Path) -> Outcome {
             exposure: 1.0,
             background: Background::Transparent,
         };
-        let drawn = gpu.render(&uploaded, &frame, WIDTH, HEIGHT)?.linear;
-        let expected = twin::render(&scene, &frame, WIDTH, HEIGHT)?;
+        let mut encoder = gpu
+            .device
+            .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        (gpu.renderer).prepare(&mut encoder, &mut view, &instances, &frame)?;
+        gpu.queue.submit([encoder.finish()]);
+        let drawn = relight_runtime::Image {
+            width: WIDTH,
+            height: HEIGHT,
+            pixels: gpu.read_radiance(&view)?,
+        };
+        let expected = twin::render_instances(&placed, &frame, WIDTH, HEIGHT)?;
         let [drawn, expected] = [drawn, expected].map(|image| Image {
             width: WIDTH,
             height: HEIGHT,

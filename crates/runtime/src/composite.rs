@@ -35,7 +35,7 @@ impl Drawing {
     ) -> Result<(), Error> {
         let bytes = bytemuck::bytes_of(&uniform);
         let usage = wgpu::BufferUsages::UNIFORM;
-        let new = (self.uniform).fill(renderer, "relight composite", bytes, usage)?;
+        let new = (self.uniform).fill(renderer, "relight composite", bytes, 0, usage)?;
         self.has_background = uniform.background != gpu::BACKGROUND_NONE;
         if new || self.group.as_ref().is_none_or(|(of, _)| of != image) {
             let view = wgpu::BindingResource::TextureView;

@@ -6,8 +6,8 @@ use relight_shading::gpu::TextureFill;
 use relight_shading::textures::level_count;
 use relight_shading::wgsl::FILL_TEXTURE;
 
-use crate::layouts::{compute_pipeline, layout_entry, texture_entry};
-use crate::resources::{UNIFORM_STRIDE, strided};
+use crate::layouts::{compute_pipeline, layout_entry, part_entry, texture_entry};
+use crate::resources::OFFSET_ALIGNMENT;
 use crate::transfer::filled_buffer;
 use crate::view::WORKGROUP;
 use crate::{Error, GpuScene, Renderer};
@@ -108,23 +108,20 @@ impl Renderer {
                 }
             })
             .collect();
-        let uniforms = strided(&fills);
+        let mut uniforms = Vec::with_capacity(fills.len() * OFFSET_ALIGNMENT);
+        for fill in &fills {
+            uniforms.extend_from_slice(bytemuck::bytes_of(fill));
+            uniforms.resize(uniforms.len().next_multiple_of(OFFSET_ALIGNMENT), 0);
+        }
         let device = self.device();
         let usage = wgpu::BufferUsages::UNIFORM;
-        let uniforms = filled_buffer(device, "relight texture", &uniforms, usage)?;
+        let uniforms = filled_buffer(device, "relight texture", &uniforms, 0, usage)?;
         let pass = self.fill_pass();
         let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("relight texture"),
             layout: &pass.layout,
             entries: &[
-                wgpu::BindGroupEntry {
-                    binding: 0,
-                    resource: wgpu::BindingResource::Buffer(wgpu::BufferBinding {
-                        buffer: &uniforms,
-                        offset: 0,
-                        size: std::num::NonZeroU64::new(size_of::<TextureFill>() as u64),
-                    }),
-                },
+                part_entry(0, &uniforms, size_of::<TextureFill>() as u64),
                 texture_entry(1, image),
                 wgpu::BindGroupEntry {
                     binding: 2,
@@ -138,7 +135,7 @@ impl Renderer {
             timestamp_writes: None,
         });
         compute.set_pipeline(&pass.pipeline);
-        for (place, fill) in (0u32..).step_by(UNIFORM_STRIDE).zip(&fills) {
+        for (place, fill) in (0u32..).step_by(OFFSET_ALIGNMENT).zip(&fills) {
             compute.set_bind_group(0, &group, &[place]);
             let [x, y] = fill.size.map(|side| side.div_ceil(WORKGROUP));
             compute.dispatch_workgroups(x, y, 1);

@@ -1,6 +1,5 @@
 //! Layouts of the groups of `bindings.wgsl`, and pipelines made of them.
 
-use relight_shading::gpu;
 use relight_shading::wgsl::{Entry, Kernel, source};
 
 use crate::upload::VERTEX_BINDINGS;
@@ -27,18 +26,21 @@ pub(crate) const STORAGE: wgpu::BindingType = wgpu::BindingType::Buffer {
     min_binding_size: None,
 };
 
+pub(crate) const UNIFORM: wgpu::BindingType = wgpu::BindingType::Buffer {
+    ty: wgpu::BufferBindingType::Uniform,
+    has_dynamic_offset: false,
+    min_binding_size: None,
+};
+
+/// A part of a buffer, whose beginning is said when it is bound.
+pub(crate) const UNIFORM_PARTS: wgpu::BindingType = wgpu::BindingType::Buffer {
+    ty: wgpu::BufferBindingType::Uniform,
+    has_dynamic_offset: true,
+    min_binding_size: None,
+};
+
 /// Group 0 of bindings.wgsl.
 pub(crate) fn frame_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
-    let uniform = wgpu::BindingType::Buffer {
-        ty: wgpu::BufferBindingType::Uniform,
-        has_dynamic_offset: true,
-        min_binding_size: None,
-    };
-    let local_lights = wgpu::BindingType::Buffer {
-        ty: wgpu::BufferBindingType::Uniform,
-        has_dynamic_offset: false,
-        min_binding_size: None,
-    };
     let prefiltered = wgpu::BindingType::Texture {
         sample_type: wgpu::TextureSampleType::Uint,
         view_dimension: wgpu::TextureViewDimension::D2,
@@ -53,10 +55,10 @@ pub(crate) fn frame_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
     device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
         label: Some("relight frame"),
         entries: &[
-            layout_entry(0, BOTH, uniform),
+            layout_entry(0, BOTH, UNIFORM),
             layout_entry(1, wgpu::ShaderStages::COMPUTE, STORAGE),
             layout_entry(2, wgpu::ShaderStages::COMPUTE, STORAGE),
-            layout_entry(3, wgpu::ShaderStages::COMPUTE, local_lights),
+            layout_entry(3, wgpu::ShaderStages::COMPUTE, UNIFORM_PARTS),
             layout_entry(4, wgpu::ShaderStages::COMPUTE, prefiltered),
             layout_entry(7, wgpu::ShaderStages::COMPUTE, products),
             layout_entry(8, wgpu::ShaderStages::COMPUTE, products),
@@ -117,30 +119,32 @@ pub(crate) fn texture_entry(binding: u32, texture: &wgpu::TextureView) -> wgpu::
     }
 }
 
-pub(crate) fn frame_uniform_entry(uniforms: &wgpu::Buffer) -> wgpu::BindGroupEntry<'_> {
+/// The first `size` bytes of a buffer, or as many from another place.
+pub(crate) fn part_entry(
+    binding: u32,
+    buffer: &wgpu::Buffer,
+    size: u64,
+) -> wgpu::BindGroupEntry<'_> {
     wgpu::BindGroupEntry {
-        binding: 0,
+        binding,
         resource: wgpu::BindingResource::Buffer(wgpu::BufferBinding {
-            buffer: uniforms,
+            buffer,
             offset: 0,
-            size: std::num::NonZeroU64::new(size_of::<gpu::Frame>() as u64),
+            size: std::num::NonZeroU64::new(size),
         }),
     }
 }
 
 /// Group 0 of bindings.wgsl as sources need it.
 pub(crate) fn source_frame_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
-    let uniform = |has_dynamic_offset| wgpu::BindingType::Buffer {
-        ty: wgpu::BufferBindingType::Uniform,
-        has_dynamic_offset,
-        min_binding_size: None,
-    };
+    let compute = wgpu::ShaderStages::COMPUTE;
     device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
         label: Some("relight sources"),
         entries: &[
-            layout_entry(0, wgpu::ShaderStages::COMPUTE, uniform(true)),
-            layout_entry(5, wgpu::ShaderStages::COMPUTE, STORAGE),
-            layout_entry(6, wgpu::ShaderStages::COMPUTE, uniform(false)),
+            layout_entry(0, compute, UNIFORM),
+            layout_entry(3, compute, UNIFORM_PARTS),
+            layout_entry(5, compute, STORAGE),
+            layout_entry(6, compute, UNIFORM),
         ],
     })
 }
@@ -174,18 +178,14 @@ pub(crate) fn source_image_layout(device: &wgpu::Device) -> wgpu::BindGroupLayou
 
 /// Group 0 of bindings.wgsl as vertices need it.
 pub(crate) fn vertex_frame_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
-    let uniform = wgpu::BindingType::Buffer {
-        ty: wgpu::BufferBindingType::Uniform,
-        has_dynamic_offset: true,
-        min_binding_size: None,
-    };
     let compute = wgpu::ShaderStages::COMPUTE;
     device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
         label: Some("relight vertices"),
         entries: &[
-            layout_entry(0, compute, uniform),
+            layout_entry(0, compute, UNIFORM),
             layout_entry(1, compute, STORAGE),
             layout_entry(2, compute, STORAGE),
+            layout_entry(3, compute, UNIFORM_PARTS),
         ],
     })
 }
@@ -224,14 +224,9 @@ pub(crate) fn vertex_image_layout(device: &wgpu::Device) -> wgpu::BindGroupLayou
 
 /// Group 0 of surfaces.wgsl.
 pub(crate) fn surface_frame_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
-    let uniform = wgpu::BindingType::Buffer {
-        ty: wgpu::BufferBindingType::Uniform,
-        has_dynamic_offset: false,
-        min_binding_size: None,
-    };
     device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
         label: Some("relight world"),
-        entries: &[layout_entry(0, wgpu::ShaderStages::COMPUTE, uniform)],
+        entries: &[layout_entry(0, wgpu::ShaderStages::COMPUTE, UNIFORM)],
     })
 }
 

@@ -96,7 +96,7 @@ impl<'a> Loading<'a> {
         let data = if data.is_empty() { &one } else { data };
         check_storage(self.device, size_of_val(data) as u64).map_err(Error::Scene)?;
         let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST;
-        let buffer = filled_buffer(self.device, label, bytemuck::cast_slice(data), usage)?;
+        let buffer = filled_buffer(self.device, label, bytemuck::cast_slice(data), 0, usage)?;
         self.passed(size_of_val(data))?;
         Ok(buffer)
     }

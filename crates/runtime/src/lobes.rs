@@ -1,29 +1,30 @@
 //! The passes that shade by lobes, see `relight_shading::slots`: many small kernels, one after the other,
-//! band by band.
+//! for as many tiles as there are slots for.
 
 use std::sync::OnceLock;
 
-use relight_shading::slots;
 use relight_shading::wgsl::{
     AROUND, DIFFUSE, IMAGES, INTEGRALS, Kernel, PRODUCTS, REFLECTIONS, SHADE,
 };
+use relight_shading::{gpu, slots};
 
 use crate::layouts::{
     STORAGE, compute_pipeline, image_entries, layout_entry, scene_entries, texture_entry,
 };
+use crate::resources::Dispatch;
+use crate::view::WORKGROUP;
 use crate::{Frame, GpuScene};
 
-/// Pixels that are shaded at a time, at most, unless a row of workgroups holds more: what their slots
-/// take of memory is all that the passes take.
-const MOST_SLOTS: u32 = 1 << 17;
 /// Pixels of a workgroup.
-const WORKGROUP_PIXELS: u32 = crate::view::WORKGROUP * crate::view::WORKGROUP;
+const WORKGROUP_PIXELS: u32 = WORKGROUP * WORKGROUP;
 
-/// Rows of an image so wide that are shaded at a time, of the `rows` that are wanted.
-pub(crate) fn band(rows: u32, width: u32) -> u32 {
-    let side = crate::view::WORKGROUP;
-    let most = MOST_SLOTS / width.next_multiple_of(side).max(side) / side * side;
-    rows.min(most.max(side))
+/// Workgroups of an image that are shaded at a time, at most, of so many `rows` that are wanted: what their slots
+/// take of memory is all that the passes take.
+pub(crate) fn tiles_at_once([width, height]: [u32; 2], rows: u32) -> u32 {
+    let [columns, all, rows] = [width, height, rows].map(|side| side.div_ceil(WORKGROUP).max(1));
+    columns
+        .saturating_mul(all.min(rows))
+        .min(gpu::MAX_TILES_AT_ONCE)
 }
 
 /// Bindings of group 1 of kernels that know materials, and of those that know visibility.
@@ -50,7 +51,7 @@ pub(crate) struct LobePasses {
 /// Slots of one view.
 #[derive(Debug)]
 pub(crate) struct Slots {
-    count: u32,
+    tiles: u32,
     /// Of the reflections and of what is gathered.
     buffers: [wgpu::Buffer; 2],
     /// As [`LobePasses::images`].
@@ -122,29 +123,29 @@ impl LobePasses {
         }
     }
 
-    /// Slots for bands of so many pixels; the images are the visibility buffer, radiance and what
+    /// Slots for so many workgroups; the images are the visibility buffer, radiance and what
     /// sources add to it.
-    pub(crate) fn slots(&self, count: u32, images: [&wgpu::TextureView; 3]) -> Slots {
+    pub(crate) fn slots(&self, tiles: u32, images: [&wgpu::TextureView; 3]) -> Slots {
         let buffer = |label| {
             self.device.create_buffer(&wgpu::BufferDescriptor {
                 label: Some(label),
-                size: u64::from(count) * u64::from(slots::BYTES),
+                size: u64::from(tiles * WORKGROUP_PIXELS) * u64::from(slots::BYTES),
                 usage: wgpu::BufferUsages::STORAGE,
                 mapped_at_creation: false,
             })
         };
         let buffers = ["relight reflections", "relight gathered"].map(buffer);
-        self.slots_of(count, buffers, images)
+        self.slots_of(tiles, buffers, images)
     }
 
     /// The same slots for other images: those of one are done with before another's begin.
     pub(crate) fn beside(&self, slots: &Slots, images: [&wgpu::TextureView; 3]) -> Slots {
-        self.slots_of(slots.count, slots.buffers.clone(), images)
+        self.slots_of(slots.tiles, slots.buffers.clone(), images)
     }
 
     fn slots_of(
         &self,
-        count: u32,
+        tiles: u32,
         buffers: [wgpu::Buffer; 2],
         images: [&wgpu::TextureView; 3],
     ) -> Slots {
@@ -164,28 +165,27 @@ impl LobePasses {
         };
         let [first, others] = &self.images;
         Slots {
-            count,
+            tiles,
             groups: [group(first, &[0, 2]), group(others, &[0, 1])],
             buffers,
         }
     }
 
-    /// Shades what is seen of an instance: groups 0 and 1; dispatches are offsets of uniforms, and
-    /// workgroups.
+    /// Shades what is seen of instances: groups 0 and 1.
     pub(crate) fn record(
         &self,
         pass: &mut wgpu::ComputePass,
         (frame, scenes): (&wgpu::BindGroup, &[wgpu::BindGroup; 2]),
         slots: &Slots,
         work: Work,
-        dispatches: impl Iterator<Item = (u32, [u32; 2])>,
+        dispatches: &[Dispatch],
     ) {
-        for (offset, [x, y]) in dispatches {
+        for dispatch in dispatches {
             debug_assert!(
-                x * y * WORKGROUP_PIXELS <= slots.count,
-                "{x} x {y}: {slots:?}"
+                dispatch.workgroups <= slots.tiles,
+                "{dispatch:?}: {slots:?}"
             );
-            pass.set_bind_group(0, frame, &[offset]);
+            pass.set_bind_group(0, frame, &[dispatch.offset]);
             let mut run =
                 |kernel: &OnceLock<wgpu::ComputePipeline>, made_of: &Kernel, groups_1_2| {
                     let (scene, image): (usize, usize) = groups_1_2;
@@ -194,7 +194,7 @@ impl LobePasses {
                     pass.set_pipeline(kernel.get_or_init(make));
                     pass.set_bind_group(1, &scenes[scene], &[]);
                     pass.set_bind_group(2, &slots.groups[image], &[]);
-                    pass.dispatch_workgroups(x, y, 1);
+                    pass.dispatch_workgroups(dispatch.workgroups, 1, 1);
                 };
             for reflection in 0..work.reflections.max(1) {
                 let next = usize::from(reflection > 0);
@@ -231,14 +231,9 @@ impl LobePasses {
 }
 
 impl Slots {
-    /// Slots that bands of `rows` rows of an image take.
-    pub(crate) fn needed([width, height]: [u32; 2], rows: u32) -> u32 {
-        let side = crate::view::WORKGROUP;
-        width.next_multiple_of(side) * rows.min(height.next_multiple_of(side))
-    }
-
-    pub(crate) fn count(&self) -> u32 {
-        self.count
+    /// Workgroups that there are slots for.
+    pub(crate) fn tiles(&self) -> u32 {
+        self.tiles
     }
 }
 
@@ -254,14 +249,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn bands_fit_into_slots() {
-        for width in [1u32, 320, 1920, 3840, 8192, 32768] {
-            for rows in [8, 128, u32::MAX - 7] {
-                let rows = band(rows, width);
-                assert!(rows >= 8 && rows.is_multiple_of(8));
-                let taken = Slots::needed([width, 20_000], rows);
-                assert!(taken <= MOST_SLOTS.max(8 * width), "{width}: {taken}");
-            }
-        }
+    fn tiles_of_an_image() {
+        assert_eq!(tiles_at_once([320, 240], 128), 40 * 16);
+        assert_eq!(tiles_at_once([9, 9], 128), 4);
+        assert_eq!(tiles_at_once([9, 9], 0), 2);
+        let most = gpu::MAX_TILES_AT_ONCE;
+        assert_eq!(tiles_at_once([3840, 2160], 128), most);
+        assert_eq!(tiles_at_once([u32::MAX; 2], u32::MAX), most);
     }
 }

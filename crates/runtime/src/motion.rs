@@ -5,10 +5,16 @@ use relight_shading::camera::Viewpoint;
 use relight_shading::gpu;
 use relight_shading::wgsl::MOTION;
 
-use crate::layouts::{compute_pipeline, image_entries, layout_entry, texture_entry};
+use crate::layouts::{
+    UNIFORM_PARTS, compute_pipeline, image_entries, layout_entry, part_entry, texture_entry,
+};
 use crate::renderer::clear;
-use crate::resources::{Slot, UNIFORM_STRIDE, strided};
+use crate::resources::{Slot, Tiling};
 use crate::{Error, Instance, Placement, Renderer, View};
+
+/// Bytes of what kernels are bound to: a multiple of all alignments of dynamic offsets.
+const BATCH_BYTES: usize = gpu::MAX_BATCH as usize * size_of::<gpu::Motion>();
+const _: () = assert!(BATCH_BYTES.is_multiple_of(256));
 
 /// Format of motion.
 const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rg32Float;
@@ -39,17 +45,12 @@ impl MotionPass {
             format: FORMAT,
             view_dimension: wgpu::TextureViewDimension::D2,
         };
-        let uniform = wgpu::BindingType::Buffer {
-            ty: wgpu::BufferBindingType::Uniform,
-            has_dynamic_offset: true,
-            min_binding_size: None,
-        };
         let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some("relight motion"),
             entries: &[
                 seen,
                 layout_entry(1, compute, found),
-                layout_entry(2, compute, uniform),
+                layout_entry(2, compute, UNIFORM_PARTS),
             ],
         });
         let pipeline = compute_pipeline(device, &[frame, scene, &layout], &MOTION);
@@ -95,42 +96,47 @@ impl Renderer {
     ) -> Result<(), Error> {
         self.check_view(view)?;
         let size = view.size();
-        let Some(seen) = view.images.as_ref().map(|images| images.seen_view.clone()) else {
+        let Some(images) = &view.images else {
             return Err(Error::NotPrepared);
         };
+        let seen = images.seen_view.clone();
+        let tiling = Tiling {
+            size,
+            antialias: images.antialias(),
+            at_once: images.slots.tiles(),
+        };
         for found in [instances.len(), before.placements.len()] {
-            if found != view.resources.len() {
-                return Err(Error::InstanceCount {
-                    expected: view.resources.len(),
-                    found,
-                });
+            let expected = view.batches.iter().map(Vec::len).sum();
+            if found != expected {
+                return Err(Error::InstanceCount { expected, found });
             }
         }
-        let mut uniforms = Vec::with_capacity(instances.len());
-        for (instance, placement) in instances.iter().zip(before.placements) {
+        let mut uniforms = vec![gpu::Motion::zeroed(); instances.len()];
+        for ((instance, placement), uniform) in
+            (instances.iter().zip(before.placements)).zip(&mut uniforms)
+        {
             if instance.scene.owner != *self.owner() {
                 return Err(Error::Foreign { what: "scene" });
             }
             placement.check()?;
             // The distance of a pinhole's near plane has no part in places.
             let matrix = before.camera.matrix(size[0], size[1], 1.0) * placement.matrix();
-            let uniform = gpu::Motion {
-                before: matrix.to_cols_array_2d(),
-                size: size.map(|side| side as f32),
-                ..gpu::Motion::zeroed()
-            };
-            uniforms.push(uniform);
+            uniform.before = matrix.to_cols_array_2d();
+            uniform.size = size.map(|side| side as f32);
         }
-        let mut uniforms = strided(&uniforms);
-        if uniforms.is_empty() {
-            // A binding must not be empty.
-            uniforms.resize(UNIFORM_STRIDE, 0);
+        let mut bytes = Vec::with_capacity(view.batches.len() * BATCH_BYTES);
+        for batch in &view.batches {
+            for &index in batch {
+                bytes.extend_from_slice(bytemuck::bytes_of(&uniforms[index as usize]));
+            }
+            bytes.resize(bytes.len().next_multiple_of(BATCH_BYTES), 0);
         }
         let usage = wgpu::BufferUsages::UNIFORM;
         let motion = &mut view.motion;
-        let new = motion
-            .uniforms
-            .fill(self, "relight motion", &uniforms, usage)?;
+        let new =
+            motion
+                .uniforms
+                .fill(self, "relight motion", &bytes, BATCH_BYTES as u64, usage)?;
         if motion
             .images
             .as_ref()
@@ -144,21 +150,13 @@ impl Renderer {
         }
         let pass = self.motion_pass();
         let group = images.group.get_or_insert_with(|| {
-            let uniforms = wgpu::BufferBinding {
-                buffer: motion.uniforms.buffer(),
-                offset: 0,
-                size: std::num::NonZeroU64::new(size_of::<gpu::Motion>() as u64),
-            };
             self.device().create_bind_group(&wgpu::BindGroupDescriptor {
                 label: Some("relight motion"),
                 layout: &pass.layout,
                 entries: &[
                     texture_entry(0, &images.seen),
                     texture_entry(1, &images.view),
-                    wgpu::BindGroupEntry {
-                        binding: 2,
-                        resource: wgpu::BindingResource::Buffer(uniforms),
-                    },
+                    part_entry(2, motion.uniforms.buffer(), BATCH_BYTES as u64),
                 ],
             })
         });
@@ -168,13 +166,19 @@ impl Renderer {
             timestamp_writes: None,
         });
         compute.set_pipeline(&pass.pipeline);
-        let drawn = instances.iter().zip(&view.resources);
-        for (place, (instance, resources)) in (0u32..).step_by(UNIFORM_STRIDE).zip(drawn) {
-            for (offset, [x, y]) in resources.dispatches(&(0..size[1])) {
-                compute.set_bind_group(0, resources.frame_group(), &[offset]);
-                compute.set_bind_group(1, &instance.scene.bind_group, &[]);
-                compute.set_bind_group(2, &*group, &[place]);
-                compute.dispatch_workgroups(x, y, 1);
+        let places = (0u32..).step_by(BATCH_BYTES);
+        for ((batch, resources), place) in view.batches.iter().zip(&mut view.resources).zip(places)
+        {
+            let Some(&first) = batch.first() else {
+                continue;
+            };
+            // Parts of a frame list their own.
+            resources.list_all(self, tiling)?;
+            compute.set_bind_group(1, &instances[first as usize].scene.bind_group, &[]);
+            compute.set_bind_group(2, &*group, &[place]);
+            for dispatch in resources.dispatches() {
+                compute.set_bind_group(0, resources.frame_group(), &[dispatch.offset]);
+                compute.dispatch_workgroups(dispatch.workgroups, 1, 1);
             }
         }
         Ok(())

@@ -22,8 +22,8 @@ pub struct Options {
     pub blend: Option<wgpu::BlendState>,
     /// What is written. Default [`Output::Automatic`].
     pub output: Output,
-    /// Rows shaded per dispatch, rounded up to a multiple of 8: short dispatches keep slow devices
-    /// responsive and clear of watchdogs. Default 128.
+    /// A dispatch shades as many pixels as so many rows of the picture have, rounded up to tiles of 8 × 8, and at most
+    /// 131,072: short dispatches keep slow devices responsive and clear of watchdogs. Default 128.
     pub rows_per_dispatch: u32,
 }
 

@@ -1,5 +1,6 @@
 //! The passes of one frame: visibility buffer, shading, into the target.
 
+use std::collections::HashMap;
 use std::ops::Range;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
@@ -12,7 +13,7 @@ use wgpu::util::DeviceExt as _;
 use crate::fill_texture::FillPass;
 use crate::frame::LocalFrame;
 use crate::layouts::{
-    buffer_entry, compute_pipeline, frame_layout, frame_uniform_entry, image_layout, scene_layout,
+    buffer_entry, compute_pipeline, frame_layout, image_layout, part_entry, scene_layout,
     source_frame_layout, source_image_layout, source_scene_layout, surface_frame_layout,
     surface_image_layout, texture_entry, vertex_frame_layout, vertex_image_layout,
     vertex_scene_layout, visibility_pipeline,
@@ -20,7 +21,7 @@ use crate::layouts::{
 use crate::lobes::{self, LobePasses, Slots};
 use crate::motion::MotionPass;
 use crate::pass_times::{Pass, PassTimes, Recording, Timestamps};
-use crate::resources::{Numbered, Resources, first_ids};
+use crate::resources::{FRAMES_BYTES, Numbered, Resources, TILES_BYTES, Tiling, first_ids};
 use crate::transfer::filled_buffer;
 use crate::upload::GpuScene;
 use crate::view::{ImageLayouts, Images, Needs, Region, WORKGROUP, World, shaded_size};
@@ -32,8 +33,8 @@ const KEPT_IMAGES: usize = 8;
 /// Texels and what they are on the GPU.
 type KeptImages = Vec<(Arc<[u32]>, wgpu::TextureView)>;
 
-/// An instance's frame, and where it is seen, if anywhere.
-type PlacedFrame = (LocalFrame, Option<Numbered>);
+/// An instance's frame, its number and where it is seen.
+type PlacedFrame = (LocalFrame, Numbered);
 
 /// Draws scenes with an app's device and queue. It may be shared by threads.
 #[derive(Debug)]
@@ -109,6 +110,7 @@ impl Renderer {
             device,
             "relight tables",
             bytemuck::cast_slice(&shade::gpu_tables()),
+            0,
             wgpu::BufferUsages::STORAGE,
         )?;
         let frame_layout = frame_layout(device);
@@ -208,8 +210,8 @@ impl Renderer {
     /// A view holds what it was prepared with last, by the time of a submission: prepare it once per
     /// submission. Several cameras take several views.
     ///
-    /// The cost is that of the pixels that instances cover and of the boxes around them: a few
-    /// microseconds of the processor and a dispatch for each instance in sight.
+    /// The cost is that of the pixels that instances cover and, less, of the boxes around them; a few
+    /// microseconds of the processor for each instance, and a few dispatches for every 128 of one scene.
     ///
     /// # Errors
     /// What the frame, an instance or the device cannot; nothing is drawn then.
@@ -230,8 +232,8 @@ impl Renderer {
     }
 
     /// [`Self::prepare`] of a part of a frame, for apps that submit long frames in parts and may
-    /// stop between them. The part that begins with row 0 draws all triangles; each shades the bands
-    /// of [`Options::rows_per_dispatch`] that begin within `rows`. All parts are of the same frame,
+    /// stop between them. The part that begins with row 0 draws all triangles; each shades the tiles
+    /// of 8 rows that begin within `rows`. All parts are of the same frame,
     /// each is submitted by itself, and nothing else is prepared into the view between them. They are
     /// not timed.
     pub fn prepare_rows(
@@ -335,8 +337,9 @@ impl Renderer {
             Background::Transparent | Background::Color(_) => None,
         };
         let behind = self.image(behind)?;
-        let catches = self.fill(view, instances, frame, &drawn_frames)?;
+        let catches = (instances.iter()).any(|instance| instance.scene.open.is_some());
         self.make_images(view, frame, catches)?;
+        self.fill(view, instances, frame, &drawn_frames, &rows)?;
         let images = view.images.as_ref().expect("just made");
         let uniform = composite::uniform(view.size(), frame, &world.view, &self.options);
         let layout = &self.composite_layouts[usize::from(frame.antialias)];
@@ -347,7 +350,7 @@ impl Renderer {
             let world = gpu::Frame::of_view(&world.view);
             let uniform = bytemuck::bytes_of(&world);
             let usage = wgpu::BufferUsages::UNIFORM;
-            if (view.world.slot).fill(self, "relight world", uniform, usage)? {
+            if (view.world.slot).fill(self, "relight world", uniform, FRAMES_BYTES, usage)? {
                 view.world.group = Some(self.world_group(view.world.slot.buffer()));
             }
         }
@@ -355,8 +358,8 @@ impl Renderer {
         for resources in view.resources.iter_mut().chain(&mut view.open) {
             resources.bind_vertices(self, &images.seen_view);
         }
-        let drawn = instances.iter().zip(&view.resources).zip(&drawn_frames);
-        let drawn = drawn.filter(|(_, (_, numbered))| numbered.is_some());
+        let scene = |batch: &Vec<u32>| instances[batch[0] as usize].scene;
+        let drawn = view.batches.iter().map(scene).zip(&view.resources);
         if rows.start == 0 {
             clear(encoder, &images.radiance_view);
             if let Some(open) = &images.open {
@@ -368,10 +371,12 @@ impl Renderer {
             } else {
                 &self.visibility_pipeline
             });
-            for ((instance, resources), _) in drawn.clone() {
+            for (scene, resources) in drawn.clone() {
                 pass.set_bind_group(0, resources.frame_group(), &[0]);
-                pass.set_bind_group(1, &instance.scene.bind_group, &[]);
-                pass.draw(0..3 * instance.scene.triangle_count, 0..1);
+                pass.set_bind_group(1, &scene.bind_group, &[]);
+                for seen in resources.seen() {
+                    pass.draw(0..3 * scene.triangle_count, seen);
+                }
             }
         }
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
@@ -387,52 +392,79 @@ impl Renderer {
             pass.dispatch_workgroups(x, y, 1);
         }
         // What catches shadows is shaded once more, without what hides light.
-        let open = (view.open.iter().zip(instances).zip(&drawn_frames))
-            .filter(|(_, (_, numbered))| numbered.is_some())
-            .filter_map(|((resources, instance), _)| {
-                let scene = instance.scene.open.as_deref()?;
-                let open = images.open.as_ref()?;
-                Some((scene, resources, (&open.bind_group, &open.slots)))
-            });
-        let drawn = drawn.map(|((instance, resources), _)| {
-            let scene: &GpuScene = instance.scene;
-            (scene, resources, (&images.bind_group, &images.slots))
+        let open = (drawn.clone().zip(&view.open)).filter_map(|((scene, _), resources)| {
+            let open = images.open.as_ref()?;
+            let scene = scene.open.as_deref()?;
+            Some((scene, resources, (&open.bind_group, &open.slots)))
         });
+        let drawn =
+            drawn.map(|(scene, resources)| (scene, resources, (&images.bind_group, &images.slots)));
         for (scene, resources, targets) in drawn.chain(open) {
-            self.shade(&mut pass, (scene, resources), images, targets, frame, &rows);
+            self.shade(&mut pass, (scene, resources), images, targets, frame);
         }
         Ok(())
     }
 
-    /// Fills what instances that are seen are drawn with; whether some of them catch shadows.
+    /// Fills what instances are drawn with.
     fn fill(
         &self,
         view: &mut View,
         instances: &[Instance],
         frame: &Frame,
         placed: &[PlacedFrame],
-    ) -> Result<bool, Error> {
+        rows: &Range<u32>,
+    ) -> Result<(), Error> {
         let image = self.image(frame.reflections)?;
-        let count = instances.len();
+        let images = view.images.as_ref().expect("made before");
+        let tiling = Tiling {
+            size: view.size(),
+            antialias: frame.antialias,
+            at_once: images.slots.tiles(),
+        };
+        view.batches = self.batches(instances, frame.lights.len());
+        let count = view.batches.len();
         view.resources.resize_with(count, Default::default);
-        let catches = (instances.iter()).any(|instance| instance.scene.open.is_some());
-        let open = if catches { count } else { 0 };
+        let open = images.open.as_ref().map_or(0, |_| count);
         view.open.resize_with(open, Default::default);
-        for (index, (instance, (local, numbered))) in instances.iter().zip(placed).enumerate() {
-            if let Some(numbered) = numbered {
-                let resources = &mut view.resources[index];
-                resources.fill(self, instance.scene, frame, local, *numbered, &image)?;
-                if let Some(open) = &instance.scene.open {
-                    view.open[index].fill(self, open, frame, local, *numbered, &image)?;
+        for (index, batch) in view.batches.iter().enumerate() {
+            let scene = instances[batch[0] as usize].scene;
+            let placed: Vec<_> = (batch.iter())
+                .map(|&index| &placed[index as usize])
+                .collect();
+            let part = (tiling, rows);
+            view.resources[index].fill(self, scene, frame, &image, part, &placed)?;
+            match (view.open.get_mut(index), &scene.open) {
+                (Some(open), Some(scene)) => {
+                    open.fill(self, scene, frame, &image, part, &placed)?;
                 }
-            } else {
-                view.resources[index].leave();
+                (Some(open), None) => *open = Resources::default(),
+                (None, _) => {}
             }
         }
-        Ok(catches)
+        Ok(())
     }
 
-    /// Shades one instance into the image that the group and the slots have.
+    /// Numbers of the instances that are shaded together: those of a scene, as many as fit.
+    fn batches(&self, instances: &[Instance], lights: usize) -> Vec<Vec<u32>> {
+        let mut batches: Vec<Vec<u32>> = Vec::new();
+        // By scene: the batch that its next instance joins, and how many that may have.
+        let mut filled: HashMap<*const GpuScene, (usize, usize)> = HashMap::new();
+        for (index, instance) in (0..).zip(instances) {
+            let scene = instance.scene;
+            let (batch, most) = (filled.entry(std::ptr::from_ref(scene)))
+                .or_insert_with(|| (usize::MAX, scene.most_instances(&self.device, lights)));
+            match batches.get_mut(*batch) {
+                Some(batch) if batch.len() < *most => batch.push(index),
+                _ => {
+                    *batch = batches.len();
+                    batches.push(vec![index]);
+                }
+            }
+        }
+        batches
+    }
+
+    /// Shades instances of one scene into the image that the group and the slots have.
     fn shade(
         &self,
         pass: &mut wgpu::ComputePass,
@@ -440,18 +472,20 @@ impl Renderer {
         images: &Images,
         (bind_group, slots): (&wgpu::BindGroup, &Slots),
         frame: &Frame,
-        rows: &Range<u32>,
     ) {
+        if resources.dispatches().is_empty() {
+            return;
+        }
         if let (Some(group), Ok(scene), Some(images)) =
             (resources.source_group(), &scene.sources, &images.sources)
         {
             let groups = [group, scene, images];
             let sources = (frame.sources.as_ref()).map_or(0, |sources| sources.count() as u32);
             let pipeline = self.source_pipeline();
-            dispatch_bands(pass, pipeline, groups, resources, (rows, sources));
+            dispatch_tiles(pass, pipeline, groups, resources, sources);
         }
         let mut dispatch = |pipeline: &wgpu::ComputePipeline, groups: [&wgpu::BindGroup; 3]| {
-            dispatch_bands(pass, pipeline, groups, resources, (rows, 1));
+            dispatch_tiles(pass, pipeline, groups, resources, 1);
         };
         let frame_group = resources.frame_group();
         let groups = [frame_group, &scene.bind_group, bind_group];
@@ -459,22 +493,20 @@ impl Renderer {
             dispatch(self.cells_pipeline(), groups);
             return;
         }
-        if let Some(([frame, images], [x, y])) = resources.vertices() {
+        if let Some(([frame, images], [x, y, z])) = resources.vertices() {
             dispatch(self.mark_pipeline(), [frame, &scene.vertex_group, images]);
             pass.set_pipeline(self.vertex_pipeline());
             pass.set_bind_group(0, frame, &[0]);
             pass.set_bind_group(1, &scene.vertex_group, &[]);
             pass.set_bind_group(2, images, &[]);
-            pass.dispatch_workgroups(x, y, 1);
+            pass.dispatch_workgroups(x, y, z);
         }
         let work = lobes::Work::of(frame, scene);
-        let dispatches = resources.dispatches(rows);
         let groups = (frame_group, &scene.lobe_groups);
-        (self.lobes).record(pass, groups, slots, work, dispatches);
+        (self.lobes).record(pass, groups, slots, work, resources.dispatches());
     }
 
-    /// Every instance's frame, and its number and where it is seen, `None` if nowhere; and the camera
-    /// that they share.
+    /// Every instance's frame, its number and where it is seen; and the camera that they share.
     fn place(
         &self,
         size: [u32; 2],
@@ -495,14 +527,11 @@ impl Renderer {
                 return Err(Error::Foreign { what: "scene" });
             }
             let local = frame.seen_from(&instance.placement, size, near)?;
-            let region = Region::of_box(&local.view, instance.scene.bounds, size);
-            let numbered = region.map(|region| Numbered {
+            let numbered = Numbered {
                 first_id,
                 index,
-                region,
-                band: self.band(size[0]),
-                extras: frame.antialias.then(|| region.extras(size[1])),
-            });
+                region: Region::of_box(&local.view, instance.scene.bounds, size),
+            };
             Ok((local, numbered))
         };
         let world = frame.seen_from(&Placement::IDENTITY, size, near.min(f32::MAX))?;
@@ -515,11 +544,11 @@ impl Renderer {
         let sources = frame.sources.as_ref();
         let sources = sources.map_or(0, |sources| sources.count() as u32);
         let shaded = shaded_size(view.size(), frame.antialias);
-        let slots = Slots::needed(shaded, self.band(shaded[0]));
+        let slots = lobes::tiles_at_once(shaded, self.options.rows_per_dispatch);
         if view.images.as_ref().is_some_and(|images| {
             images.antialias() == frame.antialias
                 && images.source_layers >= sources
-                && images.slots.count() >= slots
+                && images.slots.tiles() >= slots
                 && (images.open.is_some() || !open)
         }) {
             return Ok(());
@@ -631,15 +660,6 @@ impl Renderer {
         })
     }
 
-    /// Rows per dispatch of images so wide.
-    pub(crate) fn band(&self, width: u32) -> u32 {
-        let rows = self.options.rows_per_dispatch.max(1);
-        let rows = rows
-            .checked_next_multiple_of(WORKGROUP)
-            .unwrap_or(u32::MAX - (WORKGROUP - 1));
-        lobes::band(rows, width)
-    }
-
     fn shading_layouts(&self) -> [&wgpu::BindGroupLayout; 3] {
         [&self.frame_layout, &self.scene_layout, &self.image_layout]
     }
@@ -685,15 +705,16 @@ impl Renderer {
     /// Group 0 of kernels of vertices.
     pub(crate) fn vertex_frame_group(
         &self,
-        [uniforms, lights]: [&wgpu::Buffer; 2],
+        [frames, lights, tiles]: [&wgpu::Buffer; 3],
     ) -> wgpu::BindGroup {
         self.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("relight vertices"),
             layout: &self.vertex_layouts[0],
             entries: &[
-                frame_uniform_entry(uniforms),
+                part_entry(0, frames, FRAMES_BYTES),
                 buffer_entry(1, lights),
                 buffer_entry(2, &self.tables),
+                part_entry(3, tiles, TILES_BYTES),
             ],
         })
     }
@@ -755,18 +776,19 @@ impl Renderer {
         self.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("relight world"),
             layout: &self.surface_layouts[0],
-            entries: &[frame_uniform_entry(uniforms)],
+            entries: &[part_entry(0, uniforms, FRAMES_BYTES)],
         })
     }
 
-    /// Group 0 of the pass for sources: uniforms, points, scales.
-    pub(crate) fn source_group(&self, buffers: [&wgpu::Buffer; 3]) -> wgpu::BindGroup {
-        let [uniforms, points, scales] = buffers;
+    /// Group 0 of the pass for sources: frames, tiles, points, scales.
+    pub(crate) fn source_group(&self, buffers: [&wgpu::Buffer; 4]) -> wgpu::BindGroup {
+        let [frames, tiles, points, scales] = buffers;
         self.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("relight sources"),
             layout: &self.source_layouts[0],
             entries: &[
-                frame_uniform_entry(uniforms),
+                part_entry(0, frames, FRAMES_BYTES),
+                part_entry(3, tiles, TILES_BYTES),
                 buffer_entry(5, points),
                 buffer_entry(6, scales),
             ],
@@ -805,21 +827,21 @@ impl Renderer {
         ))
     }
 
-    /// Group 0: uniforms, lights and local lights; the reflected image and the products of bounced
-    /// light.
+    /// Group 0: frames, lights and tiles; the reflected image, the products of bounced light and the fractions of
+    /// lights.
     pub(crate) fn frame_group(
         &self,
-        [uniforms, lights, local_lights]: [&wgpu::Buffer; 3],
+        [frames, lights, tiles]: [&wgpu::Buffer; 3],
         [prefiltered, products, fractions]: &[wgpu::TextureView; 3],
     ) -> wgpu::BindGroup {
         self.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("relight frame"),
             layout: &self.frame_layout,
             entries: &[
-                frame_uniform_entry(uniforms),
+                part_entry(0, frames, FRAMES_BYTES),
                 buffer_entry(1, lights),
                 buffer_entry(2, &self.tables),
-                buffer_entry(3, local_lights),
+                part_entry(3, tiles, TILES_BYTES),
                 texture_entry(4, prefiltered),
                 texture_entry(7, products),
                 texture_entry(8, fractions),
@@ -828,20 +850,20 @@ impl Renderer {
     }
 }
 
-/// Runs a kernel over the pixels of an instance.
-fn dispatch_bands(
+/// Runs a kernel over the pixels of instances.
+fn dispatch_tiles(
     pass: &mut wgpu::ComputePass,
     pipeline: &wgpu::ComputePipeline,
     groups: [&wgpu::BindGroup; 3],
     resources: &Resources,
-    (rows, layers): (&Range<u32>, u32),
+    layers: u32,
 ) {
     pass.set_pipeline(pipeline);
     pass.set_bind_group(1, groups[1], &[]);
     pass.set_bind_group(2, groups[2], &[]);
-    for (offset, [x, y]) in resources.dispatches(rows) {
-        pass.set_bind_group(0, groups[0], &[offset]);
-        pass.dispatch_workgroups(x, y, layers);
+    for dispatch in resources.dispatches() {
+        pass.set_bind_group(0, groups[0], &[dispatch.offset]);
+        pass.dispatch_workgroups(dispatch.workgroups, 1, layers);
     }
 }
 

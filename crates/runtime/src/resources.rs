@@ -1,4 +1,4 @@
-//! What shading one instance takes, kept from frame to frame.
+//! What shading instances of one scene takes, kept from frame to frame.
 
 use std::ops::Range;
 
@@ -16,9 +16,11 @@ use crate::vertex_lights::VertexLights;
 use crate::view::Region;
 use crate::{Error, Frame, GpuScene, Renderer};
 
-/// Bytes from the uniforms of one dispatch to those of the next: a multiple of the largest alignment
-/// that WebGPU allows a device to ask for.
-pub(crate) const UNIFORM_STRIDE: usize = 512;
+/// The largest alignment of dynamic offsets that WebGPU allows a device to ask for.
+pub(crate) const OFFSET_ALIGNMENT: usize = 256;
+/// Bytes of the uniforms that kernels are bound to.
+pub(crate) const FRAMES_BYTES: u64 = (gpu::MAX_BATCH as usize * size_of::<gpu::Frame>()) as u64;
+pub(crate) const TILES_BYTES: u64 = 4 * gpu::MAX_TILES_AT_ONCE as u64;
 
 /// A buffer that is filled again and again, and what it holds: what stays the same is not written
 /// again.
@@ -26,18 +28,19 @@ pub(crate) const UNIFORM_STRIDE: usize = 512;
 pub(crate) struct Slot(Option<(wgpu::Buffer, Vec<u8>)>);
 
 impl Slot {
-    /// Fills it, by the next submission; makes a new one if it does not fit. Returns whether it is
-    /// new.
+    /// Fills it, by the next submission; makes a new one, of at least `room` bytes, if it does not
+    /// fit. Returns whether it is new.
     pub(crate) fn fill(
         &mut self,
         renderer: &Renderer,
         label: &str,
         contents: &[u8],
+        room: u64,
         usage: wgpu::BufferUsages,
     ) -> Result<bool, Error> {
         match &mut self.0 {
             Some((_, held)) if held == contents => Ok(false),
-            Some((buffer, held)) if buffer.size() >= contents.len() as u64 => {
+            Some((buffer, held)) if buffer.size() >= room.max(contents.len() as u64) => {
                 renderer.queue().write_buffer(buffer, 0, contents);
                 held.clear();
                 held.extend_from_slice(contents);
@@ -45,7 +48,7 @@ impl Slot {
             }
             _ => {
                 let usage = usage | wgpu::BufferUsages::COPY_DST;
-                let buffer = filled_buffer(renderer.device(), label, contents, usage)?;
+                let buffer = filled_buffer(renderer.device(), label, contents, room, usage)?;
                 self.0 = Some((buffer, contents.to_vec()));
                 Ok(true)
             }
@@ -58,35 +61,38 @@ impl Slot {
     }
 }
 
-/// Uniforms one after the other, as dynamic offsets need them.
-pub(crate) fn strided<T: bytemuck::Pod>(uniforms: &[T]) -> Vec<u8> {
-    let mut bytes = Vec::with_capacity(uniforms.len() * UNIFORM_STRIDE);
-    for uniform in uniforms {
-        bytes.extend_from_slice(bytemuck::bytes_of(uniform));
-        bytes.resize(bytes.len().next_multiple_of(UNIFORM_STRIDE), 0);
-    }
-    bytes
-}
-
-/// Buffers and bind groups of one instance in one view.
+/// Buffers and bind groups of instances of one scene, at most [`gpu::MAX_BATCH`], in one view.
 #[derive(Debug, Default)]
 pub(crate) struct Resources {
-    uniforms: Slot,
+    frames: Slot,
+    tiles: Slot,
     lights: Slot,
-    local_lights: Slot,
     points: Slot,
     scales: Slot,
     products: Option<ProductsOfLight>,
-    /// What it was made with, and group 0.
-    frame_group: Option<([wgpu::TextureView; 3], wgpu::BindGroup)>,
+    /// Of group 0: the image that is reflected, [`Self::products`] and fractions.
+    views: Option<[wgpu::TextureView; 3]>,
+    /// Group 0.
+    frame_group: Option<wgpu::BindGroup>,
     /// With `polar`, what vertices see of distant lights.
     vertex_lights: Option<VertexLights>,
     /// Group 0 of kernels of vertices.
     vertex_group: Option<wgpu::BindGroup>,
     /// Group 0 of the pass for sources.
     source_group: Option<wgpu::BindGroup>,
-    /// Dispatches, by the uniforms' order, and the rows of the picture that they begin with.
-    bands: Vec<(u32, Region)>,
+    /// Where instances may be seen, if anywhere.
+    regions: Vec<Option<Region>>,
+    dispatches: Vec<Dispatch>,
+    /// Whether these shade all rows.
+    whole: bool,
+}
+
+/// Tiles that are shaded at a time.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Dispatch {
+    /// Where they begin in their buffer, bytes.
+    pub(crate) offset: u32,
+    pub(crate) workgroups: u32,
 }
 
 /// An instance in the order of a frame.
@@ -96,12 +102,18 @@ pub(crate) struct Numbered {
     pub(crate) first_id: u32,
     /// Its number.
     pub(crate) index: u32,
-    /// Where it may be seen.
-    pub(crate) region: Region,
-    /// Rows of a dispatch.
-    pub(crate) band: u32,
-    /// Where further surfaces of its pixels are, with antialiasing.
-    pub(crate) extras: Option<Region>,
+    /// Where it may be seen, if anywhere.
+    pub(crate) region: Option<Region>,
+}
+
+/// How a picture is shaded.
+#[derive(Clone, Copy)]
+pub(crate) struct Tiling {
+    /// Columns and rows of the picture.
+    pub(crate) size: [u32; 2],
+    pub(crate) antialias: bool,
+    /// Tiles that are shaded at a time, at most.
+    pub(crate) at_once: u32,
 }
 
 impl Resources {
@@ -116,89 +128,136 @@ impl Resources {
         };
     }
 
-    /// It is not seen.
-    pub(crate) fn leave(&mut self) {
-        self.bands.clear();
-    }
-
-    /// Fills everything for one frame.
+    /// Fills everything for one picture.
     pub(crate) fn fill(
         &mut self,
         renderer: &Renderer,
         scene: &GpuScene,
         frame: &Frame,
-        local: &LocalFrame,
-        numbered: Numbered,
         prefiltered: &wgpu::TextureView,
+        (tiling, rows): (Tiling, &Range<u32>),
+        instances: &[&(LocalFrame, Numbered)],
     ) -> Result<(), Error> {
-        let mut uniform = uniforms(scene, frame, local);
-        uniform.first_id = numbered.first_id;
-        let lights = packed_lights(frame, local);
+        self.regions.clear();
+        (self.regions).extend(instances.iter().map(|(_, numbered)| numbered.region));
+        self.list_tiles(renderer, tiling, rows)?;
+        let distant: Vec<_> = (instances.iter())
+            .map(|(local, _)| packed_lights(frame, local))
+            .collect();
         self.vertex_lights = match frame.method {
             Method::Polar(_) => {
                 let kept = self.vertex_lights.take();
-                VertexLights::next_frame(kept, renderer, scene, &lights)
+                VertexLights::next_frame(kept, renderer, scene, &distant)
             }
             Method::Ambient | Method::Cells(_) => None,
         };
-        uniform.vertex_stamp = (self.vertex_lights.as_ref()).map_or(0, VertexLights::stamp);
-        uniform.instance = numbered.index;
-        let bands = |region: Region| region.bands(numbered.band);
-        self.bands = (bands(numbered.region).map(|band| (band.row, band))).collect();
-        if let Some(extras) = numbered.extras {
-            // Half as many rows for as many pixels.
-            let first = numbered.region.row;
-            let begin = |band: Region| (first + 2 * (band.row - extras.row), band);
-            self.bands.extend(bands(extras).map(begin));
+        let first_extra_row = Region::first_extra_row(tiling.size, frame.antialias);
+        let uniform = |(place, (local, numbered)): (usize, &&(LocalFrame, Numbered))| gpu::Frame {
+            first_id: numbered.first_id,
+            instance: numbered.index,
+            vertex_stamp: (self.vertex_lights.as_ref()).map_or(0, |kept| kept.stamp(place)),
+            first_extra_row,
+            ..uniforms(scene, frame, local)
+        };
+        let frames: Vec<gpu::Frame> = instances.iter().enumerate().map(uniform).collect();
+        let mut lights = Vec::new();
+        for (distant, (local, _)) in distant.into_iter().zip(instances) {
+            lights.extend(distant);
+            let entries = local.local_lights.iter().map(gpu::LocalLight::entries);
+            lights.extend(entries.flatten());
         }
-        let first_extra = numbered.extras.map_or(u32::MAX, |extras| extras.row);
-        let banded = |(_, band): &(u32, Region)| {
-            uniform.pixels_apart = u32::from(band.row >= first_extra);
-            band.uniform(&uniform)
-        };
-        let uniforms = strided(&self.bands.iter().map(banded).collect::<Vec<_>>());
-        // A binding must not be empty.
-        let none = [bytemuck::Zeroable::zeroed()];
-        let lights = if lights.is_empty() {
-            &none
-        } else {
-            &lights[..]
-        };
-        let bytes = size_of_val(lights) as u64;
+        let bytes = size_of_val(&lights[..]) as u64;
         check_storage(renderer.device(), bytes).map_err(Error::Frame)?;
-        let mut local_lights = local.local_lights.clone();
-        local_lights.resize(gpu::MAX_LOCAL_LIGHTS as usize, bytemuck::Zeroable::zeroed());
         let (uniform, storage) = (wgpu::BufferUsages::UNIFORM, wgpu::BufferUsages::STORAGE);
-        let lights = bytemuck::cast_slice(lights);
-        let local_lights = bytemuck::cast_slice(&local_lights);
+        let frames = bytemuck::cast_slice(&frames);
+        let lights = bytemuck::cast_slice(&lights);
+        // A binding must not be empty.
+        let light = size_of::<gpu::Light>() as u64;
         let new = [
-            (self.uniforms).fill(renderer, "relight frame", &uniforms, uniform)?,
-            (self.lights).fill(renderer, "relight lights", lights, storage)?,
-            (self.local_lights).fill(renderer, "relight local lights", local_lights, uniform)?,
+            (self.frames).fill(renderer, "relight frames", frames, FRAMES_BYTES, uniform)?,
+            (self.lights).fill(renderer, "relight lights", lights, light, storage)?,
         ];
-        let products = scene.products(
-            renderer.device(),
-            &mut self.products,
-            || local.bouncing_lights(),
-            &local.local_lights,
-        )?;
+        let locals = instances.iter().map(|(local, _)| local);
+        let products = scene.products(renderer.device(), &mut self.products, locals)?;
         let fractions = (self.vertex_lights.as_ref())
             .map_or_else(|| renderer.no_fractions(), |lights| &lights.fractions);
-        let views = [prefiltered.clone(), products, fractions.clone()];
-        if new[..2].contains(&true) {
-            self.vertex_group = None;
+        let views = Some([prefiltered.clone(), products, fractions.clone()]);
+        if new.contains(&true) {
+            self.forget_groups();
         }
-        if new.contains(&true)
-            || self
-                .frame_group
-                .as_ref()
-                .is_none_or(|(made, _)| *made != views)
-        {
-            let buffers = [&self.uniforms, &self.lights, &self.local_lights].map(Slot::buffer);
-            let group = renderer.frame_group(buffers, &views);
-            self.frame_group = Some((views, group));
+        if self.views != views {
+            self.frame_group = None;
+            self.views = views;
         }
-        self.fill_sources(renderer, scene, local, new[0])
+        self.bind_frames(renderer);
+        self.fill_sources(renderer, scene, instances)
+    }
+
+    /// Makes group 0, unless it is there.
+    fn bind_frames(&mut self, renderer: &Renderer) {
+        if let (Some(views), None) = (&self.views, &self.frame_group) {
+            let buffers = [&self.frames, &self.lights, &self.tiles].map(Slot::buffer);
+            self.frame_group = Some(renderer.frame_group(buffers, views));
+        }
+    }
+
+    fn forget_groups(&mut self) {
+        self.frame_group = None;
+        self.vertex_group = None;
+        self.source_group = None;
+    }
+
+    /// Lists the tiles of all rows. What is recorded already keeps those that it was recorded with.
+    pub(crate) fn list_all(&mut self, renderer: &Renderer, tiling: Tiling) -> Result<(), Error> {
+        if !self.whole {
+            self.tiles = Slot::default();
+            self.list_tiles(renderer, tiling, &(0..tiling.size[1]))?;
+            self.bind_frames(renderer);
+        }
+        Ok(())
+    }
+
+    /// Lists the tiles that instances may be seen in, of some rows of the picture.
+    fn list_tiles(
+        &mut self,
+        renderer: &Renderer,
+        tiling: Tiling,
+        rows: &Range<u32>,
+    ) -> Result<(), Error> {
+        let first_extra_row = Region::first_extra_row(tiling.size, tiling.antialias);
+        self.whole = *rows == (0..tiling.size[1]);
+        self.dispatches.clear();
+        let mut words: Vec<u32> = Vec::new();
+        for (place, region) in (0u32..).zip(&self.regions) {
+            let extras = (region.filter(|_| tiling.antialias)).map(|all| all.extras(tiling.size));
+            let parts = region.iter().chain(&extras);
+            let tile_rows = parts.flat_map(|part| part.tile_rows(first_extra_row, rows));
+            for (row, columns) in tile_rows {
+                for column in columns {
+                    if (self.dispatches.last()).is_none_or(|last| last.workgroups == tiling.at_once)
+                    {
+                        words.resize(words.len().next_multiple_of(OFFSET_ALIGNMENT / 4), 0);
+                        self.dispatches.push(Dispatch {
+                            offset: 4 * words.len() as u32,
+                            workgroups: 0,
+                        });
+                    }
+                    if let Some(last) = self.dispatches.last_mut() {
+                        last.workgroups += 1;
+                    }
+                    words.push(gpu::tile(place, column, row));
+                }
+            }
+        }
+        // What the last dispatch is bound to ends behind it.
+        let last = self.dispatches.last().map_or(0, |last| last.offset);
+        let room = u64::from(last) + TILES_BYTES;
+        let words = bytemuck::cast_slice(&words);
+        let usage = wgpu::BufferUsages::UNIFORM;
+        if (self.tiles).fill(renderer, "relight tiles", words, room, usage)? {
+            self.forget_groups();
+        }
+        Ok(())
     }
 
     /// The same for the pass for sources.
@@ -206,21 +265,26 @@ impl Resources {
         &mut self,
         renderer: &Renderer,
         scene: &GpuScene,
-        local: &LocalFrame,
-        new_uniforms: bool,
+        instances: &[&(LocalFrame, Numbered)],
     ) -> Result<(), Error> {
-        let Some(sources) = &local.sources else {
+        let all: Vec<_> = (instances.iter())
+            .filter_map(|(local, _)| local.sources.as_ref())
+            .collect();
+        let Some(first) = all.first() else {
             self.source_group = None;
             return Ok(());
         };
         (scene.sources.as_ref()).map_err(|error| Error::Scene(error.clone()))?;
-        let points: Vec<gpu::SourcePoint> = (sources.points().iter())
+        let points: Vec<gpu::SourcePoint> = (all.iter())
+            .flat_map(|sources| sources.points())
             .map(|point| gpu::SourcePoint {
                 ray_offset: scene.ray_offset,
                 ..*point
             })
             .collect();
-        let mut scales: Vec<[f32; 4]> = (sources.scales().iter().flatten())
+        let bytes = size_of_val(&points[..]) as u64;
+        check_storage(renderer.device(), bytes).map_err(Error::Frame)?;
+        let mut scales: Vec<[f32; 4]> = (first.scales().iter().flatten())
             .map(|scale| scale.extend(0.0).into())
             .collect();
         scales.resize(2 * sources::MAX_SOURCES as usize, [0.0; 4]);
@@ -228,13 +292,12 @@ impl Resources {
         let points = bytemuck::cast_slice(&points);
         let scales = bytemuck::cast_slice(&scales);
         let new = [
-            new_uniforms,
-            (self.points).fill(renderer, "relight sources", points, storage)?,
-            (self.scales).fill(renderer, "relight source scales", scales, uniform)?,
+            (self.points).fill(renderer, "relight sources", points, 0, storage)?,
+            (self.scales).fill(renderer, "relight source scales", scales, 0, uniform)?,
         ];
         if new.contains(&true) || self.source_group.is_none() {
-            let buffers = [&self.uniforms, &self.points, &self.scales].map(Slot::buffer);
-            self.source_group = Some(renderer.source_group(buffers));
+            let buffers = [&self.frames, &self.tiles, &self.points, &self.scales];
+            self.source_group = Some(renderer.source_group(buffers.map(Slot::buffer)));
         }
         Ok(())
     }
@@ -245,12 +308,12 @@ impl Resources {
             return;
         };
         vertex_lights.bind(renderer, visibility);
-        let buffers = [&self.uniforms, &self.lights].map(Slot::buffer);
+        let buffers = [&self.frames, &self.lights, &self.tiles].map(Slot::buffer);
         (self.vertex_group).get_or_insert_with(|| renderer.vertex_frame_group(buffers));
     }
 
     /// The same, once bound: groups 0 and 2, and workgroups.
-    pub(crate) fn vertices(&self) -> Option<([&wgpu::BindGroup; 2], [u32; 2])> {
+    pub(crate) fn vertices(&self) -> Option<([&wgpu::BindGroup; 2], [u32; 3])> {
         let lights = self.vertex_lights.as_ref()?;
         let frame = self.vertex_group.as_ref()?;
         Some(([frame, lights.group()], lights.workgroups()))
@@ -258,11 +321,7 @@ impl Resources {
 
     /// Group 0.
     pub(crate) fn frame_group(&self) -> &wgpu::BindGroup {
-        let (_, group) = self
-            .frame_group
-            .as_ref()
-            .expect("filled before it is drawn");
-        group
+        (self.frame_group.as_ref()).expect("filled before it is drawn")
     }
 
     /// Group 0 of the pass for sources; `None` where the frame has none.
@@ -270,17 +329,25 @@ impl Resources {
         self.source_group.as_ref()
     }
 
-    /// Dispatches of the bands that begin within some rows: offset of the uniforms, and workgroups.
-    pub(crate) fn dispatches(&self, rows: &Range<u32>) -> impl Iterator<Item = (u32, [u32; 2])> {
-        (0..)
-            .step_by(UNIFORM_STRIDE)
-            .zip(&self.bands)
-            .filter(|(_, (row, _))| rows.contains(row))
-            .map(|(offset, (_, band))| (offset, band.workgroups()))
+    /// Runs of instances that may be seen.
+    pub(crate) fn seen(&self) -> impl Iterator<Item = Range<u32>> {
+        let count = self.regions.len() as u32;
+        let seen = |place: &u32| self.regions[*place as usize].is_some();
+        let mut next = 0;
+        std::iter::from_fn(move || {
+            let start = (next..count).find(seen)?;
+            next = (start..count).find(|place| !seen(place)).unwrap_or(count);
+            Some(start..next)
+        })
+    }
+
+    /// What shades them.
+    pub(crate) fn dispatches(&self) -> &[Dispatch] {
+        &self.dispatches
     }
 }
 
-/// Distant lights as the instance sees them, with their spokes at vertices.
+/// Distant lights as an instance sees them, with their spokes at vertices.
 fn packed_lights(frame: &Frame, local: &LocalFrame) -> Vec<gpu::Light> {
     let spokes = match frame.method {
         Method::Polar(options) => vertex_visibility::spokes(&local.lights, options),
@@ -297,7 +364,7 @@ fn packed_lights(frame: &Frame, local: &LocalFrame) -> Vec<gpu::Light> {
         .collect()
 }
 
-/// All but what changes from dispatch to dispatch and from instance to instance.
+/// All but what tells an instance from others of the picture.
 fn uniforms(scene: &GpuScene, frame: &Frame, local: &LocalFrame) -> gpu::Frame {
     let mut uniform = gpu::Frame::new(&local.view, &scene.atlas, scene.distance_clamp);
     uniform.ambient = u32::from(frame.method == Method::Ambient);
@@ -318,6 +385,8 @@ fn uniforms(scene: &GpuScene, frame: &Frame, local: &LocalFrame) -> gpu::Frame {
     uniform.environment_rotation =
         (local.reflection_rotation.to_cols_array_2d()).map(|[x, y, z]| [x, y, z, 0.0]);
     uniform.triangle_count = scene.triangle_count;
+    uniform.vertex_count = scene.vertex_count as u32;
+    uniform.product_count = scene.product_count() as u32;
     uniform.to_world = (local.to_world.to_cols_array_2d()).map(|[x, y, z]| [x, y, z, 0.0]);
     uniform
 }

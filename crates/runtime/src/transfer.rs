@@ -2,15 +2,17 @@
 
 use crate::Error;
 
-/// A buffer that holds `contents`. On a device that is lost this is an error, where
+/// A buffer of at least `room` bytes that holds `contents`. On a device that is lost this is an error, where
 /// `create_buffer_init` panics.
 pub(crate) fn filled_buffer(
     device: &wgpu::Device,
     label: &str,
     contents: &[u8],
+    room: u64,
     usage: wgpu::BufferUsages,
 ) -> Result<wgpu::Buffer, Error> {
-    let size = (contents.len() as u64).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT);
+    let size = room.max(contents.len() as u64);
+    let size = size.next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT);
     let buffer = device.create_buffer(&wgpu::BufferDescriptor {
         label: Some(label),
         size,

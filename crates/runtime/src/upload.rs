@@ -9,16 +9,16 @@ use relight_shading::catcher;
 use relight_shading::gpu::{self, AtlasLayout, LimitError};
 use relight_shading::occluders::Occluders;
 use relight_shading::pack::{self, PackedScene, pack_scene};
-use relight_shading::spherical_gaussian::SphericalGaussian;
 use relight_shading::textures::PackedTexture;
 use relight_shading::transfer::{self, DistantLight, PackedTransfer};
 use wgpu::util::{DeviceExt as _, TextureDataOrder};
 
-use crate::frame::{bounds, near_plane};
+use crate::frame::{LocalFrame, bounds, near_plane};
 use crate::layouts::{buffer_entry, texture_entry};
 use crate::loading::{Loading, check_storage};
 use crate::lobes::SCENE_BINDINGS;
 use crate::renderer::Owner;
+use crate::vertex_lights::VertexLights;
 use crate::{Error, Renderer, UploadProgress, occluders};
 
 /// Bindings of group 1 that kernels of vertices need.
@@ -122,7 +122,8 @@ fn scene_bytes(scene: &Scene, textures: bool) -> Result<u64, Error> {
 #[derive(Debug)]
 pub(crate) struct ProductsOfLight {
     scene: wgpu::BindGroup,
-    light: DistantLight,
+    /// By instance.
+    lights: Vec<DistantLight>,
     view: wgpu::TextureView,
 }
 
@@ -294,32 +295,51 @@ impl GpuScene {
         self.bounced.is_some()
     }
 
-    /// Texture of the colours that groups have under some light; the last one where scene and
-    /// light are the same.
-    pub(crate) fn products(
+    /// Texels that an instance has of the texture of [`Self::products`].
+    pub(crate) fn product_count(&self) -> usize {
+        self.bounced
+            .as_ref()
+            .map_or(0, PackedTransfer::product_count)
+    }
+
+    /// Most instances that are shaded together under so many lights.
+    pub(crate) fn most_instances(&self, device: &wgpu::Device, lights: usize) -> usize {
+        let texels =
+            transfer::TEXTURE_WIDTH as usize * device.limits().max_texture_dimension_2d as usize;
+        let products = texels / self.product_count().max(1);
+        let fractions = VertexLights::most_instances(device, self.vertex_count, lights);
+        products.min(fractions).clamp(1, gpu::MAX_BATCH as usize)
+    }
+
+    /// Texture of the colours that groups have under the light of instances, one after the other; the last one
+    /// where scene and light are the same.
+    pub(crate) fn products<'a>(
         &self,
         device: &wgpu::Device,
         last: &mut Option<ProductsOfLight>,
-        lights: impl FnOnce() -> Vec<SphericalGaussian>,
-        local: &[gpu::LocalLight],
+        instances: impl Iterator<Item = &'a LocalFrame>,
     ) -> Result<wgpu::TextureView, Error> {
         let Some(packed) = &self.bounced else {
             return Ok(self.no_products.clone());
         };
-        let light = packed.light(&lights(), local);
+        let light =
+            |local: &LocalFrame| packed.light(&local.bouncing_lights(), &local.local_lights);
+        let lights: Vec<DistantLight> = instances.map(light).collect();
         if let Some(last) = last
             && last.scene == self.bind_group
-            && last.light == light
+            && last.lights == lights
         {
             return Ok(last.view.clone());
         }
-        let texels = packed.products(&light);
+        let texels: Vec<_> = (lights.iter())
+            .flat_map(|light| packed.products(light))
+            .collect();
         let format = wgpu::TextureFormat::Rgba32Float;
         let view = bounced_texture(device, &self.queue, format, &texels, [0.0; 4])
             .map_err(Error::Frame)?;
         *last = Some(ProductsOfLight {
             scene: self.bind_group.clone(),
-            light,
+            lights,
             view: view.clone(),
         });
         Ok(view)

@@ -1,4 +1,4 @@
-//! Visible fractions of distant lights at the vertices of one instance, kept while its light stands
+//! Visible fractions of distant lights at the vertices of instances, kept while their light stands
 //! still.
 
 use relight_shading::gpu;
@@ -6,17 +6,21 @@ use relight_shading::vertex_visibility::{FRAME_BITS, TEXTURE_WIDTH, texture_rows
 
 use crate::{GpuScene, Renderer};
 
-/// What is kept of one instance in one view.
+/// What is kept of instances of one scene in one view.
 #[derive(Debug)]
 pub(crate) struct VertexLights {
     /// Group 1 of kernels of vertices, of the scene whose vertices they are.
     scene: wgpu::BindGroup,
     vertices: usize,
-    lights: Vec<gpu::Light>,
-    /// Of the light that fractions are of, from 1, and of the frame under it.
-    light: u32,
-    frame: u32,
-    /// A word per vertex: the stamp of the frame that it was last wanted in.
+    /// Four lights each.
+    quads: usize,
+    /// By instance; those of frames before this one may have been more.
+    lights: Vec<LightOfInstance>,
+    /// Instances of this frame.
+    count: usize,
+    /// Instances that there is room for.
+    room: usize,
+    /// A word per vertex, instance after instance: the stamp of the frame that it was last wanted in.
     states: wgpu::Buffer,
     /// Written by kernels of vertices and read by others.
     pub(crate) fractions: wgpu::TextureView,
@@ -24,40 +28,75 @@ pub(crate) struct VertexLights {
     group: Option<(wgpu::TextureView, wgpu::BindGroup)>,
 }
 
+/// What fractions are of.
+#[derive(Debug)]
+struct LightOfInstance {
+    lights: Vec<gpu::Light>,
+    /// Its number, from 1, and that of the frame under it.
+    light: u32,
+    frame: u32,
+}
+
+impl LightOfInstance {
+    fn new(lights: &[gpu::Light]) -> Self {
+        Self {
+            lights: lights.to_vec(),
+            light: 1,
+            frame: 0,
+        }
+    }
+
+    fn next_frame(&mut self, lights: &[gpu::Light]) {
+        if self.lights == lights {
+            // A vertex that was wanted a multiple of so many frames ago is found again, which
+            // changes nothing.
+            self.frame = (self.frame + 1) % (1 << FRAME_BITS);
+        } else {
+            self.lights.clear();
+            self.lights.extend_from_slice(lights);
+            self.light += 1;
+            self.frame = 0;
+        }
+    }
+}
+
 impl VertexLights {
-    /// What is kept, for the next frame of a scene of so many vertices under `lights`; `None` where
+    /// What is kept, for the next frame of instances of a scene under the lights of each; `None` where
     /// nothing is kept of so many.
     pub(crate) fn next_frame(
         kept: Option<Self>,
         renderer: &Renderer,
         scene: &GpuScene,
-        lights: &[gpu::Light],
+        lights: &[Vec<gpu::Light>],
     ) -> Option<Self> {
         let vertices = scene.vertex_count;
         let device = renderer.device();
-        let rows = texture_rows(vertices, lights.len())?;
+        let quads = lights.first()?.len().div_ceil(4);
+        let rows = texture_rows(vertices * lights.len(), 4 * quads)?;
         if rows > device.limits().max_texture_dimension_2d {
             return None;
         }
-        let quads = lights.len().div_ceil(4);
         let fits = |kept: &Self| {
-            // Numbers of lights end: then all begins anew.
-            let numbers_left = kept.light + 1 < 1 << (32 - FRAME_BITS);
             // Another scene may have as many vertices.
             kept.scene == scene.vertex_group
-                && kept.lights.len().div_ceil(4) == quads
-                && numbers_left
+                && kept.quads == quads
+                && kept.room >= lights.len()
+                // Numbers of lights end: then all begins anew.
+                && (kept.lights.iter()).all(|of| of.light + 1 < 1 << (32 - FRAME_BITS))
         };
         let Some(mut kept) = kept.filter(fits) else {
             return Some(Self {
                 scene: scene.vertex_group.clone(),
                 vertices,
-                lights: lights.to_vec(),
-                light: 1,
-                frame: 0,
+                quads,
+                lights: (lights.iter())
+                    .map(|lights| LightOfInstance::new(lights))
+                    .collect(),
+                count: lights.len(),
+                room: lights.len(),
                 states: device.create_buffer(&wgpu::BufferDescriptor {
                     label: Some("relight vertex states"),
-                    size: 4 * vertices as u64,
+                    size: 4 * (vertices * lights.len()) as u64,
                     usage: wgpu::BufferUsages::STORAGE,
                     mapped_at_creation: false,
                 }),
@@ -65,28 +104,42 @@ impl VertexLights {
                 group: None,
             });
         };
-        if kept.lights == lights {
-            // A vertex that was wanted a multiple of so many frames ago is found again, which
-            // changes nothing.
-            kept.frame = (kept.frame + 1) % (1 << FRAME_BITS);
-        } else {
-            kept.lights = lights.to_vec();
-            kept.light += 1;
-            kept.frame = 0;
+        kept.count = lights.len();
+        for (index, lights) in lights.iter().enumerate() {
+            match kept.lights.get_mut(index) {
+                Some(of) => of.next_frame(lights),
+                None => kept.lights.push(LightOfInstance::new(lights)),
+            }
         }
         Some(kept)
     }
 
-    /// `vertex_stamp` of the frame.
-    pub(crate) fn stamp(&self) -> u32 {
-        self.light << FRAME_BITS | self.frame
+    /// Most instances whose fractions fit into one texture; all where there are none.
+    pub(crate) fn most_instances(device: &wgpu::Device, vertices: usize, lights: usize) -> usize {
+        let fits = |instances: usize| {
+            texture_rows(vertices * instances, lights)
+                .is_some_and(|rows| rows <= device.limits().max_texture_dimension_2d)
+        };
+        let most = gpu::MAX_BATCH as usize;
+        if fits(1) {
+            (1..=most).rev().find(|&count| fits(count)).unwrap_or(1)
+        } else {
+            most
+        }
+    }
+
+    /// `vertex_stamp` of the frame of an instance.
+    pub(crate) fn stamp(&self, instance: usize) -> u32 {
+        let of = &self.lights[instance];
+        of.light << FRAME_BITS | of.frame
     }
 
     /// Workgroups of `vertices_main`.
-    pub(crate) fn workgroups(&self) -> [u32; 2] {
+    pub(crate) fn workgroups(&self) -> [u32; 3] {
         [
             (self.vertices as u32).div_ceil(64),
-            (self.lights.len() as u32).div_ceil(4),
+            self.quads as u32,
+            self.count as u32,
         ]
     }
 

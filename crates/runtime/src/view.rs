@@ -1,6 +1,7 @@
 //! The images of one size that frames are drawn in.
 
-use relight_shading::gpu;
+use std::ops::Range;
+
 use relight_shading::surfaces::TILE;
 
 use crate::composite::Drawing;
@@ -23,17 +24,20 @@ pub(crate) const RADIANCE_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgb
 /// [`Renderer::prepare`] fills it, [`Renderer::composite`] draws it.
 ///
 /// It holds 28 bytes per pixel, 16 more per source, 92 and 24 more per source with antialiasing; and
-/// 512 for each of at most 131,072 pixels that are shaded at a time. An app
+/// 512 for each of at most 131,072 pixels that are shaded at a time. With [`crate::Method::Polar`] every vertex of
+/// every instance takes 4 bytes, and 4 for each distant light. An app
 /// has one per camera, and another, or [`Self::resize`], for another size.
 #[derive(Debug)]
 pub struct View {
     pub(crate) owner: Owner,
     size: [u32; 2],
     pub(crate) images: Option<Images>,
-    /// By instance.
+    /// By batch.
     pub(crate) resources: Vec<Resources>,
     /// The same for what catches shadows.
     pub(crate) open: Vec<Resources>,
+    /// Numbers of the instances that are shaded together.
+    pub(crate) batches: Vec<Vec<u32>>,
     pub(crate) drawing: Drawing,
     pub(crate) world: World,
     pub(crate) motion: Motion,
@@ -54,6 +58,7 @@ impl View {
             images: None,
             resources: Vec::new(),
             open: Vec::new(),
+            batches: Vec::new(),
             drawing: Drawing::default(),
             world: World::default(),
             motion: Motion::default(),
@@ -402,37 +407,44 @@ impl Region {
         })
     }
 
-    /// Where further surfaces of the region's pixels are, in an image of so many rows.
-    pub(crate) fn extras(self, height: u32) -> Self {
+    /// The first row of images that holds further surfaces of pixels.
+    pub(crate) fn first_extra_row([_, height]: [u32; 2], antialias: bool) -> u32 {
+        if antialias {
+            height.next_multiple_of(TILE)
+        } else {
+            u32::MAX
+        }
+    }
+
+    /// Where further surfaces of the region's pixels are, in the images of a picture of such a size; whole
+    /// workgroups.
+    pub(crate) fn extras(self, size: [u32; 2]) -> Self {
+        // Half as many rows for as many pixels.
+        let first = Self::first_extra_row(size, true);
+        let row = first + self.row / 2 / WORKGROUP * WORKGROUP;
+        let end = first + (self.row + self.height).next_multiple_of(TILE) / 2;
         Self {
-            row: height.next_multiple_of(TILE) + self.row / 2,
-            height: self.height.next_multiple_of(TILE) / 2,
-            ..self
-        }
-    }
-
-    /// Dispatches of at most `band` rows.
-    pub(crate) fn bands(self, band: u32) -> impl Iterator<Item = Self> {
-        let end = self.row + self.height;
-        (self.row..end).step_by(band as usize).map(move |row| Self {
             row,
-            height: band.min(end - row),
+            height: end - row,
             ..self
-        })
-    }
-
-    /// Numbers of workgroups.
-    pub(crate) fn workgroups(self) -> [u32; 2] {
-        [self.width, self.height].map(|side| side.div_ceil(WORKGROUP))
-    }
-
-    /// The uniforms of a dispatch.
-    pub(crate) fn uniform(self, frame: &gpu::Frame) -> gpu::Frame {
-        gpu::Frame {
-            first_row: self.row,
-            first_column: self.column,
-            ..*frame
         }
+    }
+
+    /// Rows of workgroups, and their columns. Of those only whose pixels lie in `rows` of the picture, `extra`
+    /// being where further surfaces begin.
+    pub(crate) fn tile_rows(
+        self,
+        extra: u32,
+        rows: &Range<u32>,
+    ) -> impl Iterator<Item = (u32, Range<u32>)> {
+        let first = self.column / WORKGROUP;
+        let columns = first..first + self.width.div_ceil(WORKGROUP);
+        let tiles = self.row / WORKGROUP..(self.row + self.height).div_ceil(WORKGROUP);
+        tiles.filter_map(move |tile| {
+            let row = WORKGROUP * tile;
+            let in_picture = row.checked_sub(extra).map_or(row, |below| 2 * below);
+            (rows.contains(&in_picture)).then(|| (tile, columns.clone()))
+        })
     }
 }
 
@@ -475,7 +487,15 @@ mod tests {
         assert_eq!(Region::of_box(&camera(10.0), aside, size), None);
         let nothing = [Vec3::INFINITY, Vec3::NEG_INFINITY];
         assert_eq!(Region::of_box(&camera(10.0), nothing, size), None);
-        let rows: u32 = whole.bands(128).map(|band| band.height).sum();
-        assert_eq!((rows, whole.bands(u32::MAX - 7).count()), (480, 1));
+        let tiles = |rows| {
+            let rows = whole.tile_rows(u32::MAX, &rows);
+            rows.map(|(_, columns)| columns.len()).collect::<Vec<_>>()
+        };
+        assert_eq!(tiles(0..480), [80; 60]);
+        assert_eq!((tiles(0..9).len(), tiles(9..480).len()), (2, 58));
+        let extras = whole.extras(size);
+        let (rows, extra) = (0..16, Region::first_extra_row(size, true));
+        assert_eq!(extras.tile_rows(extra, &rows).count(), 1);
+        assert_eq!(extras.tile_rows(extra, &(0..480)).count(), 30);
     }
 }

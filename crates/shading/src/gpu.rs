@@ -39,8 +39,8 @@ pub struct Frame {
     pub spokes: u32,
     /// Step of the direction from one row to the next.
     pub down: [f32; 3],
-    /// First row of a dispatch.
-    pub first_row: u32,
+    /// Rows of images from here on hold further surfaces of pixels; `u32::MAX`: there are none.
+    pub first_extra_row: u32,
     /// Reciprocal width and height of the basis atlas.
     pub atlas_texel: [f32; 2],
     /// Texels per side of a basis tile, without its gutter.
@@ -65,15 +65,15 @@ pub struct Frame {
     pub first_id: u32,
     /// Number of triangles.
     pub triangle_count: u32,
-    /// First column of a dispatch.
-    pub first_column: u32,
+    /// Number of vertices.
+    pub vertex_count: u32,
     /// 1; 0 where all rays have one direction.
     pub perspective: f32,
     /// 1 where triangles that face the viewer turn clockwise in the picture.
     pub mirrored: u32,
     /// Directions of the scene to those of the world that instances share, column after column.
     pub to_world: [[f32; 4]; 3],
-    /// Number of the instance.
+    /// Number of the instance among all of the picture.
     pub instance: u32,
     /// State of a vertex whose light fractions this frame has to find: number of the light shifted by
     /// [`crate::vertex_visibility::FRAME_BITS`], and number of the frame under it. 0: no fractions
@@ -81,8 +81,34 @@ pub struct Frame {
     pub vertex_stamp: u32,
     /// 1 where pixels' squares are lit by sources, and not their centres.
     pub source_squares: u32,
-    /// 1 where pixels of a dispatch that lie side by side do not so in the picture.
-    pub pixels_apart: u32,
+    /// Texels of products of bounced light that an instance has.
+    pub product_count: u32,
+}
+
+/// Most instances of a scene that are shaded together: their [`Frame`]s are one uniform.
+pub const MAX_BATCH: u32 = 128;
+/// Most workgroups of 8 × 8 pixels of a dispatch: their [`tile`]s are one uniform.
+pub const MAX_TILES_AT_ONCE: u32 = 2048;
+/// Bits of a [`tile`]'s column and row, which come first.
+const TILE_BITS: [u32; 2] = [12, 13];
+
+/// The word that names a workgroup's instance, among those shaded together, and column and row of its
+/// tile of 8 × 8 pixels.
+pub fn tile(instance: u32, column: u32, row: u32) -> u32 {
+    let [columns, rows] = TILE_BITS;
+    debug_assert!(instance < MAX_BATCH && column < 1 << columns && row < 1 << rows);
+    column | row << columns | instance << (columns + rows)
+}
+
+/// Constants of [`tile`].
+pub(crate) fn wgsl_constants() -> String {
+    let [columns, rows] = TILE_BITS;
+    format!(
+        "const MAX_BATCH: u32 = {MAX_BATCH}u;\n\
+         const MAX_TILES_AT_ONCE: u32 = {MAX_TILES_AT_ONCE}u;\n\
+         const TILE_COLUMN_BITS: u32 = {columns}u;\n\
+         const TILE_ROW_BITS: u32 = {rows}u;\n"
+    )
 }
 
 /// Most local lights of a frame.
@@ -104,6 +130,24 @@ pub struct LocalLight {
     pub direction: [f32; 3],
     /// See `spot_scale`.
     pub spot_offset: f32,
+}
+
+impl LocalLight {
+    /// It among [`Light`]s.
+    pub fn entries(&self) -> [Light; 2] {
+        let place = Light {
+            axis: self.position,
+            sharpness: self.radius,
+            amplitude: self.radiance,
+            vertex_spokes: self.spot_scale,
+        };
+        let spot = Light {
+            axis: self.direction,
+            sharpness: self.spot_offset,
+            ..Light::zeroed()
+        };
+        [place, spot]
+    }
 }
 
 /// A distant spherical Gaussian light (32 bytes).
@@ -443,7 +487,7 @@ impl Frame {
             right: view.right.into(),
             spokes: 0,
             down: view.down.into(),
-            first_row: 0,
+            first_extra_row: u32::MAX,
             atlas_texel: [0.0; 2],
             basis_resolution: 0.0,
             distance_clamp: 0.0,
@@ -460,7 +504,7 @@ impl Frame {
             source_count: 0,
             first_id: 1,
             triangle_count: u32::MAX,
-            first_column: 0,
+            vertex_count: 0,
             perspective: view.homogeneous_eye().w,
             mirrored: u32::from(view.mirrored),
             to_world: [
@@ -471,7 +515,7 @@ impl Frame {
             instance: 0,
             vertex_stamp: 0,
             source_squares: 0,
-            pixels_apart: 0,
+            product_count: 0,
         }
     }
 }
@@ -564,7 +608,7 @@ mod tests {
                 right,
                 spokes,
                 down,
-                first_row,
+                first_extra_row,
                 atlas_texel,
                 basis_resolution,
                 distance_clamp,
@@ -577,14 +621,14 @@ mod tests {
                 source_count,
                 first_id,
                 triangle_count,
-                first_column,
+                vertex_count,
                 perspective,
                 mirrored,
                 to_world,
                 instance,
                 vertex_stamp,
                 source_squares,
-                pixels_apart,
+                product_count,
             }
         );
         check_layout!(

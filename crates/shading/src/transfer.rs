@@ -266,11 +266,16 @@ impl PackedTransfer {
         DistantLight::new(&self.transfer, lights.iter().chain(&far))
     }
 
-    /// Texels of the texture of colours: rows of groups under some light.
+    /// Texels of the texture of colours.
+    pub fn product_count(&self) -> usize {
+        self.transfer.groups.len() * STRIDE
+    }
+
+    /// These texels: rows of groups under some light.
     pub fn products(&self, light: &DistantLight) -> Vec<[f32; 4]> {
         let transfer = &self.transfer;
         let columns = transfer.columns();
-        let mut texels = vec![[0.0; 4]; transfer.groups.len() * STRIDE];
+        let mut texels = vec![[0.0; 4]; self.product_count()];
         let mut scales = transfer.scales.iter();
         let mut numbers = transfer.basis.chunks_exact(columns);
         for (group, texels) in transfer.groups.iter().zip(texels.chunks_exact_mut(STRIDE)) {

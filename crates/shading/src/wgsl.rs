@@ -262,6 +262,7 @@ pub const SURFACES: Kernel = Kernel {
 /// Joined in this order; the order does not matter to WGSL.
 const LIBRARY: &[&str] = &[
     include_str!("wgsl/bindings.wgsl"),
+    include_str!("wgsl/tile.wgsl"),
     include_str!("wgsl/camera.wgsl"),
     include_str!("wgsl/seen.wgsl"),
     include_str!("wgsl/octahedral.wgsl"),
@@ -370,6 +371,7 @@ pub fn source(entry: Entry) -> String {
             source += include_str!("wgsl/bindings.wgsl");
             source += include_str!("wgsl/camera.wgsl");
             source += include_str!("wgsl/seen.wgsl");
+            source += include_str!("wgsl/tile.wgsl");
             source += include_str!("wgsl/motion.wgsl");
         }
         Entry::FillTexture => {
@@ -409,13 +411,13 @@ fn constants() -> String {
         ("JOIN_COAT", Join::Coat as u32),
         ("BACKGROUND_NONE", gpu::BACKGROUND_NONE),
         ("BACKGROUND_IMAGE", gpu::BACKGROUND_IMAGE),
-        ("MAX_LOCAL_LIGHTS", gpu::MAX_LOCAL_LIGHTS),
         ("MAX_TILES", relight_format::MAX_TILES_PER_CLUSTER),
     ];
     let mut text = String::new();
     for (name, value) in integers {
         writeln!(text, "const {name}: u32 = {value}u;").expect("a String accepts every write");
     }
+    text += &gpu::wgsl_constants();
     text += &spherical_gaussian::wgsl_constants();
     text += &tables::wgsl_constants();
     text += &prefiltered::wgsl_constants();

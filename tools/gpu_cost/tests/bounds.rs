@@ -11,20 +11,20 @@ use relight_shading::wgsl::{KERNELS, Kernel};
 /// memory for registers, but for those that shade by cells, which are not bounded.
 const BOUNDS: &[(&str, [u64; 2])] = &[
     ("vertices mark", [12, 24]),
-    ("vertices", [96, 104]),
+    ("vertices", [96, 112]),
     ("diffuse", [108, 160]),
     ("reflections", [108, 160]),
     ("reflections, next", [96, 160]),
     ("products", [84, 128]),
     ("products, image", [84, 128]),
-    ("integrals", [108, 144]),
-    ("integrals, image", [108, 144]),
+    ("integrals", [108, 152]),
+    ("integrals, image", [108, 152]),
     ("around, bounced light", [96, 152]),
     ("around, image", [96, 112]),
     ("around, both", [96, 160]),
-    ("images", [48, 72]),
-    ("shade", [48, 64]),
-    ("sources", [120, 192]),
+    ("images", [60, 72]),
+    ("shade", [48, 72]),
+    ("sources", [120, 200]),
 ];
 
 fn main() -> ExitCode {

@@ -10,11 +10,12 @@ use relight_runtime::{
     Renderer, View, Viewpoint, twin, wgpu,
 };
 use relight_shading::camera::View as Projection;
+use relight_shading::gpu::MAX_BATCH;
 
 use crate::support::attachment;
 use crate::{
-    DIFFERENT_PIXELS, DISPLAY_CODES, FRAME_RELATIVE_RMSE, Outcome, POLAR, frame, lights,
-    relative_rmse, render, scenes, sources, target, with_options,
+    DIFFERENT_PIXELS, DISPLAY_CODES, FRAME_RELATIVE_RMSE, OTHER_RAYS, Outcome, POLAR, frame,
+    lights, relative_rmse, render, scenes, sources, stripes, target, with_options,
 };
 
 const SIZE: [u32; 2] = [160, 120];
@@ -236,6 +237,80 @@ pub fn instances_match_twin(gpu: &mut Gpu) -> Outcome {
         // The one that is left shows what it did before, where the others were not.
         let again = prepare(gpu, &mut view, &instances, &frame)?;
         assert!(again == found);
+    }
+    Ok(())
+}
+
+/// Instances of one scene are shaded together, each under its own light, until one of them turns or there are
+/// more than fit.
+pub fn batches_match_twin(gpu: &mut Gpu) -> Outcome {
+    let (lights, sources, image) = (lights(), sources(), stripes());
+    let mut scene = scenes::sphere_over_plane();
+    scene.visibility.ray_offset = 1e-4;
+    let uploaded = gpu.upload(&scene)?;
+    let lamp = relight_runtime::LocalLight {
+        position: Vec3::new(0.4, 1.4, 0.9),
+        radius: 0.1,
+        radiance: Vec3::new(60.0, 50.0, 20.0),
+        spot: None,
+    };
+    let frame = Frame {
+        local_lights: std::slice::from_ref(&lamp),
+        sources: Some(&sources),
+        reflections: Some(&image),
+        ..frame(&lights, POLAR)
+    };
+    let placed = |turn: f32, translation, scale| Placement {
+        rotation: Quat::from_rotation_y(turn) * Quat::from_rotation_x(0.3 * turn),
+        translation,
+        scale,
+    };
+    // The third is behind the camera.
+    let few = [
+        Placement::IDENTITY,
+        placed(0.9, Vec3::new(0.9, 0.4, 0.3), 0.4),
+        placed(0.2, Vec3::new(0.0, 0.0, 500.0), 0.4),
+        placed(2.1, Vec3::new(-0.8, 0.9, -0.4), 0.3),
+    ];
+    let mut turned = few;
+    turned[1].rotation = Quat::from_rotation_y(1.4);
+    let many: Vec<Placement> = (0..MAX_BATCH as usize + 9)
+        .map(|i| {
+            let cell = Vec3::new((i % 12) as f32 - 5.5, 0.0, (i / 12) as f32 - 5.5);
+            placed(0.1 * i as f32, 0.32 * cell, 0.07)
+        })
+        .collect();
+    let size = [96, 72];
+    let mut view = gpu.renderer.view(size)?;
+    for (name, placements) in [("few", &few[..]), ("one turned", &turned), ("many", &many)] {
+        let instances: Vec<Instance> = (placements.iter())
+            .map(|&placement| Instance {
+                scene: &uploaded,
+                placement,
+            })
+            .collect();
+        let placed: Vec<twin::Placed> = (placements.iter())
+            .map(|&placement| twin::Placed {
+                scene: &scene,
+                placement,
+            })
+            .collect();
+        let found = prepare(gpu, &mut view, &instances, &frame)?;
+        let expected = twin::render_instances(&placed, &frame, size[0], size[1])?;
+        let pairs = found.pixels.iter().zip(&expected.pixels);
+        let far = |(a, b): &(&[f32; 4], &[f32; 4])| {
+            (0..4).any(|channel| (a[channel] - b[channel]).abs() > 1e-3 * (0.1 + b[channel]))
+        };
+        let different = pairs.filter(far).count();
+        let covered = expected.pixels.iter().filter(|pixel| pixel[3] == 1.0);
+        let covered = covered.count();
+        println!("{name}: {different} of {covered} pixels differ");
+        assert!(covered > 900, "{name}: {covered} pixels");
+        // Where rounding sends a ray to the other side of an edge.
+        assert!(
+            different as f32 <= OTHER_RAYS * covered as f32,
+            "{name}: {different}"
+        );
     }
     Ok(())
 }

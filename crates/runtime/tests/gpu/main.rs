@@ -182,6 +182,7 @@ fn main() -> ExitCode {
         ),
         with_gpu("engine::motion_matches_twin", engine::motion_matches_twin),
         with_gpu("engine::instances_match_twin", engine::instances_match_twin),
+        with_gpu("engine::batches_match_twin", engine::batches_match_twin),
         with_gpu(
             "engine::turning_the_world_changes_nothing",
             engine::turning_the_world_changes_nothing,

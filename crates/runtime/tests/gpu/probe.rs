@@ -139,7 +139,7 @@ fn probe(gpu: &Gpu, scene: &Scene, queries: &[Query]) -> Result<Vec<[f32; 4]>, F
     let view = View::new(&scenes::camera(), 1, 1, 1.0);
     let mut frame = gpu::Frame::new(&view, &packed.atlas, packed.distance_clamp);
     frame.spokes = SPOKES;
-    let frame = buffer(bytemuck::bytes_of(&frame), wgpu::BufferUsages::UNIFORM);
+    let frame = buffer(&scenes::batch(&frame), wgpu::BufferUsages::UNIFORM);
     let tables = storage(bytemuck::cast_slice(Tables::get().values()));
     let triangles = storage(bytemuck::cast_slice(&packed.triangles));
     let clusters = storage(bytemuck::cast_slice(&packed.clusters));

@@ -22,7 +22,7 @@ fn probe(@builtin(global_invocation_id) id: vec3<u32>) {
     ssdf_load(clusters[triangle.w >> 16u], triangle.xyz, query.barycentrics);
     answers[id.x] = vec4(
         ssdf_distance(query.axis),
-        polar_integrate(query.sharpness, query.axis, query.normal, frame.spokes),
+        polar_integrate(query.sharpness, query.axis, query.normal, frames[frame_index].spokes),
         ambient_integrate(query.sharpness, query.axis, query.normal),
         0.0,
     );

@@ -350,7 +350,7 @@ fn answers(gpu: &Gpu, scene: &Scene, queries: &[Query]) -> Result<Vec<Vec4>, Fai
     let storage = |contents: &[u8]| buffer(contents, wgpu::BufferUsages::STORAGE);
     let packed = pack_scene(scene)?;
     let frame = gpu::Frame::new(&view(), &packed.atlas, packed.distance_clamp);
-    let frame = buffer(bytemuck::bytes_of(&frame), wgpu::BufferUsages::UNIFORM);
+    let frame = buffer(&scenes::batch(&frame), wgpu::BufferUsages::UNIFORM);
     let tables = storage(bytemuck::cast_slice(&gpu_tables()));
     let vertices = storage(bytemuck::cast_slice(&packed.vertices));
     let triangles = storage(bytemuck::cast_slice(&packed.triangles));

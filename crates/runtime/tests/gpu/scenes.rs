@@ -7,7 +7,7 @@ use relight_format::{
     BakeReport, Camera, Cluster, FieldOfView, Material, Representation, Scene, Specular, Surface,
     Texture, TextureEncoding, TextureSlot, Triangle, Vertex, VisibilityParameters,
 };
-use relight_shading::octahedral;
+use relight_shading::{gpu, octahedral};
 
 /// Texels per side of a basis tile.
 const RESOLUTION: u32 = 64;
@@ -19,6 +19,13 @@ const RADIUS: f32 = 0.6;
 
 /// Distance of the near plane for this scene, metres: the renderer's rule.
 pub const NEAR: f32 = 1e-4 * 5.852_349_6;
+
+/// One instance's uniforms where kernels are bound to those of many.
+pub fn batch(frame: &gpu::Frame) -> Vec<u8> {
+    let mut bytes = bytemuck::bytes_of(frame).to_vec();
+    bytes.resize(gpu::MAX_BATCH as usize * bytes.len(), 0);
+    bytes
+}
 
 /// A camera that sees all of it.
 pub fn camera() -> Camera {

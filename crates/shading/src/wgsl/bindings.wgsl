@@ -18,8 +18,8 @@ struct Frame {
     // polar: number of spokes.
     spokes: u32,
     down: vec3<f32>,
-    // First row and column of this dispatch; add them to global_invocation_id.
-    first_row: u32,
+    // Rows of images from here on hold further surfaces of pixels.
+    first_extra_row: u32,
     // 1 / width and 1 / height of the basis atlas.
     atlas_texel: vec2<f32>,
     // Texels per side of a basis tile, without its gutter.
@@ -40,23 +40,23 @@ struct Frame {
     // What visibility_buffer has where the first triangle is seen; the next has one more.
     first_id: u32,
     triangle_count: u32,
-    // See first_row.
-    first_column: u32,
+    // Vertices of the scene.
+    vertex_count: u32,
     // 1.0; 0.0: all rays have one direction.
     perspective: f32,
     // 1: triangles that face the viewer turn clockwise in the picture.
     mirrored: u32,
     // Directions of the scene to those of the world that instances share.
     to_world: mat3x3<f32>,
-    // Number of the instance.
+    // Number of the instance among all of the picture.
     instance: u32,
     // State of a vertex whose light fractions this frame has to find: number of the light <<
     // VERTEX_VISIBILITY_FRAME_BITS | number of the frame under it. 0: no fractions at vertices.
     vertex_stamp: u32,
     // 1 where pixels' squares are lit by sources, and not their centres.
     source_squares: u32,
-    // 1: pixels of this dispatch that lie side by side do not so in the picture.
-    pixels_apart: u32,
+    // Texels of transfer_products that an instance has.
+    product_count: u32,
 }
 
 // A sphere that emits.
@@ -209,21 +209,27 @@ struct Material {
     layers: array<Layer, MAX_REFLECTIONS>,
 }
 
-@group(0) @binding(0) var<uniform> frame: Frame;
+// Instances of one scene. Numbers and sizes are the same for all.
+@group(0) @binding(0) var<uniform> frames: array<Frame, MAX_BATCH>;
+// The one that an invocation is of.
+var<private> frame_index: u32;
+// Distant lights and, two entries each, local ones: of one instance after the other.
 @group(0) @binding(1) var<storage, read> lights: array<Light>;
 // shade::gpu_tables().
 @group(0) @binding(2) var<storage, read> tables: array<f32>;
-@group(0) @binding(3) var<uniform> local_lights: array<LocalLight, MAX_LOCAL_LIGHTS>;
+// What the workgroups of a dispatch shade, see tile_enter.
+@group(0) @binding(3) var<uniform> tiles: array<vec4<u32>, MAX_TILES_AT_ONCE / 4u>;
 // Texels of format::Prefiltered in order, PREFILTERED_TEXTURE_WIDTH per row.
 @group(0) @binding(4) var prefiltered: texture_2d<u32>;
-// Rows of colours of every group of transfer.rs, TRANSFER_STRIDE texels per group,
-// TRANSFER_TEXTURE_WIDTH per row.
+// Rows of colours of every group of transfer.rs, TRANSFER_STRIDE texels per group, of one instance after the
+// other, TRANSFER_TEXTURE_WIDTH per row.
 @group(0) @binding(7) var transfer_products: texture_2d<f32>;
-// Visible fractions of four lights, vertex after vertex, VERTEX_VISIBILITY_TEXTURE_WIDTH per row.
+// Visible fractions of four lights, vertex after vertex and instance after instance,
+// VERTEX_VISIBILITY_TEXTURE_WIDTH per row.
 @group(0) @binding(8) var light_fractions: texture_2d<f32>;
 
-// Sources alone: a cone, SOURCE_RIM directions and SOURCE_POINTS points of each; and by source and
-// level, two of each, what a point's light is multiplied by.
+// Sources alone: a cone, SOURCE_RIM directions and SOURCE_POINTS points of each, of one instance after the other;
+// and by source and level, two of each, what a point's light is multiplied by.
 @group(0) @binding(5) var<storage, read> source_points: array<SourcePoint>;
 @group(0) @binding(6) var<uniform> source_scales: array<vec4<f32>, 2 * MAX_SOURCES>;
 

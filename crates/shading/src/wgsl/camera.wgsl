@@ -21,23 +21,23 @@ fn seen_point(pixel: vec2<u32>, at: u32) -> vec2<f32> {
 }
 
 fn camera_ray(point: vec2<f32>) -> Ray {
-    let place = frame.corner + point.x * frame.right + point.y * frame.down;
-    if frame.perspective == 0.0 {
-        return Ray(place, -frame.eye);
+    let place = frames[frame_index].corner + point.x * frames[frame_index].right + point.y * frames[frame_index].down;
+    if frames[frame_index].perspective == 0.0 {
+        return Ray(place, -frames[frame_index].eye);
     }
-    return Ray(frame.eye, place);
+    return Ray(frames[frame_index].eye, place);
 }
 
 // How far a plane is moved along by going from column to column and from row to row, at a position on it;
 // zero where it is seen edge-on. The normal is of any length.
 fn camera_steps(normal: vec3<f32>, position: vec3<f32>) -> mat2x3<f32> {
     // From the eye; as long as the ray of a pixel, times `distance`.
-    var ray = -frame.eye;
+    var ray = -frames[frame_index].eye;
     var distance = 1.0;
-    if frame.perspective != 0.0 {
-        ray = position - frame.eye;
-        let axis = cross(frame.right, frame.down);
-        let depth = dot(frame.corner, axis);
+    if frames[frame_index].perspective != 0.0 {
+        ray = position - frames[frame_index].eye;
+        let axis = cross(frames[frame_index].right, frames[frame_index].down);
+        let depth = dot(frames[frame_index].corner, axis);
         if depth == 0.0 {
             return mat2x3<f32>();
         }
@@ -47,8 +47,8 @@ fn camera_steps(normal: vec3<f32>, position: vec3<f32>) -> mat2x3<f32> {
     if towards == 0.0 {
         return mat2x3<f32>();
     }
-    let right = distance * frame.right;
-    let down = distance * frame.down;
+    let right = distance * frames[frame_index].right;
+    let down = distance * frames[frame_index].down;
     return mat2x3<f32>(
         right - ray * (dot(normal, right) / towards),
         down - ray * (dot(normal, down) / towards),

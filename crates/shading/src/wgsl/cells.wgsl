@@ -33,7 +33,7 @@ var<private> cell_sample_weights: mat3x3<f32>;
 var<private> cell_moments: vec4<f32>;
 
 fn cells_lobe_count() -> u32 {
-    let all = frame.light_count + frame.local_light_count;
+    let all = frames[frame_index].light_count + frames[frame_index].local_light_count;
     if cells_kind == CELLS_SINGLE {
         return 1u;
     }
@@ -235,9 +235,9 @@ fn cells_integrate(pole: vec3<f32>, reach: f32, normal: vec3<f32>) -> vec3<f32> 
     if carried <= 0.0 {
         return cells_radiance;
     }
-    cells_allowed = frame.lobe_error * carried;
-    let uniform_cells = frame.cells.x > 0u;
-    let top = select(vec2(4u, 1u), frame.cells.yx, uniform_cells);
+    cells_allowed = frames[frame_index].lobe_error * carried;
+    let uniform_cells = frames[frame_index].cells.x > 0u;
+    let top = select(vec2(4u, 1u), frames[frame_index].cells.yx, uniform_cells);
     // Level, column and row of cells to come: each level leaves three.
     var stack: array<vec3<u32>, CELLS_STACK>;
     for (var first = 0u; first < top.x * top.y; first++) {
@@ -276,7 +276,7 @@ fn cells_add(may_divide: bool) -> bool {
         cell_distances[i] = cells_distance(cell_directions[i]);
     }
     boundary_find();
-    if may_divide && boundary_error() > frame.boundary_error {
+    if may_divide && boundary_error() > frames[frame_index].boundary_error {
         return true;
     }
     boundary_moments();

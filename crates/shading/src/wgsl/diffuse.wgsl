@@ -6,14 +6,13 @@ var<private> diffuse_first: u32;
 @compute @workgroup_size(8, 8)
 fn diffuse_main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
-    @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) invocation: u32,
 ) {
-    slots_enter(workgroup, workgroups, invocation);
-    pixel_enter(invocation, workgroup);
-    let seen = seen_triangle(pixel_at(invocation));
+    slots_enter(workgroup.x, invocation);
+    pixel_enter(invocation);
+    let seen = seen_triangle(tile_pixel(invocation));
     var works = false;
-    if seen.x < frame.triangle_count {
+    if seen.x < frames[frame_index].triangle_count {
         works = slots_gathered_at(SLOTS_DIFFUSE).w != 0u;
         let position = slots_reflection_value(SLOTS_POSITION).xyz;
         let normal = slots_reflection_value(SLOTS_NORMAL).xyz;
@@ -27,8 +26,9 @@ fn diffuse_main(
     if works {
         slots_put_value(SLOTS_IRRADIANCE, vec3(0.0), 0u);
     }
-    let count = frame.light_count + frame.local_light_count;
-    // By a variable of the function: of others browsers do not know that all invocations have the same.
+    let count = frames[0].light_count + frames[0].local_light_count;
+    // By a variable of the function, of the first instance: of others browsers do not know that all
+    // invocations have the same.
     for (var first = 0u; first < count; first += SLOTS_WAITING) {
         diffuse_first = first;
         // No more than there are, which also keeps compilers from writing the loops out.
@@ -59,7 +59,7 @@ fn diffuse_main(
 
 // Asks for the `count` lights of a round, where the corners of the pixel's triangle agree on them known from those.
 fn diffuse_ask(count: u32) {
-    let pixel = pixel_at(pixel_own);
+    let pixel = tile_pixel(pixel_own);
     let seen = seen_triangle(pixel);
     let corners = triangles[seen.x].xyz;
     let weights = seen_barycentrics(corners, pixel, seen.y);

@@ -14,7 +14,7 @@ fn image_diffused(point: SurfacePoint, diffuse: vec3<f32>) -> vec3<f32> {
             let aside = point.tangent * cos(azimuth) + point.bitangent * sin(azimuth);
             axis = SHADE_RING_COSINE * axis + sqrt(1.0 - SHADE_RING_COSINE * SHADE_RING_COSINE) * aside;
         }
-        let beyond = prefiltered_radiance(frame.environment_rotation * axis, SHADE_RING_SHARPNESS);
+        let beyond = prefiltered_radiance(frames[frame_index].environment_rotation * axis, SHADE_RING_SHARPNESS);
         whole += tables_cosine_integral(SHADE_RING_SHARPNESS, dot(point.normal, axis));
         seen += beyond * ambient_integrate(SHADE_RING_SHARPNESS, axis, point.normal);
     }
@@ -27,7 +27,7 @@ fn image_reflected(normal: vec3<f32>) -> vec3<f32> {
     for (var j = 0u; j < specular_count; j++) {
         let lobe = lobes_in_world(j);
         let part = lobe.amplitude * tables_cosine_integral(lobe.sharpness, dot(normal, lobe.axis));
-        sum += part * prefiltered_radiance(frame.environment_rotation * lobe.axis, lobe.sharpness);
+        sum += part * prefiltered_radiance(frames[frame_index].environment_rotation * lobe.axis, lobe.sharpness);
     }
     return sum;
 }

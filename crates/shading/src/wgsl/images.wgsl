@@ -4,10 +4,9 @@
 @compute @workgroup_size(8, 8)
 fn images_main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
-    @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) invocation: u32,
 ) {
-    slots_enter(workgroup, workgroups, invocation);
+    slots_enter(workgroup.x, invocation);
     let scaled = slots_gathered_at(SLOTS_SCALED);
     let visible = slots_gathered_value(SLOTS_VISIBLE);
     if scaled.w == SLOTS_DONE || visible.w == SLOTS_UNKNOWN {

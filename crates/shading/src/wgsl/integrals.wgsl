@@ -9,17 +9,16 @@ var<private> integrals_first_slot: u32;
 @compute @workgroup_size(8, 8)
 fn integrals_main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
-    @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) invocation: u32,
 ) {
-    slots_enter(workgroup, workgroups, 0u);
+    slots_enter(workgroup.x, 0u);
     integrals_first_slot = slot;
     slot += invocation;
-    pixel_enter(invocation, workgroup);
-    let seen = seen_triangle(pixel_at(invocation));
+    pixel_enter(invocation);
+    let seen = seen_triangle(tile_pixel(invocation));
     var waiting = 0u;
     var corners = vec3(0u);
-    if seen.x < frame.triangle_count {
+    if seen.x < frames[frame_index].triangle_count {
         let triangle = triangles[seen.x];
         corners = triangle.xyz;
         waiting = slots_state(slots_gathered_at(SLOTS_SUM).w).waiting;
@@ -98,12 +97,12 @@ fn integrals_ask(waiting: u32, corners: vec3<u32>) {
 // What the corners of the pixel's triangle know of a lobe.
 fn integrals_of_corners(place: u32, shape: vec4<f32>, holds: bool, corners: vec3<u32>) -> f32 {
     let index = integrals_light(place);
-    if !holds || index >= frame.light_count {
+    if !holds || index >= frames[frame_index].light_count {
         return VERTEX_VISIBILITY_UNKNOWN;
     }
     let axis = surface_to_world(slots_point(), shape.xyz);
     let fractions = vertex_visibility_of(index, holds, corners, vec3(0.0));
-    let light = SphericalGaussian(lights[index].axis, lights[index].sharpness, vec3(0.0));
+    let light = light_distant(index);
     return vertex_visibility_whole(fractions, light, SphericalGaussian(axis, shape.w, vec3(0.0)));
 }
 
@@ -115,7 +114,7 @@ fn integrals_light(place: u32) -> u32 {
 }
 
 fn integrals_is_everywhere(place: u32) -> bool {
-    return INTEGRALS_OF_IMAGE && integrals_light(place) == frame.light_count;
+    return INTEGRALS_OF_IMAGE && integrals_light(place) == frames[frame_index].light_count;
 }
 
 fn integrals_add(place: u32, fraction: f32) {

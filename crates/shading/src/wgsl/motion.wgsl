@@ -1,4 +1,4 @@
-// Twin of motion.rs, and the entry point that finds where what an instance's pixels show was in the frame
+// Twin of motion.rs, and the entry point that finds where what instances' pixels show was in the frame
 // before.
 
 struct Motion {
@@ -11,14 +11,19 @@ struct Motion {
 }
 
 @group(2) @binding(1) var motion_found: texture_storage_2d<rg32float, write>;
-@group(2) @binding(2) var<uniform> motion: Motion;
+// Of every instance.
+@group(2) @binding(2) var<uniform> motions: array<Motion, MAX_BATCH>;
 
 @compute @workgroup_size(8, 8)
-fn motion_main(@builtin(global_invocation_id) id: vec3<u32>) {
-    let pixel = id.xy + vec2(frame.first_column, frame.first_row);
+fn motion_main(
+    @builtin(workgroup_id) workgroup: vec3<u32>,
+    @builtin(local_invocation_index) invocation: u32,
+) {
+    tile_enter(workgroup.x);
+    let pixel = tile_pixel(invocation);
     let seen = seen_triangle(pixel);
     // Further surfaces of pixels lie below the picture.
-    if seen.x >= frame.triangle_count || any(vec2<f32>(pixel) >= motion.size) {
+    if seen.x >= frames[frame_index].triangle_count || any(vec2<f32>(pixel) >= motions[frame_index].size) {
         return;
     }
     let corners = triangles[seen.x].xyz;
@@ -26,10 +31,10 @@ fn motion_main(@builtin(global_invocation_id) id: vec3<u32>) {
     let position = vertices[corners.x].position * weights.x
         + vertices[corners.y].position * weights.y
         + vertices[corners.z].position * weights.z;
-    let clip = motion.before * vec4(position, 1.0);
+    let clip = motions[frame_index].before * vec4(position, 1.0);
     var found = vec2(MOTION_NOWHERE);
     if clip.w > 0.0 {
-        let place = seen_point(pixel, seen.y) / motion.size;
+        let place = seen_point(pixel, seen.y) / motions[frame_index].size;
         found = 0.5 + vec2(0.5, -0.5) * clip.xy / clip.w - place;
     }
     textureStore(motion_found, pixel, vec4(found, 0.0, 0.0));

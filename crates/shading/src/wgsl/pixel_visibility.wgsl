@@ -19,9 +19,8 @@ var<workgroup> pixel_queued: array<atomic<u32>, 3>;
 var<workgroup> pixel_work: atomic<u32>;
 var<workgroup> pixel_any_work: u32;
 
-// The invocation's pixel in the tile; the picture's pixel that the tile begins with.
+// The invocation's pixel in the tile.
 var<private> pixel_own: u32;
-var<private> pixel_first: vec2<u32>;
 // Whether it takes fractions from others.
 var<private> pixel_asks: bool;
 
@@ -33,9 +32,8 @@ const PIXEL_INTERPOLATE: u32 = 1u;
 const PIXEL_INTEGRATE_REST: u32 = 2u;
 
 // Call these three in order, in uniform control flow.
-fn pixel_enter(invocation: u32, workgroup: vec3<u32>) {
+fn pixel_enter(invocation: u32) {
     pixel_own = invocation;
-    pixel_first = workgroup.xy * PIXEL_SIDE + vec2(frame.first_column, frame.first_row);
     if invocation < 3u {
         atomicStore(&pixel_queued[invocation], 0u);
     }
@@ -93,7 +91,8 @@ fn pixel_parent(pixel: u32, index: u32) -> PixelParent {
 }
 
 fn pixel_may_ask() -> bool {
-    if frame.ambient != 0u || frame.pixels_apart != 0u {
+    // Further surfaces of pixels that lie side by side do not so in the picture.
+    if frames[frame_index].ambient != 0u || tile_first.y >= frames[frame_index].first_extra_row {
         return false;
     }
     let place = pixel_places[pixel_own];
@@ -218,11 +217,11 @@ fn pixel_find(phase: u32, index: u32, at: u32) {
     pixel_depths[index] = clamp(distance / radius, -1.0, 1.0);
     let normal = pixel_normals[pixel];
     var found = 0.0;
-    if frame.ambient != 0u {
+    if frames[frame_index].ambient != 0u {
         found = ambient_integrate(axis.w, axis.xyz, normal)
             / max(tables_cosine_integral(axis.w, dot(normal, axis.xyz)), 1.17549435e-38);
     } else {
-        let spokes = polar_spokes(frame.spokes, pixel_shares[index]);
+        let spokes = polar_spokes(frames[frame_index].spokes, pixel_shares[index]);
         found = polar_fraction(axis.w, axis.xyz, normal, distance, spokes);
     }
     pixel_fractions[index] += pixel_unknown[index] * found;
@@ -259,15 +258,10 @@ fn pixel_doubt(part: f32) -> f32 {
     return clamp((part - PIXEL_FIRM) / (1.0 - PIXEL_FIRM), 0.0, 1.0);
 }
 
-// Where a pixel of the tile is in the picture.
-fn pixel_at(pixel: u32) -> vec2<u32> {
-    return pixel_first + vec2(pixel % PIXEL_SIDE, pixel / PIXEL_SIDE);
-}
-
 // The SSDF of a pixel of the tile.
 fn pixel_load(pixel: u32) {
-    let at = pixel_at(pixel);
+    let at = tile_pixel(pixel);
     let seen = seen_triangle(at);
-    let triangle = triangles[min(seen.x, frame.triangle_count - 1u)];
+    let triangle = triangles[min(seen.x, frames[frame_index].triangle_count - 1u)];
     ssdf_load(clusters[triangle.w >> 16u], triangle.xyz, seen_barycentrics(triangle.xyz, at, seen.y));
 }

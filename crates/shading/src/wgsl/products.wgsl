@@ -8,16 +8,15 @@ override PRODUCTS_OF_IMAGE: bool = false;
 @compute @workgroup_size(8, 8)
 fn products_main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
-    @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) invocation: u32,
 ) {
-    slots_enter(workgroup, workgroups, invocation);
+    slots_enter(workgroup.x, invocation);
     var state = slots_state(slots_gathered_at(SLOTS_SUM).w);
-    var end = frame.light_count + frame.local_light_count;
+    var end = frames[frame_index].light_count + frames[frame_index].local_light_count;
     if PRODUCTS_OF_IMAGE {
         state.next = slots_gathered_at(SLOTS_SCALED).w;
         // And light from everywhere.
-        end = frame.light_count + 1u;
+        end = frames[frame_index].light_count + 1u;
     }
     if state.next >= end {
         return;
@@ -26,7 +25,7 @@ fn products_main(
     for (var place = 0u; place < min(SLOTS_WAITING, end - state.next); place++) {
         let index = state.next + place;
         var light = SphericalGaussian(vec3(0.0, 0.0, 1.0), 0.0, vec3(1.0));
-        if !PRODUCTS_OF_IMAGE || index < frame.light_count {
+        if !PRODUCTS_OF_IMAGE || index < frames[frame_index].light_count {
             light = products_light(index);
         }
         let lobe = glossy_reflected(light, products_gathered(index));
@@ -51,7 +50,7 @@ fn products_gathered(index: u32) -> vec3<f32> {
         return slots_gathered_value(SLOTS_SUM).xyz;
     }
     // Light from everywhere is measured by itself.
-    return select(slots_gathered_value(SLOTS_SCALED).xyz, vec3(0.0), index == frame.light_count);
+    return select(slots_gathered_value(SLOTS_SCALED).xyz, vec3(0.0), index == frames[frame_index].light_count);
 }
 
 // In the point's frame.

@@ -6,15 +6,13 @@ override REFLECTIONS_FIRST: bool = true;
 @compute @workgroup_size(8, 8)
 fn reflections_main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
-    @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) invocation: u32,
-    @builtin(global_invocation_id) id: vec3<u32>,
 ) {
-    slots_enter(workgroup, workgroups, invocation);
-    let pixel = id.xy + vec2(frame.first_column, frame.first_row);
+    slots_enter(workgroup.x, invocation);
+    let pixel = tile_pixel(invocation);
     let seen = seen_triangle(pixel);
     var state = SlotState(SLOTS_DONE, 0u, 0u);
-    if seen.x >= frame.triangle_count {
+    if seen.x >= frames[frame_index].triangle_count {
         slots_put_gathered(SLOTS_SUM, vec4(0u, 0u, 0u, slots_word(state)));
         return;
     }
@@ -26,7 +24,7 @@ fn reflections_main(
     if REFLECTIONS_FIRST {
         if lit {
             // First, so that lobes that add nothing to it are left out.
-            for (var source = 0u; source < frame.source_count; source++) {
+            for (var source = 0u; source < frames[frame_index].source_count; source++) {
                 sum += textureLoad(source_radiance, pixel, source, 0).xyz;
             }
         }

@@ -1,15 +1,15 @@
 // What lies under a pixel.
 
 // The triangle of this instance under a pixel, and at which point of the image it is seen, see
-// seen_ray. No triangle, frame.triangle_count or more: the pixel is outside of the image, shows
+// seen_ray. No triangle, triangle_count or more: the pixel is outside of the image, shows
 // background or belongs to another instance.
 fn seen_triangle(pixel: vec2<u32>) -> vec2<u32> {
     if any(pixel >= textureDimensions(visibility_buffer)) {
-        return vec2(frame.triangle_count, 0u);
+        return vec2(frames[frame_index].triangle_count, 0u);
     }
     let seen = textureLoad(visibility_buffer, pixel, 0).xy;
     // Background, and what belongs to others, wraps to more than there is.
-    return vec2(seen.x - frame.first_id, seen.y);
+    return vec2(seen.x - frames[frame_index].first_id, seen.y);
 }
 
 // Where on a triangle that is.

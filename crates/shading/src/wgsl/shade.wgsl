@@ -3,14 +3,12 @@
 @compute @workgroup_size(8, 8)
 fn shade_main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
-    @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) invocation: u32,
-    @builtin(global_invocation_id) id: vec3<u32>,
 ) {
-    slots_enter(workgroup, workgroups, invocation);
-    let pixel = id.xy + vec2(frame.first_column, frame.first_row);
+    slots_enter(workgroup.x, invocation);
+    let pixel = tile_pixel(invocation);
     let seen = seen_triangle(pixel);
-    if seen.x >= frame.triangle_count {
+    if seen.x >= frames[frame_index].triangle_count {
         return;
     }
     let triangle = triangles[seen.x];

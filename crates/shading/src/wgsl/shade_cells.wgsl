@@ -2,10 +2,14 @@
 // them: all in one pass, which is what it was written for.
 
 @compute @workgroup_size(8, 8)
-fn cells_main(@builtin(global_invocation_id) id: vec3<u32>) {
-    let pixel = id.xy + vec2(frame.first_column, frame.first_row);
+fn cells_main(
+    @builtin(workgroup_id) workgroup: vec3<u32>,
+    @builtin(local_invocation_index) invocation: u32,
+) {
+    tile_enter(workgroup.x);
+    let pixel = tile_pixel(invocation);
     let seen = seen_triangle(pixel);
-    if seen.x >= frame.triangle_count {
+    if seen.x >= frames[frame_index].triangle_count {
         return;
     }
     let triangle = triangles[seen.x];
@@ -16,11 +20,11 @@ fn cells_main(@builtin(global_invocation_id) id: vec3<u32>) {
     var sum = vec3(0.0);
     if dot(point.normal, point.view) > 0.0 {
         // First, so that lobes that add nothing to it are left out.
-        for (var source = 0u; source < frame.source_count; source++) {
+        for (var source = 0u; source < frames[frame_index].source_count; source++) {
             sum += textureLoad(source_radiance, pixel, source, 0).xyz;
         }
         sum = shade_lobes(point, sum);
-        if frame.prefiltered_levels > 0u {
+        if frames[frame_index].prefiltered_levels > 0u {
             sum += image_diffused(point, point.appearance.diffuse);
         }
         var outputs = 0u;
@@ -33,7 +37,7 @@ fn cells_main(@builtin(global_invocation_id) id: vec3<u32>) {
             if outputs > 0u {
                 sum += transfer_reflected(outputs, point.normal);
             }
-            if frame.prefiltered_levels > 0u {
+            if frames[frame_index].prefiltered_levels > 0u {
                 sum += shade_image(point.normal);
             }
         }
@@ -52,7 +56,7 @@ fn shade_image(normal: vec3<f32>) -> vec3<f32> {
     }
     var scaled = vec3(0.0);
     var visible = vec3(0.0);
-    for (var i = 0u; i < frame.light_count; i++) {
+    for (var i = 0u; i < frames[frame_index].light_count; i++) {
         let lobe = lobes_reflected(shade_light(i, vec3(0.0)), scaled);
         let whole = lobe.amplitude * tables_cosine_integral(lobe.sharpness, dot(normal, lobe.axis));
         if !shade_negligible(whole, scaled) {
@@ -67,7 +71,7 @@ fn shade_image(normal: vec3<f32>) -> vec3<f32> {
 
 fn shade_lobes(point: SurfacePoint, gathered: vec3<f32>) -> vec3<f32> {
     var sum = gathered;
-    let all = frame.light_count + frame.local_light_count;
+    let all = frames[frame_index].light_count + frames[frame_index].local_light_count;
     cells_point = point;
     cells_diffuse = point.appearance.diffuse / PI;
     if any(cells_diffuse != vec3(0.0)) {
@@ -95,7 +99,7 @@ fn shade_lobes(point: SurfacePoint, gathered: vec3<f32>) -> vec3<f32> {
 // What the reflection of lobes_of makes of narrow lights.
 fn shade_narrow(normal: vec3<f32>) -> vec3<f32> {
     var sum = vec3(0.0);
-    let all = frame.light_count + frame.local_light_count;
+    let all = frames[frame_index].light_count + frames[frame_index].local_light_count;
     var carried = vec3(0.0);
     for (var i = cells_first_light; i < all; i++) {
         let light = shade_light(i, cells_point.position);

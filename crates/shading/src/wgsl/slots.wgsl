@@ -10,8 +10,9 @@
 
 var<private> slot: u32;
 
-fn slots_enter(workgroup: vec3<u32>, workgroups: vec3<u32>, invocation: u32) {
-    slot = 64u * SLOTS_FIELDS * (workgroup.y * workgroups.x + workgroup.x) + invocation;
+fn slots_enter(workgroup: u32, invocation: u32) {
+    tile_enter(workgroup);
+    slot = 64u * SLOTS_FIELDS * workgroup + invocation;
 }
 
 // How far a pixel is.

@@ -3,10 +3,14 @@
 // (Mesa's llvmpipe ends all loops after 65,536 iterations).
 
 @compute @workgroup_size(8, 8)
-fn sources_main(@builtin(global_invocation_id) id: vec3<u32>) {
-    let pixel = id.xy + vec2(frame.first_column, frame.first_row);
+fn sources_main(
+    @builtin(workgroup_id) workgroup: vec3<u32>,
+    @builtin(local_invocation_index) invocation: u32,
+) {
+    tile_enter(workgroup.x);
+    let pixel = tile_pixel(invocation);
     let seen = seen_triangle(pixel);
-    if seen.x >= frame.triangle_count {
+    if seen.x >= frames[frame_index].triangle_count {
         return;
     }
     let triangle = triangles[seen.x];
@@ -16,16 +20,17 @@ fn sources_main(@builtin(global_invocation_id) id: vec3<u32>) {
     var sum = vec3(0.0);
     if dot(point.normal, point.view) > 0.0 {
         let at = seen_point(pixel, seen.y);
-        sum = sources_radiance(id.z, point, floor(at) + 0.5 - at);
+        sum = sources_radiance(workgroup.z, point, floor(at) + 0.5 - at);
     }
-    textureStore(source_radiance_found, pixel, id.z, vec4(sum, 1.0));
+    textureStore(source_radiance_found, pixel, workgroup.z, vec4(sum, 1.0));
 }
 
 // Radiance of one source from `point` towards the eye, which is above its horizon. `from_point` is the way to the
 // pixel's centre, pixels.
 fn sources_radiance(source: u32, point: SurfacePoint, from_point: vec2<f32>) -> vec3<f32> {
-    let cone = source_points[source * (1u + SOURCE_RIM + SOURCE_POINTS)];
-    let rim = source * (1u + SOURCE_RIM + SOURCE_POINTS) + 1u;
+    let entry = (frame_index * frames[frame_index].source_count + source) * (1u + SOURCE_RIM + SOURCE_POINTS);
+    let cone = source_points[entry];
+    let rim = entry + 1u;
     let first = rim + SOURCE_RIM;
     var above = false;
     for (var i = rim; i < first + SOURCE_LEVELS.x; i++) {
@@ -36,7 +41,7 @@ fn sources_radiance(source: u32, point: SurfacePoint, from_point: vec2<f32>) -> 
     }
     let wo = surface_to_local(point, point.view);
     var square = mat2x3<f32>();
-    if frame.source_squares != 0u {
+    if frames[frame_index].source_squares != 0u {
         square = sources_square(point);
     }
     let radius = 0.5 * max(length(square[0] + square[1]), length(square[0] - square[1]));

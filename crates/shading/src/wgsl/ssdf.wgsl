@@ -43,7 +43,7 @@ fn ssdf_quad(word: u32) -> vec4<f32> {
 // so that the sampler's bilinear fetch wraps as the octahedral map does. Fetches come by the pair:
 // they do not wait for one another.
 fn ssdf_distance(direction: vec3<f32>) -> f32 {
-    let texel = ssdf_cluster.tile_origin + octahedral_encode(direction) * frame.basis_resolution;
+    let texel = ssdf_cluster.tile_origin + octahedral_encode(direction) * frames[frame_index].basis_resolution;
     let tiles = ssdf_cluster.tiles;
     var distance = dot(ssdf_tile_0, ssdf_fetch(texel, 0.0));
     if tiles > 1u {
@@ -66,11 +66,11 @@ fn ssdf_distance(direction: vec3<f32>) -> f32 {
 
 // Past the last tile, whatever is there: its coefficients are zero.
 fn ssdf_fetch(texel: vec2<f32>, tile: f32) -> vec4<f32> {
-    let place = vec2(texel.x + tile * (frame.basis_resolution + 2.0), texel.y);
-    let uv = place * frame.atlas_texel;
+    let place = vec2(texel.x + tile * (frames[frame_index].basis_resolution + 2.0), texel.y);
+    let uv = place * frames[frame_index].atlas_texel;
     return textureSampleLevel(basis_atlas, basis_sampler, uv, ssdf_cluster.layer, 0.0);
 }
 
 fn ssdf_limit() -> f32 {
-    return frame.distance_clamp;
+    return frames[frame_index].distance_clamp;
 }

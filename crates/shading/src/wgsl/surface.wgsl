@@ -95,7 +95,7 @@ fn surface_shape(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32
         tangent = surface_orthogonal_unit(tangent, normal);
     }
 
-    let view = surface_unit_or(frame.eye - position * frame.perspective, normal);
+    let view = surface_unit_or(frames[frame_index].eye - position * frames[frame_index].perspective, normal);
     if dot(geometric_normal, view) > 0.0 && dot(normal, view) < SURFACE_LEAST_VIEW_COSINE {
         // Interpolated or mapped, the normal turned away from an eye that sees the surface:
         // it is bent back as far as models reflect at all.

@@ -8,10 +8,14 @@ struct Corner {
 }
 
 @vertex
-fn surface_samples_vertex(@builtin(vertex_index) index: u32) -> Corner {
+fn surface_samples_vertex(
+    @builtin(vertex_index) index: u32,
+    @builtin(instance_index) instance: u32,
+) -> Corner {
+    frame_index = instance;
     let triangle = index / 3u;
     var corner = index % 3u;
-    if frame.mirrored == 1u {
+    if frames[frame_index].mirrored == 1u {
         // Front faces turn the other way.
         corner = 2u - corner;
     }
@@ -20,11 +24,11 @@ fn surface_samples_vertex(@builtin(vertex_index) index: u32) -> Corner {
     let b = vertices[corners.y].position;
     let c = vertices[corners.z].position;
     let position = vec4(vertices[corners[corner]].position, 1.0);
-    let normal = normalize(frame.to_world * cross(b - a, c - a));
+    let normal = normalize(frames[frame_index].to_world * cross(b - a, c - a));
     let at = vec2<u32>(octahedral_encode(normal) * 255.0 + 0.5);
-    let tag = (corners.w & 0xffffu) + frame.instance * 0x9e37u;
+    let tag = (corners.w & 0xffffu) + frames[frame_index].instance * 0x9e37u;
     let key = at.x | (at.y << 8u) | (tag << 16u);
-    return Corner(frame.view_projection * position, triangle + frame.first_id, key);
+    return Corner(frames[frame_index].view_projection * position, triangle + frames[frame_index].first_id, key);
 }
 
 // Formats of 32 bits per channel cannot be multisampled.

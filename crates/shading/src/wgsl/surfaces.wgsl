@@ -23,7 +23,7 @@ fn surfaces_place(pixel: vec2<u32>, index: u32) -> u32 {
 }
 
 fn surfaces_point(ray: Ray, depth: f32) -> vec3<f32> {
-    let rows = transpose(frame.view_projection);
+    let rows = transpose(frames[frame_index].view_projection);
     let origin = vec4(ray.origin, 1.0);
     let direction = vec4(ray.direction, 0.0);
     let distance = (dot(rows[2], origin) - depth * dot(rows[3], origin))

@@ -26,7 +26,7 @@ fn transfer_load(number: u32, corners: vec3<u32>, barycentrics: vec3<f32>) -> u3
     let shape = transfer_word(2u * number + 1u);
     let rank = shape & 0xffu;
     let outputs = shape >> 8u;
-    let base = number * TRANSFER_STRIDE;
+    let base = frame_index * frames[frame_index].product_count + number * TRANSFER_STRIDE;
     transfer_x = vec3(0.0);
     transfer_y = vec3(0.0);
     transfer_z = vec3(0.0);

@@ -7,8 +7,13 @@ struct LightFractions {
     high: f32,
 }
 
+// Vertices of an instance follow those of the one before.
+fn vertex_visibility_number(vertex: u32) -> u32 {
+    return frame_index * frames[frame_index].vertex_count + vertex;
+}
+
 fn vertex_visibility_place(vertex: u32, quad: u32) -> vec2<u32> {
-    let index = vertex * ((frame.light_count + 3u) / 4u) + quad;
+    let index = vertex_visibility_number(vertex) * ((frames[frame_index].light_count + 3u) / 4u) + quad;
     return vec2(
         index % VERTEX_VISIBILITY_TEXTURE_WIDTH,
         index / VERTEX_VISIBILITY_TEXTURE_WIDTH,
@@ -17,7 +22,7 @@ fn vertex_visibility_place(vertex: u32, quad: u32) -> vec2<u32> {
 
 // Whether the corners say anything of a point whose normal is at an angle of this cosine with theirs.
 fn vertex_visibility_holds(vertex_cosine: f32) -> bool {
-    return frame.vertex_stamp != 0u && vertex_cosine >= VERTEX_VISIBILITY_LEAST_COSINE;
+    return frames[frame_index].vertex_stamp != 0u && vertex_cosine >= VERTEX_VISIBILITY_LEAST_COSINE;
 }
 
 // Those of light `i`, if they hold.
@@ -27,7 +32,7 @@ fn vertex_visibility_of(
     corners: vec3<u32>,
     barycentrics: vec3<f32>,
 ) -> LightFractions {
-    if !holds || i >= frame.light_count {
+    if !holds || i >= frames[frame_index].light_count {
         return LightFractions(0.0, VERTEX_VISIBILITY_UNKNOWN, 1.0);
     }
     // Fetched again for every light: to keep those of four takes more registers than there are.

@@ -2,10 +2,14 @@
 
 // Marks the corners of the triangle under a pixel.
 @compute @workgroup_size(8, 8)
-fn vertices_mark(@builtin(global_invocation_id) id: vec3<u32>) {
-    let pixel = id.xy + vec2(frame.first_column, frame.first_row);
+fn vertices_mark(
+    @builtin(workgroup_id) workgroup: vec3<u32>,
+    @builtin(local_invocation_index) invocation: u32,
+) {
+    tile_enter(workgroup.x);
+    let pixel = tile_pixel(invocation);
     let seen = seen_triangle(pixel);
-    if seen.x >= frame.triangle_count {
+    if seen.x >= frames[frame_index].triangle_count {
         return;
     }
     let corners = triangles[seen.x].xyz;
@@ -15,21 +19,24 @@ fn vertices_mark(@builtin(global_invocation_id) id: vec3<u32>) {
 }
 
 fn vertices_want(vertex: u32) {
-    let state = atomicLoad(&vertex_states[vertex]);
-    let stamp = frame.vertex_stamp;
+    let number = vertex_visibility_number(vertex);
+    let state = atomicLoad(&vertex_states[number]);
+    let stamp = frames[frame_index].vertex_stamp;
     if (state >> VERTEX_VISIBILITY_FRAME_BITS) != (stamp >> VERTEX_VISIBILITY_FRAME_BITS) {
-        atomicStore(&vertex_states[vertex], stamp);
+        atomicStore(&vertex_states[number], stamp);
     }
 }
 
-// Twin of light_fraction in vertex_visibility.rs: four lights at one vertex.
+// Twin of light_fraction in vertex_visibility.rs: four lights (y) at one vertex (x) of an instance (z).
 @compute @workgroup_size(64)
 fn vertices_main(@builtin(global_invocation_id) id: vec3<u32>) {
     let vertex = id.x;
-    if vertex >= arrayLength(&vertex_states) {
+    frame_index = id.z;
+    let stamp = frames[frame_index].vertex_stamp;
+    if vertex >= frames[frame_index].vertex_count || stamp == 0u {
         return;
     }
-    if atomicLoad(&vertex_states[vertex]) != frame.vertex_stamp {
+    if atomicLoad(&vertex_states[vertex_visibility_number(vertex)]) != stamp {
         return;
     }
     let cluster = clusters[vertices_cluster(vertex)];
@@ -43,10 +50,10 @@ fn vertices_main(@builtin(global_invocation_id) id: vec3<u32>) {
 }
 
 fn vertices_fraction(index: u32, normal: vec3<f32>) -> f32 {
-    if index >= frame.light_count {
+    if index >= frames[frame_index].light_count {
         return VERTEX_VISIBILITY_UNKNOWN;
     }
-    let light = lights[index];
+    let light = light_entry(index);
     let spokes = u32(light.vertex_spokes);
     if spokes == 0u {
         return VERTEX_VISIBILITY_UNKNOWN;

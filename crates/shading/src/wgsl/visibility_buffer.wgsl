@@ -7,16 +7,20 @@ struct Corner {
 }
 
 @vertex
-fn visibility_buffer_vertex(@builtin(vertex_index) index: u32) -> Corner {
+fn visibility_buffer_vertex(
+    @builtin(vertex_index) index: u32,
+    @builtin(instance_index) instance: u32,
+) -> Corner {
+    frame_index = instance;
     let triangle = index / 3u;
     var corner = index % 3u;
-    if frame.mirrored == 1u {
+    if frames[frame_index].mirrored == 1u {
         // Front faces turn the other way.
         corner = 2u - corner;
     }
     let vertex = triangles[triangle][corner];
     let position = vec4(vertices[vertex].position, 1.0);
-    return Corner(frame.view_projection * position, triangle + frame.first_id);
+    return Corner(frames[frame_index].view_projection * position, triangle + frames[frame_index].first_id);
 }
 
 @fragment

@@ -1,5 +1,5 @@
 //! A baked scene among an app's own objects, in the app's own render pass: its camera, its reversed
-//! depth, its four samples.
+//! depth, its four samples. What it takes is in `support/in_your_pass.rs`, the rest is the app.
 //!
 //!     cargo run --release -p relight-runtime --example own_pass SCENE.relight ENV.relight OUT.png
 
@@ -7,9 +7,13 @@ use std::error::Error;
 use std::path::Path;
 
 use glam::{Mat4, Vec3, camera::rh};
-use relight_runtime::{EnvironmentLight, Frame, Options, Renderer, Viewpoint, wgpu};
+use relight_runtime::{Options, wgpu};
 
+#[path = "support/in_your_pass.rs"]
+mod in_your_pass;
 mod support;
+
+use in_your_pass::Relit;
 
 const SIZE: [u32; 2] = [400, 300];
 
@@ -28,45 +32,19 @@ struct Corner { @builtin(position) position: vec4<f32>, @location(0) color: vec3
 
 /// Draws and saves one picture.
 pub fn run(scene: &Path, environment: &Path, picture: &Path) -> Result<(), Box<dyn Error>> {
-    let (scene, environment) = support::read(scene, environment)?;
     let (device, queue) = support::device()?;
     let look = rh::view::look_at_mat4(Vec3::new(1.2, 1.6, 3.2), 0.6 * Vec3::Y, Vec3::Y);
     let aspect = SIZE[0] as f32 / SIZE[1] as f32;
     let projection = rh::proj::directx::perspective_infinite_reverse(0.8, aspect, 0.05);
-
-    // Once: the renderer is told what the app's pass looks like, as a pipeline would be.
-    let depth_format = wgpu::TextureFormat::Depth32Float;
-    let nearer = wgpu::CompareFunction::Greater;
-    let options = Options {
-        target_format: wgpu::TextureFormat::Rgba8UnormSrgb,
-        depth_stencil: Some(support::depth(depth_format, nearer)),
-        multisample: wgpu::MultisampleState {
-            count: 4,
-            ..Default::default()
-        },
-        ..Options::default()
-    };
-    let renderer = Renderer::new(&device, &queue, options.clone())?;
-    let uploaded = renderer.upload(&scene)?;
-    let light = EnvironmentLight::new(&environment);
-    let mut view = renderer.view(SIZE)?;
-
-    // Every frame: shade before the pass.
-    let camera = Viewpoint::Matrices {
-        view: look,
-        projection,
-    };
-    let frame = Frame {
-        antialias: true,
-        ..Frame::under(camera, &light)
-    };
+    let mut relit = Relit::new((&device, &queue), SIZE, [scene, environment])?;
     let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-    renderer.prepare(&mut encoder, &mut view, &[(&uploaded).into()], &frame)?;
+    relit.prepare(&mut encoder, [look, projection])?;
 
-    let (bars, clip) = bars(&device, &options, projection * look);
+    let options = relit.renderer.options();
+    let (bars, clip) = bars(&device, options, projection * look);
     let attachment = |format, samples| support::attachment(&device, SIZE, format, samples);
     let [color, resolved] = [4, 1].map(|samples| attachment(options.target_format, samples));
-    let depth = attachment(depth_format, 4);
+    let depth = attachment(wgpu::TextureFormat::Depth32Float, 4);
     let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
         color_attachments: &[Some(wgpu::RenderPassColorAttachment {
             view: &support::whole(&color),
@@ -85,7 +63,7 @@ pub fn run(scene: &Path, environment: &Path, picture: &Path) -> Result<(), Box<d
     pass.set_pipeline(&bars);
     pass.set_bind_group(0, &clip, &[]);
     pass.draw(0..4, 0..2);
-    renderer.composite(&view, &mut pass)?;
+    relit.draw(&mut pass)?;
     drop(pass);
     queue.submit([encoder.finish()]);
     support::save(&device, &queue, &resolved, picture)

@@ -11,47 +11,10 @@
 //! pixels in a pass of the app's, with its depth, samples, viewport and blending.
 //!
 //! ```no_run
-//! # fn draw(
-//! #     device: &wgpu::Device, queue: &wgpu::Queue, size: [u32; 2],
-//! #     color: &wgpu::TextureView, depth: &wgpu::TextureView,
-//! #     look: glam::Mat4, projection: glam::Mat4,
-//! # ) -> Result<(), Box<dyn std::error::Error>> {
-//! use relight_format::{Limits, read_environment, read_scene};
-//! use relight_runtime::{EnvironmentLight, Frame, Options, Renderer, Viewpoint, wgpu};
-//!
-//! // Once: what the app's passes look like, as a pipeline of its own would be told.
-//! let options = Options {
-//!     target_format: wgpu::TextureFormat::Rgba16Float,
-//!     depth_stencil: Some(wgpu::DepthStencilState {
-//!         format: wgpu::TextureFormat::Depth32Float,
-//!         depth_write_enabled: Some(true),
-//!         depth_compare: Some(wgpu::CompareFunction::Greater), // Less where depth is not reversed
-//!         stencil: Default::default(),
-//!         bias: Default::default(),
-//!     }),
-//!     ..Options::default()
-//! };
-//! let renderer = Renderer::new(device, queue, options)?;
-//! let scene = read_scene(&std::fs::read("statue.relight")?, &Limits::default())?;
-//! let environment = read_environment(&std::fs::read("sky.relight")?, &Limits::default())?;
-//! let scene = renderer.upload(&scene)?;
-//! let light = EnvironmentLight::new(&environment);
-//! let mut view = renderer.view(size)?;
-//!
-//! // Every frame: the matrices that everything else is drawn with.
-//! let camera = Viewpoint::Matrices { view: look, projection };
-//! let frame = Frame { antialias: true, ..Frame::under(camera, &light) };
-//! let mut encoder = device.create_command_encoder(&Default::default());
-//! renderer.prepare(&mut encoder, &mut view, &[(&scene).into()], &frame)?;
-//! # let descriptor = wgpu::RenderPassDescriptor::default();
-//! let mut pass = encoder.begin_render_pass(&descriptor);
-//! // Draw opaque objects before, for smooth edges over them; transparent ones after.
-//! renderer.composite(&view, &mut pass)?;
-//! drop(pass);
-//! queue.submit([encoder.finish()]);
-//! # Ok(())
-//! # }
+#![doc = include_str!("../examples/support/in_your_pass.rs")]
 //! ```
+//!
+//! The example `own_pass` is an app around these lines, with objects of its own before and behind.
 //!
 //! [`Frame::background`] is drawn behind it all: a colour, or a [`Panorama`] of the environment or of the
 //! app's own image, sharp or blurred, which turns with the light.

@@ -17,7 +17,7 @@ results: runs every experiment on the CPU into out/results, which takes an hour 
 needs the test data, and replaces the tables of RESULTS.md.
 
 web: builds the viewer as a page, and a small one, into out/web, adding what that takes where it is missing
-(the target wasm32-unknown-unknown, wasm-bindgen). --serve then serves it on the loopback address.
+(the target wasm32-unknown-unknown). --serve then serves it on the loopback address.
 
 gpu-cost: what compilers of an AMD and an NVIDIA GPU make of every kernel, on a machine without
 either: registers, waves, memory, code. Makes the root that they live in (Linux, as root, a minute, a

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
 use relight_xtask::server;
+use wasm_bindgen_cli_support::Bindgen;
 
 const TARGET: &str = "wasm32-unknown-unknown";
 /// A page: the package whose library it runs, and its files that are taken as they are.
@@ -70,19 +71,16 @@ fn demo(root: &Path) -> Result<(), String> {
 }
 
 fn build(root: &Path) -> Result<PathBuf, String> {
-    let bindgen = bindgen(root)?;
     let folder = root.join("out/web");
     let failed = |what: &Path, error: std::io::Error| format!("{}: {error}", what.display());
     std::fs::create_dir_all(&folder).map_err(|error| failed(&folder, error))?;
     for page in &PAGES {
         let compiled = compile(root, page.package)?;
-        run_to_end(
-            Command::new(&bindgen)
-                .args(["--target", "web", "--no-typescript"])
-                .arg("--out-dir")
-                .arg(&folder)
-                .arg(&compiled),
-        )?;
+        // The JavaScript around it.
+        (Bindgen::new().input_path(&compiled).typescript(false))
+            .web(true)
+            .and_then(|bindgen| bindgen.generate(&folder))
+            .map_err(|error| format!("wasm-bindgen: {}: {error:#}", compiled.display()))?;
         for name in page.files {
             let (from, to) = (root.join(page.folder).join(name), folder.join(name));
             std::fs::copy(&from, &to).map_err(|error| failed(&from, error))?;
@@ -136,37 +134,6 @@ fn compile(root: &Path, package: &str) -> Result<PathBuf, String> {
     run_to_end(&mut cargo)?;
     let name = format!("{}.wasm", package.replace('-', "_"));
     Ok(folder.join(TARGET).join("web").join(name))
-}
-
-/// The program that writes the JavaScript around a module, in the version that the module was
-/// compiled with: the one on the path, or one that is built once.
-fn bindgen(root: &Path) -> Result<PathBuf, String> {
-    let lock =
-        std::fs::read_to_string(root.join("Cargo.lock")).map_err(|error| error.to_string())?;
-    let version = lock
-        .split_once("name = \"wasm-bindgen\"\nversion = \"")
-        .and_then(|(_, rest)| rest.split('"').next())
-        .ok_or("Cargo.lock names no wasm-bindgen")?;
-    let is_it = |program: &Path| {
-        let output = Command::new(program).arg("--version").output();
-        output.is_ok_and(|output| {
-            String::from_utf8_lossy(&output.stdout).trim() == format!("wasm-bindgen {version}")
-        })
-    };
-    let tools = root.join("target/tools");
-    let own = tools.join("bin/wasm-bindgen");
-    for program in [PathBuf::from("wasm-bindgen"), own.clone()] {
-        if is_it(&program) {
-            return Ok(program);
-        }
-    }
-    run_to_end(
-        Command::new("cargo")
-            .args(["install", "wasm-bindgen-cli", "--no-default-features"])
-            .args(["--version", version, "--root"])
-            .arg(&tools),
-    )?;
-    Ok(own)
 }
 
 fn run_to_end(command: &mut Command) -> Result<(), String> {

@@ -5,8 +5,8 @@ use std::sync::OnceLock;
 use relight_shading::gpu;
 use relight_shading::wgsl::{Entry, source};
 
-use crate::resources::Slot;
-use crate::view::Images;
+use crate::images::Images;
+use crate::transfer::Slot;
 use crate::{Error, Frame, Options, Renderer, background};
 
 /// What drawing a view takes, kept from frame to frame.

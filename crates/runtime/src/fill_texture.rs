@@ -7,9 +7,8 @@ use relight_shading::textures::level_count;
 use relight_shading::wgsl::FILL_TEXTURE;
 
 use crate::layouts::{compute_pipeline, layout_entry, part_entry, texture_entry};
-use crate::resources::OFFSET_ALIGNMENT;
+use crate::tiles::{OFFSET_ALIGNMENT, WORKGROUP};
 use crate::transfer::filled_buffer;
-use crate::view::WORKGROUP;
 use crate::{Error, GpuScene, Renderer};
 
 /// The pipeline, which is made when it is first needed.

@@ -2,8 +2,17 @@
 
 use relight_shading::wgsl::{Entry, Kernel, source};
 
-use crate::upload::VERTEX_BINDINGS;
-use crate::view::{DEPTH_FORMAT, RADIANCE_FORMAT, SAMPLES_FORMAT, VISIBILITY_FORMAT};
+/// Format of the visibility buffer.
+pub(crate) const VISIBILITY_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::R32Uint;
+/// Format of samples of visibility.
+pub(crate) const SAMPLES_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Uint;
+/// Format of the depth buffer.
+pub(crate) const DEPTH_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
+/// Format of the linear image.
+pub(crate) const RADIANCE_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba32Float;
+
+/// Bindings of group 1 that kernels of vertices need.
+pub(crate) const VERTEX_BINDINGS: [u32; 6] = [0, 1, 2, 3, 6, 7];
 
 const BOTH: wgpu::ShaderStages = wgpu::ShaderStages::VERTEX.union(wgpu::ShaderStages::COMPUTE);
 

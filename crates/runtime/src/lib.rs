@@ -77,6 +77,7 @@ mod error;
 mod fill_texture;
 mod frame;
 mod image;
+mod images;
 mod layouts;
 mod loading;
 mod lobes;
@@ -85,10 +86,12 @@ mod occluders;
 #[cfg(feature = "offscreen")]
 pub mod offscreen;
 mod options;
+mod owner;
 mod pass_times;
 mod placement;
 mod renderer;
 mod resources;
+mod tiles;
 mod transfer;
 #[cfg(feature = "twin")]
 pub mod twin;

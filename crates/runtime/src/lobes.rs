@@ -11,8 +11,7 @@ use relight_shading::{gpu, slots};
 use crate::layouts::{
     STORAGE, compute_pipeline, image_entries, layout_entry, scene_entries, texture_entry,
 };
-use crate::resources::Dispatch;
-use crate::view::WORKGROUP;
+use crate::tiles::{Dispatch, WORKGROUP};
 use crate::{Frame, GpuScene};
 
 /// Pixels of a workgroup.

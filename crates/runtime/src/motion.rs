@@ -5,11 +5,12 @@ use relight_shading::camera::Viewpoint;
 use relight_shading::gpu;
 use relight_shading::wgsl::MOTION;
 
+use crate::images::clear;
 use crate::layouts::{
     UNIFORM_PARTS, compute_pipeline, image_entries, layout_entry, part_entry, texture_entry,
 };
-use crate::renderer::clear;
-use crate::resources::{Slot, Tiling};
+use crate::tiles::Tiling;
+use crate::transfer::Slot;
 use crate::{Error, Instance, Placement, Renderer, View};
 
 /// Bytes of what kernels are bound to: a multiple of all alignments of dynamic offsets.

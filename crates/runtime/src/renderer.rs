@@ -12,6 +12,7 @@ use wgpu::util::DeviceExt as _;
 
 use crate::fill_texture::FillPass;
 use crate::frame::LocalFrame;
+use crate::images::{ImageLayouts, Images, Needs, clear, shaded_size};
 use crate::layouts::{
     buffer_entry, compute_pipeline, frame_layout, image_layout, part_entry, scene_layout,
     source_frame_layout, source_image_layout, source_scene_layout, surface_frame_layout,
@@ -20,11 +21,13 @@ use crate::layouts::{
 };
 use crate::lobes::{self, LobePasses, Slots};
 use crate::motion::MotionPass;
+use crate::owner::Owner;
 use crate::pass_times::{Pass, PassTimes, Recording, Timestamps};
-use crate::resources::{FRAMES_BYTES, Numbered, Resources, TILES_BYTES, Tiling, first_ids};
+use crate::resources::{FRAMES_BYTES, Numbered, Resources, TILES_BYTES, first_ids};
+use crate::tiles::{Region, Tiling, WORKGROUP};
 use crate::transfer::filled_buffer;
 use crate::upload::GpuScene;
-use crate::view::{ImageLayouts, Images, Needs, Region, WORKGROUP, World, shaded_size};
+use crate::view::World;
 use crate::{Background, Error, Frame, Instance, Options, Placement, View, composite};
 
 /// Images that are reflected, or behind scenes, that are kept on the GPU.
@@ -84,17 +87,6 @@ struct Kernels {
     sources: OnceLock<wgpu::ComputePipeline>,
     motion: OnceLock<MotionPass>,
     fill: OnceLock<FillPass>,
-}
-
-/// The same for everything that may be used together: scenes, views and renderers of one device,
-/// for which `wgpu` has no name that differs between its instances.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Owner(Arc<()>);
-
-impl PartialEq for Owner {
-    fn eq(&self, other: &Self) -> bool {
-        Arc::ptr_eq(&self.0, &other.0)
-    }
 }
 
 impl Renderer {
@@ -865,23 +857,6 @@ fn dispatch_tiles(
         pass.set_bind_group(0, groups[0], &[dispatch.offset]);
         pass.dispatch_workgroups(dispatch.workgroups, 1, layers);
     }
-}
-
-/// Nothing is shaded where nothing is seen.
-pub(crate) fn clear(encoder: &mut wgpu::CommandEncoder, image: &wgpu::TextureView) {
-    encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-        label: Some("relight clear"),
-        color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-            view: image,
-            depth_slice: None,
-            resolve_target: None,
-            ops: wgpu::Operations {
-                load: wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT),
-                store: wgpu::StoreOp::Store,
-            },
-        })],
-        ..Default::default()
-    });
 }
 
 fn visibility_pass<'a>(

@@ -10,56 +10,15 @@ use relight_shading::vertex_visibility;
 
 use crate::frame::LocalFrame;
 use crate::loading::check_storage;
-use crate::transfer::filled_buffer;
+use crate::tiles::{self, Dispatch, Region, Tiling};
+use crate::transfer::Slot;
 use crate::upload::ProductsOfLight;
 use crate::vertex_lights::VertexLights;
-use crate::view::Region;
 use crate::{Error, Frame, GpuScene, Renderer};
 
-/// The largest alignment of dynamic offsets that WebGPU allows a device to ask for.
-pub(crate) const OFFSET_ALIGNMENT: usize = 256;
 /// Bytes of the uniforms that kernels are bound to.
 pub(crate) const FRAMES_BYTES: u64 = (gpu::MAX_BATCH as usize * size_of::<gpu::Frame>()) as u64;
 pub(crate) const TILES_BYTES: u64 = 4 * gpu::MAX_TILES_AT_ONCE as u64;
-
-/// A buffer that is filled again and again, and what it holds: what stays the same is not written
-/// again.
-#[derive(Debug, Default)]
-pub(crate) struct Slot(Option<(wgpu::Buffer, Vec<u8>)>);
-
-impl Slot {
-    /// Fills it, by the next submission; makes a new one, of at least `room` bytes, if it does not
-    /// fit. Returns whether it is new.
-    pub(crate) fn fill(
-        &mut self,
-        renderer: &Renderer,
-        label: &str,
-        contents: &[u8],
-        room: u64,
-        usage: wgpu::BufferUsages,
-    ) -> Result<bool, Error> {
-        match &mut self.0 {
-            Some((_, held)) if held == contents => Ok(false),
-            Some((buffer, held)) if buffer.size() >= room.max(contents.len() as u64) => {
-                renderer.queue().write_buffer(buffer, 0, contents);
-                held.clear();
-                held.extend_from_slice(contents);
-                Ok(false)
-            }
-            _ => {
-                let usage = usage | wgpu::BufferUsages::COPY_DST;
-                let buffer = filled_buffer(renderer.device(), label, contents, room, usage)?;
-                self.0 = Some((buffer, contents.to_vec()));
-                Ok(true)
-            }
-        }
-    }
-
-    pub(crate) fn buffer(&self) -> &wgpu::Buffer {
-        let (buffer, _) = self.0.as_ref().expect("filled before it is bound");
-        buffer
-    }
-}
 
 /// Buffers and bind groups of instances of one scene, at most [`gpu::MAX_BATCH`], in one view.
 #[derive(Debug, Default)]
@@ -87,14 +46,6 @@ pub(crate) struct Resources {
     whole: bool,
 }
 
-/// Tiles that are shaded at a time.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Dispatch {
-    /// Where they begin in their buffer, bytes.
-    pub(crate) offset: u32,
-    pub(crate) workgroups: u32,
-}
-
 /// An instance in the order of a frame.
 #[derive(Clone, Copy)]
 pub(crate) struct Numbered {
@@ -104,16 +55,6 @@ pub(crate) struct Numbered {
     pub(crate) index: u32,
     /// Where it may be seen, if anywhere.
     pub(crate) region: Option<Region>,
-}
-
-/// How a picture is shaded.
-#[derive(Clone, Copy)]
-pub(crate) struct Tiling {
-    /// Columns and rows of the picture.
-    pub(crate) size: [u32; 2],
-    pub(crate) antialias: bool,
-    /// Tiles that are shaded at a time, at most.
-    pub(crate) at_once: u32,
 }
 
 impl Resources {
@@ -224,31 +165,9 @@ impl Resources {
         tiling: Tiling,
         rows: &Range<u32>,
     ) -> Result<(), Error> {
-        let first_extra_row = Region::first_extra_row(tiling.size, tiling.antialias);
         self.whole = *rows == (0..tiling.size[1]);
-        self.dispatches.clear();
-        let mut words: Vec<u32> = Vec::new();
-        for (place, region) in (0u32..).zip(&self.regions) {
-            let extras = (region.filter(|_| tiling.antialias)).map(|all| all.extras(tiling.size));
-            let parts = region.iter().chain(&extras);
-            let tile_rows = parts.flat_map(|part| part.tile_rows(first_extra_row, rows));
-            for (row, columns) in tile_rows {
-                for column in columns {
-                    if (self.dispatches.last()).is_none_or(|last| last.workgroups == tiling.at_once)
-                    {
-                        words.resize(words.len().next_multiple_of(OFFSET_ALIGNMENT / 4), 0);
-                        self.dispatches.push(Dispatch {
-                            offset: 4 * words.len() as u32,
-                            workgroups: 0,
-                        });
-                    }
-                    if let Some(last) = self.dispatches.last_mut() {
-                        last.workgroups += 1;
-                    }
-                    words.push(gpu::tile(place, column, row));
-                }
-            }
-        }
+        let (words, dispatches) = tiles::list(&self.regions, tiling, rows);
+        self.dispatches = dispatches;
         // What the last dispatch is bound to ends behind it.
         let last = self.dispatches.last().map_or(0, |last| last.offset);
         let room = u64::from(last) + TILES_BYTES;

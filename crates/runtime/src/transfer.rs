@@ -1,6 +1,6 @@
 //! From memory to the GPU and back.
 
-use crate::Error;
+use crate::{Error, Renderer};
 
 /// A buffer of at least `room` bytes that holds `contents`. On a device that is lost this is an error, where
 /// `create_buffer_init` panics.
@@ -26,6 +26,45 @@ pub(crate) fn filled_buffer(
         .copy_from_slice(contents);
     buffer.unmap();
     Ok(buffer)
+}
+
+/// A buffer that is filled again and again, and what it holds: what stays the same is not written
+/// again.
+#[derive(Debug, Default)]
+pub(crate) struct Slot(Option<(wgpu::Buffer, Vec<u8>)>);
+
+impl Slot {
+    /// Fills it, by the next submission; makes a new one, of at least `room` bytes, if it does not
+    /// fit. Returns whether it is new.
+    pub(crate) fn fill(
+        &mut self,
+        renderer: &Renderer,
+        label: &str,
+        contents: &[u8],
+        room: u64,
+        usage: wgpu::BufferUsages,
+    ) -> Result<bool, Error> {
+        match &mut self.0 {
+            Some((_, held)) if held == contents => Ok(false),
+            Some((buffer, held)) if buffer.size() >= room.max(contents.len() as u64) => {
+                renderer.queue().write_buffer(buffer, 0, contents);
+                held.clear();
+                held.extend_from_slice(contents);
+                Ok(false)
+            }
+            _ => {
+                let usage = usage | wgpu::BufferUsages::COPY_DST;
+                let buffer = filled_buffer(renderer.device(), label, contents, room, usage)?;
+                self.0 = Some((buffer, contents.to_vec()));
+                Ok(true)
+            }
+        }
+    }
+
+    pub(crate) fn buffer(&self) -> &wgpu::Buffer {
+        let (buffer, _) = self.0.as_ref().expect("filled before it is bound");
+        buffer
+    }
 }
 
 /// Maps a `MAP_READ` buffer once all submitted work is done, and unmaps it.

@@ -14,15 +14,12 @@ use relight_shading::transfer::{self, DistantLight, PackedTransfer};
 use wgpu::util::{DeviceExt as _, TextureDataOrder};
 
 use crate::frame::{LocalFrame, bounds, near_plane};
-use crate::layouts::{buffer_entry, texture_entry};
+use crate::layouts::{VERTEX_BINDINGS, buffer_entry, texture_entry};
 use crate::loading::{Loading, check_storage};
 use crate::lobes::SCENE_BINDINGS;
-use crate::renderer::Owner;
+use crate::owner::Owner;
 use crate::vertex_lights::VertexLights;
 use crate::{Error, Renderer, UploadProgress, occluders};
-
-/// Bindings of group 1 that kernels of vertices need.
-pub(crate) const VERTEX_BINDINGS: [u32; 6] = [0, 1, 2, 3, 6, 7];
 
 /// A scene on the GPU, for any number of views and threads. Dropping it
 /// frees its memory.

@@ -1,0 +1,236 @@
+//! The images between the passes of a frame.
+
+use relight_shading::surfaces::TILE;
+
+use crate::layouts::{DEPTH_FORMAT, RADIANCE_FORMAT, SAMPLES_FORMAT, VISIBILITY_FORMAT};
+use crate::lobes::{LobePasses, Slots};
+
+/// Images between the passes, all of one size.
+#[derive(Debug)]
+pub(crate) struct Images {
+    /// Where there is no antialiasing.
+    pub(crate) visibility: Option<wgpu::Texture>,
+    /// What is shaded: the visibility buffer, or items of pixels.
+    pub(crate) seen_view: wgpu::TextureView,
+    /// What the pass of triangles draws into.
+    pub(crate) drawn_view: wgpu::TextureView,
+    pub(crate) depth: wgpu::Texture,
+    pub(crate) depth_view: wgpu::TextureView,
+    pub(crate) radiance: wgpu::Texture,
+    pub(crate) radiance_view: wgpu::TextureView,
+    /// Which pixels show something: the visibility buffer, or the surfaces of pixels.
+    pub(crate) shown_view: wgpu::TextureView,
+    pub(crate) shown: wgpu::Texture,
+    pub(crate) bind_group: wgpu::BindGroup,
+    /// What the passes that shade by lobes hand on.
+    pub(crate) slots: Slots,
+    /// Group 2 of the pass for sources, if there was one.
+    pub(crate) sources: Option<wgpu::BindGroup>,
+    /// What catches shadows.
+    pub(crate) open: Option<OpenImage>,
+    /// Sources that there is room for.
+    pub(crate) source_layers: u32,
+    /// Group 1 of the pass for surfaces, with antialiasing.
+    pub(crate) surfaces: Option<wgpu::BindGroup>,
+}
+
+/// Radiance without what hides light.
+#[derive(Debug)]
+pub(crate) struct OpenImage {
+    pub(crate) radiance: wgpu::Texture,
+    pub(crate) view: wgpu::TextureView,
+    /// In place of [`Images::bind_group`].
+    pub(crate) bind_group: wgpu::BindGroup,
+    /// In place of [`Images::slots`], whose memory they share.
+    pub(crate) slots: Slots,
+}
+
+/// What images a frame needs beside those that all have.
+#[derive(Clone, Copy)]
+pub(crate) struct Needs {
+    pub(crate) sources: u32,
+    pub(crate) antialias: bool,
+    /// Something catches shadows.
+    pub(crate) open: bool,
+}
+
+/// Layouts of the groups that images are in.
+pub(crate) struct ImageLayouts<'a> {
+    pub(crate) shade: &'a wgpu::BindGroupLayout,
+    pub(crate) sources: &'a wgpu::BindGroupLayout,
+    pub(crate) surfaces: &'a wgpu::BindGroupLayout,
+    pub(crate) lobes: &'a LobePasses,
+    /// Slots that there is to be room for.
+    pub(crate) slots: u32,
+}
+
+/// Columns and rows of what is shaded: a place for each pixel; with antialiasing, whole tiles of them,
+/// and half as many rows of further surfaces below.
+pub(crate) fn shaded_size([width, height]: [u32; 2], antialias: bool) -> [u32; 2] {
+    if !antialias {
+        return [width, height];
+    }
+    let [width, height] = [width, height].map(|side| side.next_multiple_of(TILE));
+    [width, height + height / 2]
+}
+
+impl Images {
+    #[allow(clippy::too_many_lines, reason = "one image after the other")]
+    pub(crate) fn new(
+        device: &wgpu::Device,
+        layouts: &ImageLayouts,
+        size: [u32; 2],
+        needs: Needs,
+    ) -> Self {
+        let Needs {
+            sources: source_layers,
+            antialias,
+            open,
+        } = needs;
+        let layered = |label, format, usage, samples, [width, height]: [u32; 2], layers| {
+            device.create_texture(&wgpu::TextureDescriptor {
+                label: Some(label),
+                size: wgpu::Extent3d {
+                    width,
+                    height,
+                    depth_or_array_layers: layers,
+                },
+                mip_level_count: 1,
+                sample_count: samples,
+                dimension: wgpu::TextureDimension::D2,
+                format,
+                usage,
+                view_formats: &[],
+            })
+        };
+        let texture =
+            |label, format, usage, samples, size| layered(label, format, usage, samples, size, 1);
+        let bound = wgpu::TextureUsages::TEXTURE_BINDING;
+        let drawn = wgpu::TextureUsages::RENDER_ATTACHMENT | bound;
+        let copied = wgpu::TextureUsages::COPY_SRC;
+        let written = wgpu::TextureUsages::STORAGE_BINDING | bound;
+        let view =
+            |texture: &wgpu::Texture| texture.create_view(&wgpu::TextureViewDescriptor::default());
+        let group = |label, layout, views: &[&wgpu::TextureView]| {
+            let entries: Vec<_> = (0..)
+                .zip(views)
+                .map(|(binding, view)| wgpu::BindGroupEntry {
+                    binding,
+                    resource: wgpu::BindingResource::TextureView(view),
+                })
+                .collect();
+            device.create_bind_group(&wgpu::BindGroupDescriptor {
+                label: Some(label),
+                layout,
+                entries: &entries,
+            })
+        };
+        let shaded = shaded_size(size, antialias);
+        // Drawn into to clear it.
+        let usage = written | copied | wgpu::TextureUsages::RENDER_ATTACHMENT;
+        let radiance = texture("relight radiance", RADIANCE_FORMAT, usage, 1, shaded);
+        let radiance_view = view(&radiance);
+        let samples = if antialias { 4 } else { 1 };
+        let depth = if antialias { drawn } else { drawn | copied };
+        let depth = texture("relight depth", DEPTH_FORMAT, depth, samples, size);
+        let depth_view = view(&depth);
+        let (visibility, drawn_view, seen_view, shown, surfaces);
+        if antialias {
+            drawn_view = view(&texture("relight samples", SAMPLES_FORMAT, drawn, 4, size));
+            let items = wgpu::TextureFormat::Rg32Uint;
+            let items = texture("relight surfaces", items, written, 1, shaded);
+            seen_view = view(&items);
+            let format = wgpu::TextureFormat::R32Uint;
+            shown = texture(
+                "relight surfaces of pixels",
+                format,
+                written | copied,
+                1,
+                size,
+            );
+            let views = [&drawn_view, &depth_view, &seen_view, &view(&shown)];
+            surfaces = Some(group("relight surfaces", layouts.surfaces, &views));
+            visibility = None;
+        } else {
+            let ids = texture(
+                "relight visibility buffer",
+                VISIBILITY_FORMAT,
+                drawn | copied,
+                1,
+                size,
+            );
+            drawn_view = view(&ids);
+            seen_view = view(&ids);
+            shown = ids.clone();
+            visibility = Some(ids);
+            surfaces = None;
+        }
+        let source_radiance = layered(
+            "relight source radiance",
+            RADIANCE_FORMAT,
+            written,
+            1,
+            if source_layers > 0 { shaded } else { [1; 2] },
+            source_layers.max(1),
+        );
+        let source_view = source_radiance.create_view(&wgpu::TextureViewDescriptor {
+            dimension: Some(wgpu::TextureViewDimension::D2Array),
+            ..Default::default()
+        });
+        let views = [&seen_view, &radiance_view, &source_view];
+        let slots = layouts.lobes.slots(layouts.slots, views);
+        let open = open.then(|| {
+            let usage = usage | copied;
+            let radiance = texture("relight open radiance", RADIANCE_FORMAT, usage, 1, shaded);
+            let view = view(&radiance);
+            let views = [&seen_view, &view, &source_view];
+            OpenImage {
+                slots: layouts.lobes.beside(&slots, views),
+                bind_group: group("relight open images", layouts.shade, &views),
+                radiance,
+                view,
+            }
+        });
+        Self {
+            slots,
+            sources: (source_layers > 0).then(|| {
+                let views = [&seen_view, &source_view];
+                group("relight sources' images", layouts.sources, &views)
+            }),
+            open,
+            source_layers,
+            bind_group: group("relight images", layouts.shade, &views),
+            visibility,
+            seen_view,
+            drawn_view,
+            depth_view,
+            depth,
+            radiance,
+            radiance_view,
+            shown_view: view(&shown),
+            shown,
+            surfaces,
+        }
+    }
+
+    pub(crate) fn antialias(&self) -> bool {
+        self.surfaces.is_some()
+    }
+}
+
+/// Nothing is shaded where nothing is seen.
+pub(crate) fn clear(encoder: &mut wgpu::CommandEncoder, image: &wgpu::TextureView) {
+    encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+        label: Some("relight clear"),
+        color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+            view: image,
+            depth_slice: None,
+            resolve_target: None,
+            ops: wgpu::Operations {
+                load: wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT),
+                store: wgpu::StoreOp::Store,
+            },
+        })],
+        ..Default::default()
+    });
+}

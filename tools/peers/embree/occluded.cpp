@@ -2,12 +2,19 @@
 //
 //   c++ -std=c++17 -O2 -o occluded occluded.cpp -lembree3 -pthread
 //
+// With -DEMBREE_4 and the library of Embree 4 in its place: README.md.
+//
 //   occluded RAYS [--threads N] [--robust] [--bitmaps OUT] < one line per round
 //
 // Reads RAYS (README.md has its format), builds a scene, and for every line of standard
 // input shoots every direction from every origin and prints one JSON object as a line.
 
+#ifdef EMBREE_4
+// Nothing here differs between the two but this call, whose new form is declared below.
+#define rtcOccluded16 rtcOccluded16_of_3
+#endif
 #include <embree3/rtcore.h>
+#undef rtcOccluded16
 #include <pmmintrin.h>
 #include <xmmintrin.h>
 
@@ -89,12 +96,36 @@ RTCScene build(RTCDevice device, const Input &input, bool robust) {
     return scene;
 }
 
+#ifdef EMBREE_4
+}  // namespace
+
+// As in Embree 4's rtcore_common.h and rtcore_scene.h.
+struct RTCOccludedArguments {
+    int flags;
+    int feature_mask;
+    void *context;
+    void *filter;
+    void *occluded;
+};
+extern "C" void rtcOccluded16(const int *valid, RTCScene scene, RTCRay16 *rays,
+                              RTCOccludedArguments *arguments);
+
+namespace {
+
+constexpr int coherent = 1 << 16;
+constexpr int all_features = -1;
+#endif
+
 // Shoots all directions from one origin, in packets of 4x4 texels. Sets bits where visible
 // and returns the number of occluded texels.
 uint32_t shoot(RTCScene scene, const Input &input, Vector origin, uint8_t *bitmap) {
+#ifdef EMBREE_4
+    RTCOccludedArguments arguments = {coherent, all_features, nullptr, nullptr, nullptr};
+#else
     RTCIntersectContext context;
     rtcInitIntersectContext(&context);
     context.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
+#endif
     alignas(64) static const int valid[16] = {-1, -1, -1, -1, -1, -1, -1, -1,
                                               -1, -1, -1, -1, -1, -1, -1, -1};
     const uint32_t n = input.resolution;
@@ -116,7 +147,11 @@ uint32_t shoot(RTCScene scene, const Input &input, Vector origin, uint8_t *bitma
                 rays.mask[i] = ~0u;
                 rays.flags[i] = 0;
             }
+#ifdef EMBREE_4
+            rtcOccluded16(valid, scene, &rays, &arguments);
+#else
             rtcOccluded16(valid, scene, &context, &rays);
+#endif
             for (uint32_t i = 0; i < 16; ++i) {
                 const bool hit = rays.tfar[i] < 0;
                 occluded += hit;
@@ -152,6 +187,11 @@ int main(int argc, char **argv) {
     const std::string configuration = "threads=" + std::to_string(threads);
     RTCDevice device = rtcNewDevice(configuration.c_str());
     if (device == nullptr) fail("Embree does not start");
+    const auto property = [&](RTCDeviceProperty name) {
+        return std::to_string(rtcGetDeviceProperty(device, name));
+    };
+    const std::string version = property(RTC_DEVICE_PROPERTY_VERSION_MAJOR) + "." +
+                                property(RTC_DEVICE_PROPERTY_VERSION_MINOR);
     const auto build_start = Clock::now();
     RTCScene scene = build(device, input, robust);
     const double build_seconds = seconds_since(build_start);
@@ -180,7 +220,7 @@ int main(int argc, char **argv) {
         std::printf("{\"version\": \"%s\", \"robust\": %s, \"threads\": %u, "
                     "\"build_seconds\": %.6f, \"seconds\": %.6f, \"rays\": %.0f, "
                     "\"occluded\": %llu, \"megarays_per_second\": %.3f}\n",
-                    RTC_VERSION_STRING, robust ? "true" : "false", threads, build_seconds,
+                    version.c_str(), robust ? "true" : "false", threads, build_seconds,
                     seconds, rays, static_cast<unsigned long long>(occluded.load()),
                     rays / seconds * 1e-6);
         std::fflush(stdout);

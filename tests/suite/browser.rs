@@ -68,7 +68,7 @@ const told = (name, text) => { lines += `${name}: ${text}\n`; };
 fn shaders(browser: &str) -> Outcome {
     let folder = tempfile::tempdir()?;
     let mut page = String::new();
-    for entry in Entry::ALL {
+    for &entry in Entry::ALL {
         page += &format!(
             "<script type=wgsl id={entry:?}>{}</script>\n",
             source(entry)
@@ -80,7 +80,7 @@ fn shaders(browser: &str) -> Outcome {
     std::fs::write(folder.path().join("index.html"), page)?;
     let told = visit(browser, &[folder.path()])?;
     let told = String::from_utf8_lossy(&told);
-    for entry in Entry::ALL {
+    for &entry in Entry::ALL {
         assert!(
             told.contains(&format!("{entry:?}: accepted")),
             "{entry:?}: {told}"

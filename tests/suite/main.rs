@@ -16,6 +16,7 @@ mod command;
 mod demo;
 mod determinism;
 mod farm;
+mod features;
 mod gpu;
 mod import;
 mod lab;
@@ -35,6 +36,7 @@ fn main() -> ExitCode {
         demo::trials(),
         determinism::trials(),
         farm::trials(),
+        features::trials(),
         gpu::trials(),
         import::trials(),
         lab::trials(),

@@ -78,6 +78,14 @@ pub enum Error {
         /// Its length.
         length: f32,
     },
+    /// Something that this crate was built without.
+    #[error("{what}: expected a build with the feature `{feature}`, found one without")]
+    Feature {
+        /// What asks for it.
+        what: &'static str,
+        /// The feature.
+        feature: &'static str,
+    },
     /// A scene placed where it cannot be drawn.
     #[error("placement: expected a scale above 0 and a finite translation, found {0:?}")]
     Placement(Placement),

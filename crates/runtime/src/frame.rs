@@ -132,6 +132,7 @@ impl<'a> Frame<'a> {
         near: f32,
     ) -> Result<LocalFrame, Error> {
         placement.check()?;
+        check_method(self.method)?;
         check_rotation(self.rotation)?;
         check_local_lights(self.local_lights.len()).map_err(Error::Frame)?;
         let view = if *placement == Placement::IDENTITY {
@@ -190,6 +191,16 @@ impl LocalFrame {
         }
         lights
     }
+}
+
+fn check_method(method: Method) -> Result<(), Error> {
+    if matches!(method, Method::Cells(_)) && !cfg!(feature = "paper") {
+        return Err(Error::Feature {
+            what: "method of a frame, cells",
+            feature: "paper",
+        });
+    }
+    Ok(())
 }
 
 pub(crate) fn check_local_lights(count: usize) -> Result<(), LimitError> {

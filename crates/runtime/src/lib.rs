@@ -70,6 +70,9 @@
 //!
 //! Without a GPU, `twin::render` draws the same frame (feature `twin`). `offscreen` opens a device and
 //! waits for pictures, for tools and tests. Both are on by default; an app needs neither.
+//!
+//! `paper`, off by default, adds [`Method::Cells`], the integrator of Wang et al. (2013), to compare with. Without it
+//! a frame that asks for cells is an [`Error::Feature`].
 
 mod background;
 mod composite;
@@ -110,12 +113,11 @@ pub use pass_times::PassTimes;
 pub use placement::{Instance, Placement};
 pub use relight_shading::background::Panorama;
 pub use relight_shading::camera::Viewpoint;
-pub use relight_shading::cells::CellsOptions;
 pub use relight_shading::gpu::{LimitError, MAX_LOCAL_LIGHTS};
 pub use relight_shading::local_light::{LocalLight, Spot};
 pub use relight_shading::polar::PolarOptions;
 pub use relight_shading::prefiltered::Prefiltered;
-pub use relight_shading::shade::Method;
+pub use relight_shading::shade::{CellsOptions, Method};
 pub use relight_shading::sources::Sources;
 pub use relight_shading::spherical_gaussian::SphericalGaussian;
 pub use renderer::Renderer;

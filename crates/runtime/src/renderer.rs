@@ -1,12 +1,15 @@
 //! The passes of one frame: visibility buffer, shading, into the target.
 
+#[cfg(feature = "paper")]
+mod cells;
+
 use std::collections::HashMap;
 use std::ops::Range;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use relight_shading::gpu::{self, LimitError};
 use relight_shading::prefiltered::{self, Prefiltered};
-use relight_shading::shade::{self, Method};
+use relight_shading::shade;
 use relight_shading::wgsl;
 use wgpu::util::DeviceExt as _;
 
@@ -83,6 +86,7 @@ pub struct Renderer {
 struct Kernels {
     vertices_mark: OnceLock<wgpu::ComputePipeline>,
     vertices: OnceLock<wgpu::ComputePipeline>,
+    #[cfg(feature = "paper")]
     cells: OnceLock<wgpu::ComputePipeline>,
     sources: OnceLock<wgpu::ComputePipeline>,
     motion: OnceLock<MotionPass>,
@@ -462,7 +466,7 @@ impl Renderer {
         pass: &mut wgpu::ComputePass,
         (scene, resources): (&GpuScene, &Resources),
         images: &Images,
-        (bind_group, slots): (&wgpu::BindGroup, &Slots),
+        targets: (&wgpu::BindGroup, &Slots),
         frame: &Frame,
     ) {
         if resources.dispatches().is_empty() {
@@ -480,8 +484,9 @@ impl Renderer {
             dispatch_tiles(pass, pipeline, groups, resources, 1);
         };
         let frame_group = resources.frame_group();
-        let groups = [frame_group, &scene.bind_group, bind_group];
-        if let Method::Cells(_) = frame.method {
+        #[cfg(feature = "paper")]
+        if let shade::Method::Cells(_) = frame.method {
+            let groups = [frame_group, &scene.bind_group, targets.0];
             dispatch(self.cells_pipeline(), groups);
             return;
         }
@@ -495,7 +500,7 @@ impl Renderer {
         }
         let work = lobes::Work::of(frame, scene);
         let groups = (frame_group, &scene.lobe_groups);
-        (self.lobes).record(pass, groups, slots, work, resources.dispatches());
+        (self.lobes).record(pass, groups, targets.1, work, resources.dispatches());
     }
 
     /// Every instance's frame, its number and where it is seen; and the camera that they share.
@@ -650,16 +655,6 @@ impl Renderer {
                 target.usage(),
             ),
         })
-    }
-
-    fn shading_layouts(&self) -> [&wgpu::BindGroupLayout; 3] {
-        [&self.frame_layout, &self.scene_layout, &self.image_layout]
-    }
-
-    fn cells_pipeline(&self) -> &wgpu::ComputePipeline {
-        let layouts = self.shading_layouts();
-        (self.kernels.cells)
-            .get_or_init(|| compute_pipeline(&self.device, &layouts, &wgsl::SHADE_CELLS))
     }
 
     fn mark_pipeline(&self) -> &wgpu::ComputePipeline {

@@ -1,4 +1,4 @@
-//! How far the lobes of `brdf` are from the reflection models of `reference`: quadrature for
+//! How far the lobes of `brdf` are from the reflection models of `models`: quadrature for
 //! error tables, tests and reports. On the CPU only.
 
 use relight_format::math;
@@ -7,8 +7,8 @@ use std::f32::consts::PI;
 use glam::Vec3;
 
 use crate::brdf::specular_lobes;
-use crate::reference;
-use crate::surface::{Appearance, Reflection, SurfacePoint};
+use crate::models;
+use crate::surface::{Appearance, Reflection, local_point};
 
 /// Errors of the lobes of one reflection seen from one direction.
 #[derive(Clone, Copy, Debug)]
@@ -19,21 +19,6 @@ pub struct Accuracy {
     pub albedo_error: f64,
     /// Spherical Gaussians used.
     pub lobes: usize,
-}
-
-/// A surface point at the origin whose frame is that of the coordinate axes, seen from the
-/// unit vector `view`.
-pub fn local_point(appearance: Appearance, view: Vec3) -> SurfacePoint {
-    SurfacePoint {
-        position: Vec3::ZERO,
-        geometric_normal: Vec3::Z,
-        normal: Vec3::Z,
-        vertex_cosine: 1.0,
-        tangent: Vec3::X,
-        bitangent: Vec3::Y,
-        view,
-        appearance,
-    }
 }
 
 /// Measures one grey reflection seen from the unit vector `view`, z along the normal, by
@@ -58,7 +43,7 @@ pub fn accuracy(reflection: &Reflection, view: Vec3) -> Accuracy {
             if wi.z <= 0.0 {
                 continue;
             }
-            let exact = reference::evaluate_specular(reflection, wi, view).x;
+            let exact = models::evaluate_specular(reflection, wi, view).x;
             let found: f32 = lobes
                 .as_slice()
                 .iter()

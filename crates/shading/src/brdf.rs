@@ -507,7 +507,7 @@ fn reference_albedo(reflection: &Reflection, wo: Vec3) -> [f64; 2] {
         for angle in 0..ANGLES {
             let u = (radius as f32 + 0.5) / RADII as f32;
             let v = (angle as f32 + 0.5) / ANGLES as f32;
-            let Some((wi, weight)) = crate::reference::sample_specular(reflection, wo, u, v) else {
+            let Some((wi, weight)) = crate::models::sample_specular(reflection, wo, u, v) else {
                 continue;
             };
             let half = (wi + wo).normalize();
@@ -769,8 +769,8 @@ mod fit {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::accuracy::{Accuracy, accuracy, local_point};
-    use crate::surface::Appearance;
+    use crate::accuracy::{Accuracy, accuracy};
+    use crate::surface::{Appearance, local_point};
 
     /// Roughnesses (GGX scale) and incidences (degrees) of the accuracy tables.
     const ALPHAS: [f32; 6] = [0.05, 0.1, 0.2, 0.4, 0.7, 1.0];

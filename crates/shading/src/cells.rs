@@ -20,6 +20,7 @@ use std::f32::consts::PI;
 use glam::{Vec2, Vec3};
 
 use crate::polar::{any_orthogonal, support_radius};
+use crate::shade::CellsOptions;
 use crate::spherical_gaussian::SphericalGaussian;
 use crate::ssdf::SignedDistance;
 
@@ -27,8 +28,6 @@ use crate::ssdf::SignedDistance;
 pub const NARROW: f32 = 400.0;
 /// Cells are divided in four at most this often.
 pub const MAX_LEVEL: u32 = 5;
-/// Most rows and columns of a uniform partition.
-pub const MAX_UNIFORM: u32 = 256;
 /// Added to a cell's radius before its centre's distance proves it free of boundaries,
 /// radians: compressed distances may grow faster than angles.
 pub const MARGIN: f32 = 0.01;
@@ -36,39 +35,6 @@ pub const MARGIN: f32 = 0.01;
 pub const PANEL: f32 = 0.4;
 /// Gauss–Legendre nodes on [−1, 1] and weights; those of the other sign are the same.
 pub const NODES: [[f32; 2]; 2] = [[0.339_981_04, 0.652_145_15], [0.861_136_3, 0.347_854_85]];
-
-/// How finely to divide.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct CellsOptions {
-    /// Cells are divided whose boundary is off by more than this, root mean square over
-    /// five samples, radians (t_r of the paper).
-    pub boundary_error: f32,
-    /// Cells are divided where lobes are off by more than this part of what they carry
-    /// together (t_a of the paper).
-    pub lobe_error: f32,
-    /// Rows of θ and columns of φ of a partition without any division, in place of both errors.
-    pub uniform: Option<[u32; 2]>,
-}
-
-impl Default for CellsOptions {
-    fn default() -> Self {
-        Self::STANDARD
-    }
-}
-
-impl CellsOptions {
-    /// The default.
-    pub const STANDARD: Self = Self {
-        boundary_error: 0.05,
-        lobe_error: 0.02,
-        uniform: None,
-    };
-
-    /// The uniform partition as it is used, of at least 1 and at most [`MAX_UNIFORM`] each.
-    pub fn partition(&self) -> Option<[u32; 2]> {
-        (self.uniform).map(|counts| counts.map(|count| count.clamp(1, MAX_UNIFORM)))
-    }
-}
 
 /// ∫ n·ω dω and ∫ ω n·ω dω.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

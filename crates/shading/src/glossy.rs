@@ -12,7 +12,7 @@ use relight_format::math;
 
 use crate::brdf::{MAX_SPECULAR_LOBES, SpecularLobes, local_lobes};
 use crate::contribution::negligible;
-use crate::reference;
+use crate::models;
 use crate::spherical_gaussian::{SphericalGaussian, energy};
 use crate::surface::{Reflection, SurfacePoint};
 use crate::tables::Tables;
@@ -185,7 +185,7 @@ impl<'a> Glossy<'a> {
             if direction.z > 0.0 {
                 let shapes = self.shapes.as_slice().iter();
                 let lobes: f32 = shapes.map(|shape| shape.evaluate(direction).x).sum();
-                let model = reference::evaluate_specular(self.reflection, direction, self.view);
+                let model = models::evaluate_specular(self.reflection, direction, self.view);
                 let weight = if index == 0 {
                     CENTER_WEIGHT
                 } else {
@@ -256,8 +256,7 @@ mod tests {
     use glam::Vec2;
 
     use super::*;
-    use crate::accuracy::local_point;
-    use crate::surface::{Appearance, Model};
+    use crate::surface::{Appearance, Model, local_point};
 
     /// Of the brightest light's reflection, root mean square over the lights.
     const TOLERANCE: f32 = 0.06;
@@ -273,8 +272,7 @@ mod tests {
                 let azimuth = TAU * (column as f32 + 0.5) / COLUMNS as f32;
                 let sine = (1.0 - z * z).sqrt();
                 let wi = Vec3::new(sine * math::cos(azimuth), sine * math::sin(azimuth), z);
-                sum +=
-                    light.evaluate(wi).x * reference::evaluate_specular(reflection, wi, view).x * z;
+                sum += light.evaluate(wi).x * models::evaluate_specular(reflection, wi, view).x * z;
             }
         }
         sum * TAU / (ROWS * COLUMNS) as f32

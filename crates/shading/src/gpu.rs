@@ -53,9 +53,9 @@ pub struct Frame {
     pub prefiltered_levels: u32,
     /// Number of local lights.
     pub local_light_count: u32,
-    /// Cells: [`crate::cells::CellsOptions::boundary_error`].
+    /// Cells: [`crate::shade::CellsOptions::boundary_error`].
     pub boundary_error: f32,
-    /// Cells: [`crate::cells::CellsOptions::lobe_error`].
+    /// Cells: [`crate::shade::CellsOptions::lobe_error`].
     pub lobe_error: f32,
     /// Cells: rows and columns of the uniform partition, or zero.
     pub cells: [u32; 2],

@@ -2,12 +2,11 @@
 //! visible.
 
 use relight_format::math;
-use std::f32::consts::{FRAC_1_PI, FRAC_PI_2, PI, TAU};
+use std::f32::consts::{FRAC_1_PI, PI, TAU};
 
 use glam::{Mat3, Vec3};
 
-use crate::cells::CellsOptions;
-use crate::contribution::{DARK, NEGLIGIBLE, negligible};
+use crate::contribution::{DARK, NEGLIGIBLE};
 use crate::glossy::Glossy;
 use crate::gpu;
 use crate::polar::PolarOptions;
@@ -17,7 +16,7 @@ use crate::ssdf::SignedDistance;
 use crate::surface::SurfacePoint;
 use crate::tables::Tables;
 use crate::vertex_visibility::{self, Corners, LightFractions};
-use crate::{ambient, cells, polar, slots, sources};
+use crate::{ambient, sources};
 
 /// How lobes are integrated over the visible region.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,8 +25,45 @@ pub enum Method {
     Ambient,
     /// Spokes about each lobe's axis.
     Polar(PolarOptions),
-    /// Cells with straight boundaries, shared by lobes (Wang et al. 2013).
+    /// Cells with straight boundaries, shared by lobes (Wang et al. 2013), with the feature `paper`. Without it
+    /// renderers return an error, and functions of this crate take it as [`Method::Ambient`].
     Cells(CellsOptions),
+}
+
+/// Most rows and columns of a uniform partition.
+pub const MAX_UNIFORM: u32 = 256;
+
+/// How finely `cells` divides.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CellsOptions {
+    /// Cells are divided whose boundary is off by more than this, root mean square over
+    /// five samples, radians (t_r of the paper).
+    pub boundary_error: f32,
+    /// Cells are divided where lobes are off by more than this part of what they carry
+    /// together (t_a of the paper).
+    pub lobe_error: f32,
+    /// Rows of θ and columns of φ of a partition without any division, in place of both errors.
+    pub uniform: Option<[u32; 2]>,
+}
+
+impl Default for CellsOptions {
+    fn default() -> Self {
+        Self::STANDARD
+    }
+}
+
+impl CellsOptions {
+    /// The default.
+    pub const STANDARD: Self = Self {
+        boundary_error: 0.05,
+        lobe_error: 0.02,
+        uniform: None,
+    };
+
+    /// The uniform partition as it is used, of at least 1 and at most [`MAX_UNIFORM`] each.
+    pub fn partition(&self) -> Option<[u32; 2]> {
+        (self.uniform).map(|counts| counts.map(|count| count.clamp(1, MAX_UNIFORM)))
+    }
 }
 
 /// The light of one frame.
@@ -58,14 +94,14 @@ pub struct Reflections<'a> {
 
 impl Lighting<'_> {
     /// All lights as they reach `point`.
-    fn at(&self, point: Vec3) -> impl Iterator<Item = SphericalGaussian> {
+    pub(crate) fn at(&self, point: Vec3) -> impl Iterator<Item = SphericalGaussian> {
         let local = self.local.iter().map(move |light| light.lobe(point));
         self.lights.iter().copied().chain(local)
     }
 
     /// Those that specular lobes reflect: where there is a prefiltered image, it stands for the
     /// distant ones.
-    fn reflected_at(&self, point: Vec3) -> impl Iterator<Item = SphericalGaussian> {
+    pub(crate) fn reflected_at(&self, point: Vec3) -> impl Iterator<Item = SphericalGaussian> {
         self.at(point).skip(self.first_reflected())
     }
 
@@ -128,123 +164,6 @@ pub fn product_lobes(
     }
 }
 
-/// Radiance from `point` towards the eye, by cells; adds the number of groups of lobes that were integrated.
-pub(crate) fn by_cells(
-    point: &SurfacePoint,
-    lighting: &Lighting,
-    field: &impl SignedDistance,
-    options: &CellsOptions,
-    integrals: &mut u64,
-) -> Vec3 {
-    let lit = point.normal.dot(point.view) > 0.0;
-    let mut radiance = Vec3::ZERO;
-    if let Some(sources) = lighting.sources.as_ref().filter(|_| lit) {
-        radiance = sources.radiance(point, &mut 0);
-    }
-    cell_groups(point, lighting, |about, lobes| {
-        *integrals += 1;
-        radiance += cells::integrate(field, about, point.normal, lobes, options);
-    });
-    if let Some(reflections) = lighting.reflections.as_ref().filter(|_| lit) {
-        radiance += diffused(point, reflections, field, integrals);
-        for reflection in point.appearance.reflections() {
-            let glossy = Glossy::new(point, reflection);
-            let visible = |lobe: &SphericalGaussian| {
-                *integrals += 1;
-                let about = (lobe.axis, polar::support_radius(lobe.sharpness));
-                let lobe = SphericalGaussian {
-                    amplitude: Vec3::ONE,
-                    ..*lobe
-                };
-                cells::integrate(field, about, point.normal, &[lobe], options).x
-            };
-            radiance += reflected(&glossy, point, lighting, reflections, visible);
-        }
-    }
-    radiance.max(Vec3::ZERO)
-}
-
-/// The lobes that a reflection makes of lights, one after the other to `integrate`, which is given what
-/// it returned last and returns it with what the lobe adds. In rounds: lobes are made of the lights until
-/// [`slots::WAITING`] of them wait, of those that can add to what was gathered before.
-fn in_rounds(
-    glossy: &Glossy,
-    lights: &[SphericalGaussian],
-    mut integrate: impl FnMut(&SphericalGaussian, Vec3) -> Vec3,
-) -> Vec3 {
-    let mut gathered = Vec3::ZERO;
-    let mut waiting = Vec::with_capacity(slots::WAITING as usize);
-    for light in lights {
-        let lobe = glossy.reflected(light, gathered);
-        waiting.extend(lobe.filter(|lobe| !negligible(lobe.integral(), gathered)));
-        if waiting.len() == slots::WAITING as usize {
-            gathered = (waiting.drain(..)).fold(gathered, |sum, lobe| integrate(&lobe, sum));
-        }
-    }
-    (waiting.drain(..)).fold(gathered, |sum, lobe| integrate(&lobe, sum))
-}
-
-/// Calls `visit` with lobes that share cells, the cells' pole and how far they reach: about the
-/// normal all wide lights' diffuse reflection, about the mean axis of every specular reflection's
-/// lobes its products with them, about their own axes all that is of narrow lights (Wang et al.
-/// 2013, §5.1).
-pub fn cell_groups(
-    point: &SurfacePoint,
-    lighting: &Lighting,
-    mut visit: impl FnMut((Vec3, f32), &[SphericalGaussian]),
-) {
-    if point.normal.dot(point.view) <= 0.0 {
-        return;
-    }
-    let mut add = |about, lobes: &[SphericalGaussian]| {
-        if !lobes.is_empty() {
-            visit(about, lobes);
-        }
-    };
-    let diffuse = point.appearance.diffuse * FRAC_1_PI;
-    if diffuse != Vec3::ZERO {
-        let (mut wide, mut narrow) = (Vec::new(), Vec::new());
-        for light in lighting.at(point.position) {
-            let group = if light.sharpness > cells::NARROW {
-                &mut narrow
-            } else {
-                &mut wide
-            };
-            group.push(SphericalGaussian {
-                amplitude: light.amplitude * diffuse,
-                ..light
-            });
-        }
-        add((point.normal, FRAC_PI_2), &wide);
-        for lobe in narrow {
-            add((lobe.axis, polar::support_radius(lobe.sharpness)), &[lobe]);
-        }
-    }
-    for reflection in point.appearance.reflections() {
-        let glossy = Glossy::new(point, reflection);
-        let (mut wide, mut narrow) = (Vec::new(), Vec::new());
-        let mut carried = Vec3::ZERO;
-        for light in lighting.reflected_at(point.position) {
-            let Some(product) = glossy.reflected(&light, Vec3::ZERO) else {
-                continue;
-            };
-            carried += product.integral();
-            if light.sharpness > cells::NARROW {
-                narrow.push(product);
-            } else {
-                wide.push(product);
-            }
-        }
-        let lobes: Vec<_> = glossy.lobes().collect();
-        add(cells::around(&lobes), &wide);
-        for lobe in narrow {
-            if !negligible(lobe.integral(), carried) {
-                add((lobe.axis, polar::support_radius(lobe.sharpness)), &[lobe]);
-            }
-        }
-    }
-}
-
 /// Part of what a reflection shows of the lights that is left, at least, by what the image has
 /// less than they.
 const LEAST_OF_LIGHTS: f32 = 0.2;
@@ -284,34 +203,6 @@ pub(crate) fn diffused(
         seen += beyond * ambient::integrate(field, RING_SHARPNESS, axis, point.normal);
     }
     diffuse * seen * (PI / whole)
-}
-
-/// What a specular reflection shows of the environment, by cells.
-fn reflected(
-    glossy: &Glossy,
-    point: &SurfacePoint,
-    lighting: &Lighting,
-    reflections: &Reflections,
-    mut visible: impl FnMut(&SphericalGaussian) -> f32,
-) -> Vec3 {
-    let normal = point.normal;
-    let mut seen = Vec3::ZERO;
-    let scaled = in_rounds(glossy, lighting.lights, |lobe, sum| {
-        let cosine = normal.dot(lobe.axis);
-        let whole = lobe.amplitude * Tables::get().cosine_integral(lobe.sharpness, cosine);
-        if negligible(whole, sum) {
-            return sum;
-        }
-        seen += lobe.amplitude * visible(lobe);
-        sum + whole
-    });
-    let Some(even) = glossy.reflected(&EVENLY, Vec3::ZERO) else {
-        return Vec3::ZERO;
-    };
-    let cosine = normal.dot(even.axis);
-    let whole = Tables::get().cosine_integral(even.sharpness, cosine);
-    let part = visible(&even) / whole.max(f32::MIN_POSITIVE);
-    image_seen(image_reflected(glossy, reflections), scaled, seen, part)
 }
 
 /// Light from everywhere. Where lights are dark, what is visible of it alone tells.
@@ -367,11 +258,11 @@ pub fn gpu_tables() -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::accuracy::local_point;
-    use crate::contribution::share;
-    use crate::reference;
-    use crate::surface::{Appearance, Model, Reflection};
+    use crate::contribution::{negligible, share};
+    use crate::polar;
+    use crate::surface::{Appearance, Model, Reflection, local_point};
     use crate::tile::point_radiance as shade;
+    use crate::{models, reference};
     use glam::Vec2;
 
     /// Visible on one side of a plane through the point.
@@ -491,9 +382,7 @@ mod tests {
             .map(|point| {
                 let exact: Vec3 = incident
                     .iter()
-                    .map(|(wi, flux)| {
-                        reference::evaluate(&point.appearance, *wi, point.view) * *flux
-                    })
+                    .map(|(wi, flux)| models::evaluate(&point.appearance, *wi, point.view) * *flux)
                     .sum();
                 let found = shade(point, &distant(&lights), &Uniform(PI), &method);
                 println!(
@@ -538,7 +427,7 @@ mod tests {
                     if let Some(wi) = reference::sample(&point.appearance, point.view, u) {
                         let incident: Vec3 = lights.iter().map(|light| light.evaluate(wi)).sum();
                         exact += incident
-                            * reference::evaluate(&point.appearance, wi, point.view)
+                            * models::evaluate(&point.appearance, wi, point.view)
                             * (wi.z / reference::pdf(&point.appearance, wi, point.view))
                             / DRAWS as f32;
                     }

@@ -4,7 +4,7 @@
 //! noise. Where nothing meets the cone around them, which one walk through the scene's hierarchy
 //! finds out, all are visible; elsewhere there is a ray to each. Rays end early where the first
 //! points and the rim agree that all of the source is visible, or nothing. The exact reflection models
-//! ([`crate::reference`]) weigh what arrives.
+//! ([`crate::models`]) weigh what arrives.
 //!
 //! With antialiasing rays start all over the square that a pixel covers on the surface, each at a place of its
 //! own, so that edges of shadows have no stairs at no further ray.
@@ -17,8 +17,8 @@ use relight_format::Environment;
 
 use crate::camera::View;
 use crate::gpu;
+use crate::models;
 use crate::occluders::Occluders;
-use crate::reference;
 use crate::spherical_gaussian::{SphericalGaussian, energy};
 use crate::surface::SurfacePoint;
 
@@ -387,7 +387,7 @@ impl Lit<'_> {
                     seen |= visible;
                     hidden |= !visible;
                     if visible {
-                        let value = reference::evaluate(&point.appearance, wi, wo);
+                        let value = models::evaluate(&point.appearance, wi, wo);
                         sum += Vec3::from(source.light) * (wi.z * value);
                     }
                 }
@@ -417,9 +417,8 @@ pub fn wgsl_constants() -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::accuracy::local_point;
     use crate::occluders::Node;
-    use crate::surface::{Appearance, Model, Reflection};
+    use crate::surface::{Appearance, Model, Reflection, local_point};
     use std::f32::consts::FRAC_1_PI;
 
     /// A window whose colour changes across it, and a lamp of one texel.
@@ -548,7 +547,7 @@ mod tests {
                         .map(|step| (f64::from(index) * step).fract() as f32);
                     let (direction, light) = sources.sample(source, [u, v]);
                     let wi = point.to_local(direction);
-                    let value = reference::evaluate(&appearance, wi, point.to_local(point.view));
+                    let value = models::evaluate(&appearance, wi, point.to_local(point.view));
                     expected += light * value * (wi.z.max(0.0) / count as f32);
                 }
             }

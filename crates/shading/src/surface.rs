@@ -641,6 +641,21 @@ pub fn wgsl_constants() -> String {
     )
 }
 
+/// A surface point at the origin whose frame is that of the coordinate axes, seen from the
+/// unit vector `view`.
+pub fn local_point(appearance: Appearance, view: Vec3) -> SurfacePoint {
+    SurfacePoint {
+        position: Vec3::ZERO,
+        geometric_normal: Vec3::Z,
+        normal: Vec3::Z,
+        vertex_cosine: 1.0,
+        tangent: Vec3::X,
+        bitangent: Vec3::Y,
+        view,
+        appearance,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

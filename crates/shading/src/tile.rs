@@ -10,9 +10,7 @@ use glam::Vec3;
 use crate::contribution::{negligible, share};
 use crate::glossy::Glossy;
 use crate::pixel_visibility::{Asked, PIXELS, Parents, Place};
-use crate::shade::{
-    EVEN, EVENLY, Lighting, Method, by_cells, diffused, image_reflected, image_seen,
-};
+use crate::shade::{EVEN, EVENLY, Lighting, Method, diffused, image_reflected, image_seen};
 use crate::spherical_gaussian::SphericalGaussian;
 use crate::ssdf::SignedDistance;
 use crate::surface::{MAX_REFLECTIONS, Model, SurfacePoint};
@@ -51,15 +49,16 @@ pub fn shade<F: SignedDistance>(
     method: &Method,
     integrals: &mut u64,
 ) -> Vec<Vec3> {
+    #[cfg(feature = "paper")]
     if let Method::Cells(options) = method {
         let mut shade = |pixel: &Pixel<F>| {
-            by_cells(
-                pixel.point,
-                &pixel.lighting,
-                pixel.field,
-                options,
-                integrals,
-            )
+            let Pixel {
+                point,
+                lighting,
+                field,
+                ..
+            } = pixel;
+            crate::shade_cells::radiance(point, lighting, *field, options, integrals)
         };
         return (pixels.iter())
             .map(|pixel| pixel.as_ref().map_or(Vec3::ZERO, &mut shade))

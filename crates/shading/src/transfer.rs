@@ -16,7 +16,7 @@ use crate::spherical_gaussian::SphericalGaussian;
 use crate::ssdf::SignedDistance;
 use crate::surface::{MIN_ALPHA, Model, Reflection, SurfacePoint};
 use crate::tables::Tables;
-use crate::{ambient, brdf, gpu, reference};
+use crate::{ambient, brdf, gpu, models};
 
 /// Texels per row of the texture of colours, and of that of weights.
 pub const TEXTURE_WIDTH: u32 = 1024;
@@ -452,7 +452,7 @@ fn integrated(model: Model, alpha: f32) -> f32 {
                 (j as f32 + 0.5) / DRAWS as f32,
                 (j as f32 * 0.618_034).fract(),
             );
-            let drawn = reference::sample_specular(&reflection, view, u, v);
+            let drawn = models::sample_specular(&reflection, view, u, v);
             sum += drawn.map_or(0.0, |(_, weight)| weight);
         }
     }

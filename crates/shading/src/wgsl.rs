@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use crate::surface::{Join, Model};
 use crate::{
-    brdf, catcher, cells, glossy, gpu, local_light, motion, occluders, pixel_visibility, polar,
+    brdf, catcher, glossy, gpu, local_light, motion, occluders, pixel_visibility, polar,
     prefiltered, shade, slots, sources, spherical_gaussian, surface, surfaces, tables, textures,
     tonemap, transfer, vertex_visibility,
 };
@@ -38,6 +38,7 @@ pub enum Entry {
     /// What is gathered to linear radiance: `shade_main`.
     Shade,
     /// Visibility buffer to linear radiance by cells: `cells_main`, workgroups of 8 × 8 pixels.
+    #[cfg(feature = "paper")]
     ShadeCells,
     /// Visibility buffer to what sources add to the radiance: `sources_main`, workgroups of 8 × 8
     /// pixels.
@@ -60,7 +61,7 @@ pub enum Entry {
 
 impl Entry {
     /// All of them.
-    pub const ALL: [Self; 18] = [
+    pub const ALL: &[Self] = &[
         Self::VisibilityBuffer,
         Self::SurfaceSamples,
         Self::Surfaces,
@@ -72,6 +73,7 @@ impl Entry {
         Self::Around,
         Self::Images,
         Self::Shade,
+        #[cfg(feature = "paper")]
         Self::ShadeCells,
         Self::Sources,
         Self::Motion,
@@ -111,6 +113,7 @@ pub const KERNELS: &[Kernel] = &[
     AROUND[2],
     IMAGES,
     SHADE,
+    #[cfg(feature = "paper")]
     SHADE_CELLS,
     SOURCES,
 ];
@@ -220,6 +223,7 @@ const fn shading(
 }
 
 /// Radiance of every pixel, by cells.
+#[cfg(feature = "paper")]
 pub const SHADE_CELLS: Kernel = Kernel {
     name: "shade by cells",
     entry: Entry::ShadeCells,
@@ -276,7 +280,7 @@ const LIBRARY: &[&str] = &[
     include_str!("wgsl/textures.wgsl"),
     include_str!("wgsl/surface.wgsl"),
     include_str!("wgsl/brdf.wgsl"),
-    include_str!("wgsl/reference.wgsl"),
+    include_str!("wgsl/models.wgsl"),
     include_str!("wgsl/glossy.wgsl"),
     include_str!("wgsl/transfer.wgsl"),
     include_str!("wgsl/vertex_visibility.wgsl"),
@@ -356,9 +360,11 @@ pub fn source(entry: Entry) -> String {
             source += &library(SLOTS);
             source += include_str!("wgsl/shade.wgsl");
         }
+        #[cfg(feature = "paper")]
         Entry::ShadeCells => {
             source += &library(LOBES);
             source += include_str!("wgsl/image.wgsl");
+            source += &crate::cells::wgsl_constants();
             source += include_str!("wgsl/cells.wgsl");
             source += include_str!("wgsl/shade_cells.wgsl");
         }
@@ -425,7 +431,6 @@ fn constants() -> String {
     text += &motion::wgsl_constants();
     text += &pixel_visibility::wgsl_constants();
     text += &polar::wgsl_constants();
-    text += &cells::wgsl_constants();
     text += &surface::wgsl_constants();
     text += &textures::wgsl_constants();
     text += &brdf::wgsl_constants();
@@ -448,7 +453,7 @@ mod tests {
 
     #[test]
     fn every_entry_is_valid_wgsl() {
-        for entry in Entry::ALL {
+        for &entry in Entry::ALL {
             let source = source(entry);
             let module = naga::front::wgsl::parse_str(&source)
                 .unwrap_or_else(|error| panic!("{entry:?}: {}", error.emit_to_string(&source)));

@@ -7,8 +7,8 @@ use glam::Quat;
 use js_sys::{Float32Array, Promise};
 use relight_format::{Camera, FieldOfView, Kind, Limits, Scene};
 use relight_runtime::{
-    CellsOptions, EnvironmentLight, Frame, GpuScene, Instance, Method, Options, PolarOptions,
-    Renderer, View, wgpu,
+    EnvironmentLight, Frame, GpuScene, Instance, Method, Options, PolarOptions, Renderer, View,
+    wgpu,
 };
 use wasm_bindgen::prelude::wasm_bindgen;
 use wasm_bindgen::{JsCast as _, JsError, JsValue};
@@ -216,15 +216,14 @@ impl Stage {
         self.image_reflections = image_reflections;
     }
 
-    /// How light is integrated: `ambient`, `draft`, `polar`, `high` or `cells`; whether there is
-    /// such a method.
+    /// How light is integrated: `ambient`, `draft`, `polar` or `high`; whether there is such a
+    /// method.
     pub fn set_method(&mut self, name: &str) -> bool {
         self.method = match name {
             "ambient" => Method::Ambient,
             "draft" => Method::Polar(PolarOptions::DRAFT),
             "polar" => Method::Polar(PolarOptions::STANDARD),
             "high" => Method::Polar(PolarOptions::HIGH),
-            "cells" => Method::Cells(CellsOptions::STANDARD),
             _ => return false,
         };
         true

@@ -37,12 +37,13 @@ pub enum Integrator {
 }
 
 impl Integrator {
-    /// All of them, fastest first; a page has no processor to trace rays on.
+    /// All of them, fastest first. A page has no processor to trace rays on, and does without the paper's method.
     pub const ALL: &[Self] = &[
         Self::Ambient,
         Self::PolarDraft,
         Self::Polar,
         Self::PolarHigh,
+        #[cfg(not(target_family = "wasm"))]
         Self::Cells,
         #[cfg(not(target_family = "wasm"))]
         Self::Truth,

@@ -182,10 +182,11 @@ pub struct SceneArguments {
     #[arg(long, value_enum, default_value_t = Preset::Standard)]
     preset: Preset,
     /// How visibility is represented [default: clustered].
-    #[arg(long, value_enum)]
+    #[arg(long, value_enum, hide = !scene::PAPER)]
     representation: Option<RepresentationArgument>,
     /// Global representation: components besides the mean, 0 to 31 [default: 24].
-    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(0..=31))]
+    #[arg(long, value_name = "K", hide = !scene::PAPER,
+          value_parser = clap::value_parser!(u32).range(0..=31))]
     rank: Option<u32>,
     /// Clustered representation: target RMS displacement of shadow boundaries, radians, more than
     /// 0. It includes the error of compression, which more bytes lower, and that of interpolation
@@ -255,6 +256,13 @@ impl SceneArguments {
             ("--max-tiles", self.max_tiles.is_some()),
         ];
         if self.representation == Some(RepresentationArgument::Global) {
+            if !scene::PAPER {
+                return Err(Usage {
+                    place: "--representation",
+                    expected: "a build with the feature `paper` for global".into(),
+                    found: "one without".into(),
+                });
+            }
             refuse(&clustered, "--representation clustered with it")?;
         } else {
             let rank = [("--rank", self.rank.is_some())];

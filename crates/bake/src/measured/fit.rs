@@ -19,10 +19,11 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use relight_format::math;
 use relight_format::{FittedLobe, MAX_FITTED_LOBES, Specular, Surface, Texture, TextureSlot};
-use relight_shading::accuracy::local_point;
 use relight_shading::brdf::specular_lobes;
-use relight_shading::reference;
-use relight_shading::surface::{Appearance, MIN_ALPHA, Model, Reflection, fitted_reflection};
+use relight_shading::surface::{
+    Appearance, MIN_ALPHA, Model, Reflection, fitted_reflection, local_point,
+};
+use relight_shading::{models, reference};
 
 use super::{Table, radical_inverse, ratio};
 use crate::solve::amplitude;
@@ -302,7 +303,7 @@ impl Column {
         };
         [lobe(1.0, 0.0), lobe(0.0, 1.0)].map(|reflection| {
             Self::new(measure, |pair| {
-                reference::evaluate_specular(&reflection, pair.light, pair.view).x
+                models::evaluate_specular(&reflection, pair.light, pair.view).x
             })
         })
     }
@@ -494,7 +495,7 @@ fn measure(pairs: &[Pair], appearance: &Appearance) -> Errors {
         let as_shaded = as_shaded(appearance, view[0].view);
         let (mut albedo, mut exact) = (0.0, 0.0);
         for pair in view {
-            let model = reference::evaluate(appearance, pair.light, pair.view);
+            let model = models::evaluate(appearance, pair.light, pair.view);
             let shaded = as_shaded(pair.light);
             let cosine = f64::from(pair.light.z);
             let square =
@@ -538,7 +539,7 @@ mod tests {
                     pairs.push(Pair {
                         light,
                         view,
-                        value: reference::evaluate(truth, light, view),
+                        value: models::evaluate(truth, light, view),
                         solid_angle: 1.0
                             / (256.0 * f64::from(reference::pdf(&proposal, light, view))),
                     });
@@ -616,7 +617,7 @@ mod tests {
             assert!(fit.relative_l2 <= last, "{count}: {fit:?}");
             last = fit.relative_l2;
             let appearance = fit.appearance();
-            let found = energy(&|p| reference::evaluate(&appearance, p.light, p.view));
+            let found = energy(&|p| models::evaluate(&appearance, p.light, p.view));
             // The constraint, and colours in f32.
             assert!(
                 (found / exact - 1.0).abs() < 1e-4,

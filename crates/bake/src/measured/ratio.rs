@@ -8,7 +8,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 use relight_format::math;
 use relight_format::{RATIO_NODES, RATIO_SIZE, Texture, TextureEncoding};
-use relight_shading::reference;
+use relight_shading::models;
 use relight_shading::surface::Appearance;
 use relight_shading::textures::decode_rgbe;
 
@@ -67,7 +67,7 @@ fn ratio(table: &Table, appearance: &Appearance, base: Vec3, node: [u32; 3]) -> 
                 let all = appearance.reflections();
                 lobes += weight
                     * all
-                        .map(|reflection| reference::evaluate_specular(reflection, wi, wo))
+                        .map(|reflection| models::evaluate_specular(reflection, wi, wo))
                         .sum::<Vec3>();
             }
         }

@@ -25,6 +25,6 @@ mod surface;
 pub use assemble::{Cluster, assemble};
 pub use bake::{Bake, bake};
 pub use error::Error;
-pub use options::Options;
+pub use options::{Options, PAPER};
 pub use statistics::Statistics;
 pub use surface::ErrorSums;

@@ -6,6 +6,9 @@ use serde::Serialize;
 use super::error::Error;
 use crate::transfer;
 
+/// Whether this build can represent a scene by one basis, to compare with the paper.
+pub const PAPER: bool = cfg!(feature = "paper");
+
 /// What to trade. Every field has its default in [`Options::standard`].
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Options {
@@ -15,7 +18,7 @@ pub struct Options {
     pub basis_resolution: u32,
     /// SSDFs are clamped to ± this angle, radians.
     pub distance_clamp: f32,
-    /// Clustered or global principal components.
+    /// Clustered or global principal components; the latter with the feature `paper`.
     pub representation: Representation,
     /// Clustered: tiles of four images per cluster, at most. The GPU's cost of a sample is
     /// proportional to the tiles.
@@ -131,6 +134,13 @@ impl Options {
                 "global_rank",
                 format!("0..={max_rank}"),
                 self.global_rank.to_string(),
+            );
+        }
+        if self.representation == Representation::GlobalPca && !PAPER {
+            return wrong(
+                "representation",
+                "a build with the feature `paper` for one basis of the whole scene".into(),
+                "one without".into(),
             );
         }
         if self.max_bytes.is_some() && self.representation == Representation::GlobalPca {

@@ -1,4 +1,4 @@
-// Twin of brdf.rs, and of Reflection::incident_factor in reference.rs. Where the lobes are put say
+// Twin of brdf.rs, and of Reflection::incident_factor in models.rs. Where the lobes are put say
 // lobes.wgsl and slots.wgsl.
 
 var<private> specular_count: u32;

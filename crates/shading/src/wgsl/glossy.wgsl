@@ -1,4 +1,4 @@
-// Twin of glossy.rs, and of evaluate_specular in reference.rs. A reflection's lobes are those of
+// Twin of glossy.rs, and of evaluate_specular in models.rs. A reflection's lobes are those of
 // lobes_shape and its siblings, in lobes.wgsl or slots.wgsl, read where they are needed: to keep
 // them takes more registers than there are. All in the point's frame.
 
@@ -95,7 +95,7 @@ fn glossy_scaled(axis: vec3<f32>, sharpness: f32, part: f32, most: f32, points: 
                 lobes += lobes_grey(j) * exp(-0.5 * shape.w * dot(chord, chord));
             }
             let weight = direction.z * select(GLOSSY_POINT_WEIGHT, GLOSSY_CENTER_WEIGHT, i == 0u);
-            let model = reference_specular(lobes_reflection(), direction, lobes_view());
+            let model = models_specular(lobes_reflection(), direction, lobes_view());
             sum += weight * min(part / max(lobes, 1.17549435e-38), most) * model;
             whole += weight;
         }

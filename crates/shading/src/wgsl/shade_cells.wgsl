@@ -1,5 +1,5 @@
-// Twin of shade.rs: `cells`, for many lobes at a time, and the entry point that shades one pixel by
-// them: all in one pass, which is what it was written for.
+// Twin of shade_cells.rs, and the entry point that shades one pixel by cells: all in one pass, which is what
+// they were written for.
 
 @compute @workgroup_size(8, 8)
 fn cells_main(

@@ -80,7 +80,7 @@ fn sources_radiance(source: u32, point: SurfacePoint, from_point: vec2<f32>) -> 
                 hidden = true;
             } else {
                 seen = true;
-                sum += source_points[i].light * (wi.z * reference_evaluate(point.appearance, wi, wo));
+                sum += source_points[i].light * (wi.z * models_evaluate(point.appearance, wi, wo));
             }
         }
     }

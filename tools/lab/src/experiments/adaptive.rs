@@ -6,7 +6,8 @@ use std::cell::Cell;
 use relight_format::Scene;
 use relight_runtime::{CellsOptions, Frame, Method, twin};
 use relight_shading::cells;
-use relight_shading::shade::{Lighting, cell_groups};
+use relight_shading::shade::Lighting;
+use relight_shading::shade_cells;
 use relight_shading::ssdf::Ssdf;
 use relight_shading::surface::SurfacePoint;
 
@@ -123,7 +124,7 @@ fn cells_per_pixel(
 ) -> anyhow::Result<f64> {
     let count = |point: &SurfacePoint, lighting: &Lighting, field: &Ssdf| {
         let count = Cell::new(0);
-        cell_groups(point, lighting, |about, lobes| {
+        shade_cells::groups(point, lighting, |about, lobes| {
             let leaves = cells::leaves(field, about, point.normal, lobes, options);
             count.set(count.get() + leaves.len());
         });

@@ -8,7 +8,8 @@ use std::f32::consts::PI;
 use glam::{Vec2, Vec3};
 use relight_runtime::{CellsOptions, Frame, Method, twin};
 use relight_shading::cells::{self, Leaf};
-use relight_shading::shade::{Lighting, cell_groups};
+use relight_shading::shade::Lighting;
+use relight_shading::shade_cells;
 use relight_shading::spherical_gaussian::SphericalGaussian;
 use relight_shading::ssdf::{SignedDistance, Ssdf};
 use relight_shading::surface::SurfacePoint;
@@ -122,7 +123,7 @@ fn integrate(
         covered: true,
         ..Pixel::default()
     };
-    cell_groups(point, lighting, |about, lobes| {
+    shade_cells::groups(point, lighting, |about, lobes| {
         let finest = Vec2::new(2.0 * PI, about.1) / STEPS;
         for leaf in cells::leaves(field, about, point.normal, lobes, options) {
             pixel.cells += 1;

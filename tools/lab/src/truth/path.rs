@@ -11,8 +11,8 @@ use std::f32::consts::PI;
 use glam::Vec3;
 use relight_bake::measured::Table;
 use relight_shading::gpu;
-use relight_shading::reference;
 use relight_shading::surface::{SurfacePoint, emission, surface_point};
+use relight_shading::{models, reference};
 
 use super::Geometry;
 use super::random::{hash, sobol_pair};
@@ -249,7 +249,7 @@ impl Reflector<'_> {
     fn evaluate(&self, light: Vec3, view: Vec3) -> Vec3 {
         match self.table {
             Some(table) => table.evaluate(light, view),
-            None => reference::evaluate(&self.point.appearance, light, view),
+            None => models::evaluate(&self.point.appearance, light, view),
         }
     }
 

@@ -1,7 +1,7 @@
 //! What is reflected of an environment's sources: random directions, each with a ray.
 
 use glam::Vec3;
-use relight_shading::reference;
+use relight_shading::models;
 use relight_shading::sources::Sources;
 use relight_shading::surface::SurfacePoint;
 
@@ -27,7 +27,7 @@ pub(super) fn reflected(
             let (direction, light) = sources.sample(source, kronecker_pair(sample, seed));
             let wi = point.to_local(direction);
             if wi.z > 0.0 && geometry.visible(point, direction) {
-                sum += light * (wi.z * reference::evaluate(&point.appearance, wi, wo));
+                sum += light * (wi.z * models::evaluate(&point.appearance, wi, wo));
             }
         }
     }

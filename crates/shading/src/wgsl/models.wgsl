@@ -1,17 +1,17 @@
-// Twin of evaluate in reference.rs.
+// Twin of evaluate in models.rs.
 
 // BRDF at a point, without the cosine: Lambert plus the specular reflections. Both directions in
 // the surface's frame and above the horizon.
-fn reference_evaluate(appearance: Appearance, wi: vec3<f32>, wo: vec3<f32>) -> vec3<f32> {
+fn models_evaluate(appearance: Appearance, wi: vec3<f32>, wo: vec3<f32>) -> vec3<f32> {
     var sum = appearance.diffuse / PI;
     for (var k = 0u; k < reflection_count; k++) {
-        sum += reference_specular(surface_reflection(k), wi, wo);
+        sum += models_specular(surface_reflection(k), wi, wo);
     }
     return sum;
 }
 
 // One specular reflection's value, without the cosine.
-fn reference_specular(reflection: Reflection, wi: vec3<f32>, wo: vec3<f32>) -> vec3<f32> {
+fn models_specular(reflection: Reflection, wi: vec3<f32>, wo: vec3<f32>) -> vec3<f32> {
     let half = normalize(wi + wo);
     let half_cosine = dot(half, wo);
     var geometry = brdf_incident_factor(reflection, wi, wo, half_cosine);
@@ -19,14 +19,14 @@ fn reference_specular(reflection: Reflection, wi: vec3<f32>, wo: vec3<f32>) -> v
         geometry *= brdf_direction_factor(reflection, wo);
     }
     let color = surface_reflection_color(reflection, half_cosine);
-    let value = color * (reference_half_vector_factor(reflection, half) * geometry);
+    let value = color * (models_half_vector_factor(reflection, half) * geometry);
     if reflection.ratio == 0u {
         return value;
     }
     return value * surface_ratio(reflection.ratio, wi, wo);
 }
 
-fn reference_half_vector_factor(reflection: Reflection, h: vec3<f32>) -> f32 {
+fn models_half_vector_factor(reflection: Reflection, h: vec3<f32>) -> f32 {
     let x = reflection.alpha.x;
     let y = reflection.alpha.y;
     let slope = h.xy / reflection.alpha;

@@ -1,0 +1,14 @@
+//! The pass that shades by cells, to compare with the paper.
+
+use relight_shading::wgsl;
+
+use super::Renderer;
+use crate::layouts::compute_pipeline;
+
+impl Renderer {
+    pub(super) fn cells_pipeline(&self) -> &wgpu::ComputePipeline {
+        let layouts = [&self.frame_layout, &self.scene_layout, &self.image_layout];
+        (self.kernels.cells)
+            .get_or_init(|| compute_pipeline(&self.device, &layouts, &wgsl::SHADE_CELLS))
+    }
+}

@@ -1,10 +1,12 @@
-//! Modules of a crate use one another in one direction, and WGSL has no function that nothing calls.
+//! Modules of a crate use one another in one direction, and WGSL has no function that nothing calls and no name that
+//! two files define but for those of interfaces.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use libtest_mimic::Trial;
+use relight_shading::wgsl::{INTERFACES, Interface};
 
 use crate::support::Outcome;
 
@@ -19,6 +21,7 @@ pub fn trials() -> Vec<Trial> {
         Trial::test("modules::no_cycles_inside_crates", no_cycles),
         Trial::test("modules::a_cycle_is_found", a_cycle_is_found),
         Trial::test("modules::wgsl_functions_are_used", wgsl_functions_are_used),
+        Trial::test("modules::wgsl_names_are_distinct", wgsl_names_are_distinct),
     ]
 }
 
@@ -173,20 +176,101 @@ fn a_cycle_is_found() -> Outcome {
 }
 
 fn wgsl_functions_are_used() -> Outcome {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../crates/shading/src/wgsl");
-    let mut code = String::new();
-    for entry in fs::read_dir(folder)? {
-        for line in fs::read_to_string(entry?.path())?.lines() {
-            code += line.split("//").next().unwrap_or_default();
-            code.push('\n');
-        }
-    }
+    let code: String = shaders()?.into_iter().map(|(_, code)| code).collect();
     let unused = unused(&code);
     assert!(unused.is_empty(), "no shader calls {unused:?}");
     // The check itself: entries need no caller, a function's own name is no call.
     let of = "@compute @workgroup_size(8)\nfn main() { a(); }\nfn a() {}\nfn ab() {}\n";
     assert_eq!(self::unused(of), ["ab"]);
     Ok(())
+}
+
+/// Name and code of every WGSL file, without comments.
+fn shaders() -> Result<Vec<(String, String)>, std::io::Error> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../crates/shading/src/wgsl");
+    let mut files = Vec::new();
+    for entry in fs::read_dir(folder)? {
+        let path = entry?.path();
+        let mut code = String::new();
+        for line in fs::read_to_string(&path)?.lines() {
+            code += line.split("//").next().unwrap_or_default();
+            code.push('\n');
+        }
+        let name = path.file_name().unwrap_or_default();
+        files.push((name.to_string_lossy().into_owned(), code));
+    }
+    files.sort();
+    Ok(files)
+}
+
+fn wgsl_names_are_distinct() -> Outcome {
+    let wrong = shared_names(&shaders()?, INTERFACES);
+    assert!(wrong.is_empty(), "\n{}", wrong.join("\n"));
+    // The check itself: a double, a part of an interface that is not there, one of one file.
+    let files = [
+        (
+            "a",
+            "fn f(x: u32) {}\nstruct S {\n@group(0) @binding(1) var t: texture_2d<f32>;\n",
+        ),
+        ("b", "fn f() {}\n@fragment fn g() {}\nconst T: u32 = 1u;\n"),
+        ("c", "var<private> S: u32;\n    var t = 1;\n"),
+    ];
+    let files = files.map(|(name, code)| (name.to_owned(), code.to_owned()));
+    let interface = |names, files| Interface {
+        what: "",
+        names,
+        files,
+    };
+    let both = interface(&["f"], &["a", "b"]);
+    assert_eq!(shared_names(&files, &[both]), ["S: defined by a, c"]);
+    let absent = [both, interface(&["S", "T"], &["a", "c"])];
+    assert_eq!(
+        shared_names(&files, &absent),
+        ["T: an interface of a, c, defined by b"]
+    );
+    Ok(())
+}
+
+/// What is wrong with names that several files define, or that interfaces say they do.
+fn shared_names(files: &[(String, String)], interfaces: &[Interface]) -> Vec<String> {
+    let mut defined: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
+    for (file, code) in files {
+        for name in code.lines().filter_map(definition) {
+            defined.entry(name).or_default().push(file);
+        }
+    }
+    let mut wrong = Vec::new();
+    for interface in interfaces {
+        for name in interface.names {
+            let by = defined.remove(name).unwrap_or_default();
+            if by != interface.files {
+                let said = interface.files.join(", ");
+                wrong.push(format!(
+                    "{name}: an interface of {said}, defined by {}",
+                    by.join(", ")
+                ));
+            }
+        }
+    }
+    let doubles = defined.iter().filter(|(_, by)| by.len() > 1);
+    wrong.extend(doubles.map(|(name, by)| format!("{name}: defined by {}", by.join(", "))));
+    wrong
+}
+
+/// The name that a line defines for its whole module.
+fn definition(line: &str) -> Option<&str> {
+    let mut words = line.split(' ').filter(|word| !word.is_empty());
+    if line.starts_with(' ') {
+        return None;
+    }
+    let kind = words.find(|word| !word.starts_with('@'))?;
+    let kind = kind.split('<').next()?;
+    if !["fn", "struct", "const", "override", "alias", "var"].contains(&kind) {
+        return None;
+    }
+    let rest = words.find(|word| !word.ends_with('>') && !word.ends_with(','))?;
+    rest.split(|c: char| !(c.is_alphanumeric() || c == '_'))
+        .next()
 }
 
 /// Functions that are no entries and occur in `code` only where they are defined.

@@ -225,12 +225,14 @@ fn pipeline(
         immediate_size: 0,
     });
     let samples = surfaces && options.multisample.count == 4;
-    let fragment = match (&options.depth_stencil, samples) {
+    let fragment = match (&options.depth_stencil, surfaces, samples) {
         _ if background => "background_fragment",
-        (Some(_), false) => "composite_depth_fragment",
-        (None, false) => "composite_fragment",
-        (Some(_), true) => "composite_sample_depth_fragment",
-        (None, true) => "composite_sample_fragment",
+        (Some(_), false, _) => "composite_depth_fragment",
+        (None, false, _) => "composite_fragment",
+        (Some(_), true, false) => "composite_surfaces_depth_fragment",
+        (None, true, false) => "composite_surfaces_fragment",
+        (Some(_), true, true) => "composite_sample_depth_fragment",
+        (None, true, true) => "composite_sample_fragment",
     };
     let (vertex, depth_stencil) = if background {
         (

@@ -51,8 +51,8 @@ pub enum Entry {
     /// has depth, `composite_depth_fragment`. What is behind it: `background_vertex`,
     /// `background_fragment`.
     Composite,
-    /// The same for pixels of several surfaces: `composite_vertex`; `composite_fragment` and
-    /// `composite_depth_fragment` for targets of one sample, `composite_sample_fragment` and
+    /// The same for pixels of several surfaces: `composite_vertex`; `composite_surfaces_fragment` and
+    /// `composite_surfaces_depth_fragment` for targets of one sample, `composite_sample_fragment` and
     /// `composite_sample_depth_fragment` for those of four.
     CompositeSurfaces,
     /// Functions and bindings without an entry point, to append kernels to.
@@ -263,6 +263,46 @@ pub const SURFACES: Kernel = Kernel {
     constants: &[],
 };
 
+/// Names that shared files use and other files define, each of those in its own way: WGSL cannot hand functions or
+/// textures to functions. A module has one of the files. All other names are defined once among all files;
+/// `tests/suite/modules.rs` holds both.
+#[derive(Clone, Copy, Debug)]
+pub struct Interface {
+    /// What a file that has all of these names is.
+    pub what: &'static str,
+    /// Functions or bindings.
+    pub names: &'static [&'static str],
+    /// The files that define them.
+    pub files: &'static [&'static str],
+}
+
+/// All of them.
+pub const INTERFACES: &[Interface] = &[
+    Interface {
+        what: "where a reflection's lobes are: with the invocation, or where passes hand them on",
+        names: &[
+            "lobes_put",
+            "lobes_shape",
+            "lobes_grey",
+            "lobes_color",
+            "lobes_reflection",
+            "lobes_view",
+            "lobes_in_world",
+        ],
+        files: &["lobes.wgsl", "slots.wgsl"],
+    },
+    Interface {
+        what: "the lobe that a pixel of a tile asks about: a light, or one that waits",
+        names: &["pixel_axis"],
+        files: &["diffuse.wgsl", "integrals.wgsl"],
+    },
+    Interface {
+        what: "the prefiltered image: that of reflections, or that of the background",
+        names: &["prefiltered"],
+        files: &["background.wgsl", "bindings.wgsl"],
+    },
+];
+
 /// Joined in this order; the order does not matter to WGSL.
 const LIBRARY: &[&str] = &[
     include_str!("wgsl/bindings.wgsl"),
@@ -297,7 +337,7 @@ const COMPOSITE: &[&str] = &[
     include_str!("wgsl/composite.wgsl"),
 ];
 
-/// Where a reflection's lobes are: with the invocation, or where passes hand them on.
+/// The files of the first of [`INTERFACES`].
 const LOBES: &str = include_str!("wgsl/lobes.wgsl");
 const SLOTS: &str = include_str!("wgsl/slots.wgsl");
 

@@ -1,7 +1,7 @@
 // Pixels of several surfaces, as surfaces.wgsl found them.
 
-@group(0) @binding(2) var surfaces_shown: texture_2d<u32>;
-@group(0) @binding(3) var sampled_depth: texture_depth_multisampled_2d;
+@group(0) @binding(2) var composite_numbers: texture_2d<u32>;
+@group(0) @binding(3) var composite_depths: texture_depth_multisampled_2d;
 
 // What a sample shows: a colour whose coverage is 1, or, already as the target stores it, what a catcher
 // of shadows does.
@@ -51,9 +51,9 @@ fn composite_mean(pixel: vec2<u32>, shown: u32) -> vec4<f32> {
 }
 
 @fragment
-fn composite_fragment(place: Place) -> @location(0) vec4<f32> {
+fn composite_surfaces_fragment(place: Place) -> @location(0) vec4<f32> {
     let pixel = composite_pixel(place);
-    let shown = textureLoad(surfaces_shown, pixel, 0).x;
+    let shown = textureLoad(composite_numbers, pixel, 0).x;
     if (shown & 0xfffu) == 0u {
         discard;
     }
@@ -62,15 +62,15 @@ fn composite_fragment(place: Place) -> @location(0) vec4<f32> {
 
 // The depth of the nearest sample.
 @fragment
-fn composite_depth_fragment(place: Place) -> Drawn {
+fn composite_surfaces_depth_fragment(place: Place) -> Drawn {
     let pixel = composite_pixel(place);
-    let shown = textureLoad(surfaces_shown, pixel, 0).x;
+    let shown = textureLoad(composite_numbers, pixel, 0).x;
     if (shown & 0xfffu) == 0u {
         discard;
     }
     var nearest = 0.0;
     for (var i = 0; i < 4; i++) {
-        nearest = max(nearest, textureLoad(sampled_depth, pixel, i));
+        nearest = max(nearest, textureLoad(composite_depths, pixel, i));
     }
     let color = composite_written(place, composite_mean(pixel, shown));
     return Drawn(color, composite_depth(nearest));
@@ -82,7 +82,7 @@ fn composite_sample_fragment(
     @builtin(sample_index) index: u32,
 ) -> @location(0) vec4<f32> {
     let pixel = composite_pixel(place);
-    let drawn = composite_sample(pixel, textureLoad(surfaces_shown, pixel, 0).x, index);
+    let drawn = composite_sample(pixel, textureLoad(composite_numbers, pixel, 0).x, index);
     if !drawn.seen {
         discard;
     }
@@ -92,10 +92,10 @@ fn composite_sample_fragment(
 @fragment
 fn composite_sample_depth_fragment(place: Place, @builtin(sample_index) index: u32) -> Drawn {
     let pixel = composite_pixel(place);
-    let drawn = composite_sample(pixel, textureLoad(surfaces_shown, pixel, 0).x, index);
+    let drawn = composite_sample(pixel, textureLoad(composite_numbers, pixel, 0).x, index);
     if !drawn.seen {
         discard;
     }
-    let depth = textureLoad(sampled_depth, pixel, index);
+    let depth = textureLoad(composite_depths, pixel, index);
     return Drawn(composite_one(drawn), composite_depth(depth));
 }

@@ -1,7 +1,7 @@
 // As visibility_buffer.wgsl, for four samples per pixel: beside the triangle's number what tells
 // surfaces apart, the key of surfaces.rs.
 
-struct Corner {
+struct SampledCorner {
     @builtin(position) position: vec4<f32>,
     @location(0) @interpolate(flat, either) id: u32,
     @location(1) @interpolate(flat, either) key: u32,
@@ -11,7 +11,7 @@ struct Corner {
 fn surface_samples_vertex(
     @builtin(vertex_index) index: u32,
     @builtin(instance_index) instance: u32,
-) -> Corner {
+) -> SampledCorner {
     frame_index = instance;
     let triangle = index / 3u;
     var corner = index % 3u;
@@ -28,11 +28,11 @@ fn surface_samples_vertex(
     let at = vec2<u32>(octahedral_encode(normal) * 255.0 + 0.5);
     let tag = (corners.w & 0xffffu) + frames[frame_index].instance * 0x9e37u;
     let key = at.x | (at.y << 8u) | (tag << 16u);
-    return Corner(frames[frame_index].view_projection * position, triangle + frames[frame_index].first_id, key);
+    return SampledCorner(frames[frame_index].view_projection * position, triangle + frames[frame_index].first_id, key);
 }
 
 // Formats of 32 bits per channel cannot be multisampled.
 @fragment
-fn surface_samples_fragment(corner: Corner) -> @location(0) vec4<u32> {
+fn surface_samples_fragment(corner: SampledCorner) -> @location(0) vec4<u32> {
     return vec4(corner.id & 0xffffu, corner.id >> 16u, corner.key & 0xffffu, corner.key >> 16u);
 }

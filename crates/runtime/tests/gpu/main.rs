@@ -3,14 +3,13 @@
 
 mod background;
 mod catcher;
+mod conformance;
 mod engine;
 mod examples;
 #[path = "../../../format/tests/format/generate.rs"]
 #[allow(dead_code, reason = "the tests of the format use the rest")]
 mod generate;
 mod loading;
-mod probe;
-mod reflection;
 mod scenes;
 #[path = "../../examples/support/mod.rs"]
 #[allow(clippy::duplicate_mod, reason = "every example has it as well")]
@@ -87,12 +86,16 @@ fn main() -> ExitCode {
         ),
         with_gpu("near_clipping_matches_twin", near_clipping_matches_twin),
         with_gpu(
+            "functions_match_oracle_and_twin",
+            conformance::functions::functions_match_oracle_and_twin,
+        ),
+        with_gpu(
             "ssdf_and_integrators_match_twins",
-            probe::ssdf_and_integrators_match_twins,
+            conformance::visibility::ssdf_and_integrators_match_twins,
         ),
         with_gpu(
             "surface_and_lobes_match_twins",
-            reflection::surface_and_lobes_match_twins,
+            conformance::reflection::surface_and_lobes_match_twins,
         ),
         with_gpu("frame_matches_twin", frame_matches_twin),
         with_gpu(

@@ -1,9 +1,9 @@
 //! SSDF decoding and both integrators, function by function on random input.
 
 use bytemuck::{Pod, Zeroable};
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use libtest_mimic::Failed;
-use relight_format::Scene;
+use relight_format::{CHANNELS_PER_TILE, Scene};
 use relight_runtime::offscreen::Gpu;
 use relight_runtime::{PolarOptions, wgpu};
 use relight_shading::camera::View;
@@ -13,14 +13,17 @@ use relight_shading::spherical_gaussian::energy;
 use relight_shading::ssdf::{Basis, SignedDistance as _, Ssdf};
 use relight_shading::tables::Tables;
 use relight_shading::wgsl::{Entry, source};
-use relight_shading::{ambient, polar};
+use relight_shading::{ambient, octahedral, polar};
 use wgpu::util::{DeviceExt as _, TextureDataOrder};
 
+use super::oracle;
 use crate::scenes::{self, Random};
 
 /// Signed distances may differ by this fraction of what neighbouring texels may differ by:
 /// GPUs interpolate with 8-bit weights.
 const DECODE_TOLERANCE: f32 = 2.0 / 256.0;
+/// What the twin's distances may be off by, radians: sums of up to 32 products of order 1.
+const TWIN_DECODE_TOLERANCE: f64 = 2e-5;
 /// Integrals may differ by this fraction of the lobe's energy.
 const INTEGRAL_TOLERANCE: f32 = 1e-3;
 /// Fraction of integrals that may differ by more: a boundary that a spoke just touches is
@@ -49,13 +52,15 @@ pub fn ssdf_and_integrators_match_twins(gpu: &mut Gpu) -> Result<(), Failed> {
         let answers = probe(gpu, &scene, &queries)?;
         let basis = Basis::new(&scene);
         let mut grazing = [0; 2];
-        let mut worst = 0f32;
+        let (mut worst, mut twin_worst) = (0f32, 0f64);
         for (query, answer) in queries.iter().zip(&answers) {
             let triangle = query.triangle as usize;
             let field = Ssdf::interpolate(&scene, &basis, triangle, query.barycentrics.into());
             let (axis, normal) = (Vec3::from(query.axis), Vec3::from(query.normal));
             let options = PolarOptions { spokes: SPOKES };
             worst = worst.max((field.distance(axis) - answer[0]).abs());
+            let exact = decoded(&scene, triangle, query.barycentrics, axis.as_dvec3());
+            twin_worst = twin_worst.max((f64::from(field.distance(axis)) - exact).abs());
             let tolerance = INTEGRAL_TOLERANCE * energy(query.sharpness);
             let expected = [
                 polar::integrate(&field, query.sharpness, axis, normal, &options),
@@ -70,6 +75,11 @@ pub fn ssdf_and_integrators_match_twins(gpu: &mut Gpu) -> Result<(), Failed> {
             }
         }
         println!("{name}: distance differs by up to {worst:e}; beyond tolerance {grazing:?}");
+        println!("{name}: the twin's distance is off by up to {twin_worst:e}");
+        assert!(
+            twin_worst <= TWIN_DECODE_TOLERANCE,
+            "{name}: the twin's distance is off by {twin_worst}"
+        );
         assert!(
             worst <= DECODE_TOLERANCE * texel_range,
             "{name}: distance differs by {worst}"
@@ -82,6 +92,39 @@ pub fn ssdf_and_integrators_match_twins(gpu: &mut Gpu) -> Result<(), Failed> {
         }
     }
     Ok(())
+}
+
+/// The distance as FORMAT.md defines it, in `f64`.
+fn decoded(scene: &Scene, triangle: usize, barycentrics: [f32; 3], direction: DVec3) -> f64 {
+    let triangle = &scene.triangles[triangle];
+    let cluster = &scene.clusters[triangle.cluster as usize];
+    let n = scene.visibility.basis_resolution;
+    let channels = cluster.tiles as usize * CHANNELS_PER_TILE;
+    let coefficient = |vertex: u32, channel: usize| {
+        let first = cluster.first_coefficient as usize;
+        let vertex = (vertex - cluster.first_vertex) as usize;
+        let value = scene.coefficients[first + vertex * channels + channel];
+        f64::from(cluster.coefficient_scale) * (f64::from(value) / 32767.0).max(-1.0)
+    };
+    let basis = |channel: usize| {
+        let tile = cluster.first_tile as usize + channel / CHANNELS_PER_TILE;
+        let texel = |x, y| {
+            let (x, y) = octahedral::wrap(x, y, n);
+            let texel = tile * (n * n) as usize + (y * n + x) as usize;
+            let value = scene.basis[texel * CHANNELS_PER_TILE + channel % CHANNELS_PER_TILE];
+            (f64::from(value) / 127.0).max(-1.0)
+        };
+        oracle::octahedral_lookup(texel, n, direction)
+    };
+    (0..channels)
+        .map(|channel| {
+            let at = triangle.vertices.into_iter().zip(barycentrics);
+            let sum: f64 = at
+                .map(|(vertex, weight)| f64::from(weight) * coefficient(vertex, channel))
+                .sum();
+            sum * basis(channel)
+        })
+        .sum()
 }
 
 fn queries(scene: &Scene) -> Vec<Query> {
@@ -116,7 +159,7 @@ fn probe(gpu: &Gpu, scene: &Scene, queries: &[Query]) -> Result<Vec<[f32; 4]>, F
     let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
         label: Some("probe"),
         source: wgpu::ShaderSource::Wgsl(
-            (source(Entry::Library) + include_str!("probe.wgsl")).into(),
+            (source(Entry::Library) + include_str!("visibility.wgsl")).into(),
         ),
     });
     let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {

@@ -312,7 +312,7 @@ fn reference_scenes(data: &Path) -> Outcome {
         let [material] = &*input.mesh.materials else {
             panic!("one material")
         };
-        let Surface::Layered { diffuse, specular } = &material.surface else {
+        let Surface::DiffuseSpecular { diffuse, specular } = &material.surface else {
             panic!("{:?}", material.surface)
         };
         match name.as_str() {

@@ -884,7 +884,7 @@ fn saving() -> Outcome {
         let document = window.state_mut().document.as_mut().ok_or("a scene")?;
         document.local_lights.push(light);
         let material = &mut Arc::make_mut(&mut document.materials)[0];
-        material.surface = relight_format::Surface::Layered {
+        material.surface = relight_format::Surface::DiffuseSpecular {
             diffuse: [0.7, 0.2, 0.1],
             specular: relight_format::Specular::Ggx {
                 f0: [0.04; 3],

@@ -30,8 +30,9 @@ pub use environment::{
 pub use error::{Error, Issue};
 pub use material::{
     Blend, Camera, FieldOfView, FittedLobe, Layer, MAX_FITTED_LOBES, MAX_LAYERS, MAX_REFLECTIONS,
-    Material, RATIO_NODES, RATIO_SHAPE, RATIO_SIZE, Specular, Surface, Texture, TextureEncoding,
-    TextureShape, TextureSlot,
+    Material, ModelParameters, RATIO_NODES, RATIO_SHAPE, RATIO_SIZE, REFLECTION_MODELS,
+    ReflectionModel, Roughness, Specular, Surface, Texture, TextureEncoding, TextureShape,
+    TextureSlot,
 };
 pub use material_asset::{MaterialAsset, MaterialReport, read_material, write_material};
 pub use scene::{

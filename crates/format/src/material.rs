@@ -1,9 +1,13 @@
 //! Surface appearance and cameras, as stored in the metadata section.
 
+mod specular;
+
 use serde::{Deserialize, Serialize};
 
 use crate::container::SectionKind;
 use crate::{Error, Issue};
+
+pub use specular::{ModelParameters, REFLECTION_MODELS, ReflectionModel, Roughness, Specular};
 
 /// How a texture's bytes encode numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -73,65 +77,6 @@ impl TextureSlot {
             transform: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
         }
     }
-}
-
-/// A specular reflection model. Every roughness is the model's own parameter, not its
-/// perceptual square root.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub enum Specular {
-    /// No specular reflection.
-    None,
-    /// Normalised Blinn-Phong: `specular * (n + 8)/(8 pi) * (n·h)^n` (Blinn 1977).
-    BlinnPhong {
-        /// Linear Rec.709 specular albedo.
-        specular: [f32; 3],
-        /// Exponent n, at least 1.
-        exponent: f32,
-    },
-    /// Ward's anisotropic model with the Duer normalisation (Ward 1992; Duer 2005).
-    Ward {
-        /// Linear Rec.709 specular albedo.
-        specular: [f32; 3],
-        /// Standard deviations of the slope along tangent and bitangent, in (0, 1].
-        alpha: [f32; 2],
-    },
-    /// Cook-Torrance with Beckmann distribution, Smith masking and Schlick's Fresnel
-    /// (Cook & Torrance 1982; Walter et al. 2007).
-    CookTorrance {
-        /// Linear Rec.709 reflectance at normal incidence.
-        f0: [f32; 3],
-        /// Beckmann roughness m in (0, 1].
-        roughness: f32,
-    },
-    /// GGX with separable Smith masking and Schlick's Fresnel (Walter et al. 2007), as in
-    /// Mitsuba 3 `roughconductor`.
-    Ggx {
-        /// Linear Rec.709 reflectance at normal incidence.
-        f0: [f32; 3],
-        /// GGX alpha along tangent and bitangent, in (0, 1].
-        alpha: [f32; 2],
-    },
-    /// Ashikhmin & Shirley 2000, the specular term alone, with Schlick's Fresnel.
-    AshikhminShirley {
-        /// Linear Rec.709 reflectance at normal incidence.
-        f0: [f32; 3],
-        /// Phong-like exponents along tangent and bitangent, at least 2: an exponent n is
-        /// a roughness of √(2/n).
-        exponents: [f32; 2],
-    },
-    /// A measured BRDF as the lobes that were fitted to it.
-    Lobes {
-        /// The table's file, as named by the scene file.
-        path: String,
-        /// 1 to [`MAX_FITTED_LOBES`] lobes, added.
-        lobes: Vec<FittedLobe>,
-        /// What the sum of the lobes is multiplied by to be the table less the diffuse base, by the
-        /// directions of light and view: [`TextureEncoding::Rgbe`], [`RATIO_SIZE`] texels. Its
-        /// transform is not used.
-        #[serde(default, skip_serializing_if = "Option::is_none")]
-        ratio: Option<TextureSlot>,
-    },
 }
 
 /// Values of [`Specular::Lobes`]' `ratio` along the sine of the half vector's angle with the
@@ -228,8 +173,9 @@ pub enum Surface {
         /// Direction of anisotropy, radians counter-clockwise from the tangent.
         anisotropy_rotation: f32,
     },
-    /// A Lambertian base plus one specular model, added.
-    Layered {
+    /// A Lambertian base plus one specular model, added; `Layered` in files.
+    #[serde(rename = "Layered")]
+    DiffuseSpecular {
         /// Linear Rec.709 diffuse albedo.
         diffuse: [f32; 3],
         /// The specular model.
@@ -279,48 +225,6 @@ pub struct Material {
     pub shadow_catcher: bool,
 }
 
-impl Specular {
-    /// How many reflections it is made of.
-    pub fn reflections(&self) -> usize {
-        match self {
-            Self::Lobes { lobes, .. } => lobes.len(),
-            _ => 1,
-        }
-    }
-
-    fn ratio_mut(&mut self) -> Option<&mut TextureSlot> {
-        match self {
-            Self::Lobes { ratio, .. } => ratio.as_mut(),
-            _ => None,
-        }
-    }
-
-    fn is_valid(&self) -> bool {
-        let exponent = |value: f32, least: f32| value >= least && value.is_finite();
-        match self {
-            Self::None => true,
-            Self::BlinnPhong {
-                specular,
-                exponent: n,
-            } => is_color(specular) && exponent(*n, 1.0),
-            Self::Ward { specular, alpha } => {
-                is_color(specular) && alpha.iter().all(|x| is_roughness(*x))
-            }
-            Self::CookTorrance { f0, roughness } => is_color(f0) && is_roughness(*roughness),
-            Self::Ggx { f0, alpha } => is_color(f0) && alpha.iter().all(|x| is_roughness(*x)),
-            Self::AshikhminShirley { f0, exponents } => {
-                is_color(f0) && exponents.iter().all(|n| exponent(*n, 2.0))
-            }
-            Self::Lobes { lobes, .. } => {
-                let valid = |lobe: &FittedLobe| {
-                    is_color(&lobe.f0) && is_color(&lobe.f90) && is_roughness(lobe.roughness)
-                };
-                (1..=MAX_FITTED_LOBES).contains(&lobes.len()) && lobes.iter().all(valid)
-            }
-        }
-    }
-}
-
 impl Surface {
     fn is_valid(&self) -> bool {
         match self {
@@ -337,7 +241,7 @@ impl Surface {
                         .all(|value| (0.0..=1.0).contains(value))
                     && anisotropy_rotation.is_finite()
             }
-            Self::Layered { diffuse, specular } => is_color(diffuse) && specular.is_valid(),
+            Self::DiffuseSpecular { diffuse, specular } => is_color(diffuse) && specular.is_valid(),
             Self::Layers { layers } => {
                 let reflections: usize = layers
                     .iter()
@@ -366,7 +270,7 @@ impl Material {
     pub fn slots_mut(&mut self) -> impl Iterator<Item = &mut TextureSlot> {
         let (layers, single): (&mut [Layer], _) = match &mut self.surface {
             Surface::Layers { layers } => (layers, None),
-            Surface::Layered { specular, .. } => (&mut [], Some(specular)),
+            Surface::DiffuseSpecular { specular, .. } => (&mut [], Some(specular)),
             Surface::MetallicRoughness { .. } => (&mut [], None),
         };
         [
@@ -395,7 +299,7 @@ impl Material {
     fn ratios(&self) -> impl Iterator<Item = &TextureSlot> {
         let (layers, single): (&[Layer], _) = match &self.surface {
             Surface::Layers { layers } => (layers, None),
-            Surface::Layered { specular, .. } => (&[], Some(specular)),
+            Surface::DiffuseSpecular { specular, .. } => (&[], Some(specular)),
             Surface::MetallicRoughness { .. } => (&[], None),
         };
         let speculars = layers.iter().map(|layer| &layer.specular).chain(single);
@@ -476,10 +380,6 @@ impl Material {
 
 fn is_color(color: &[f32; 3]) -> bool {
     color.iter().all(|x| x.is_finite() && *x >= 0.0)
-}
-
-fn is_roughness(value: f32) -> bool {
-    value > 0.0 && value <= 1.0
 }
 
 /// Which image axis a field of view spans.

@@ -892,13 +892,7 @@ mod tests {
 
     #[test]
     fn lobes_are_finite_and_positive_wherever_they_are_seen_from() {
-        for model in [
-            Model::BlinnPhong,
-            Model::Ward,
-            Model::CookTorrance,
-            Model::Ggx,
-            Model::AshikhminShirley,
-        ] {
+        for model in Model::ALL {
             for (x, y) in [
                 (0.02, 0.02),
                 (0.02, 1.0),

@@ -10,7 +10,7 @@ use crate::camera::View;
 /// `Material::surface`: base colour, metallic and roughness as in glTF.
 pub const SURFACE_METALLIC_ROUGHNESS: u32 = 0;
 /// `Material::surface`: a Lambertian base plus one specular model.
-pub const SURFACE_LAYERED: u32 = 1;
+pub const SURFACE_DIFFUSE_SPECULAR: u32 = 1;
 /// `Material::surface`: layers, which the anisotropy texture turns.
 pub const SURFACE_LAYERS: u32 = 2;
 
@@ -309,7 +309,7 @@ pub struct Layer {
 pub struct Material {
     /// Metallic-roughness: base colour.
     pub color: [f32; 3],
-    /// [`SURFACE_METALLIC_ROUGHNESS`], [`SURFACE_LAYERED`] or [`SURFACE_LAYERS`].
+    /// [`SURFACE_METALLIC_ROUGHNESS`], [`SURFACE_DIFFUSE_SPECULAR`] or [`SURFACE_LAYERS`].
     pub surface: u32,
     /// Metallic-roughness: 0 dielectric, 1 metal.
     pub metallic: f32,

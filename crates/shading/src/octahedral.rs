@@ -24,6 +24,21 @@ pub fn decode(uv: Vec2) -> Vec3 {
     Vec3::new(p.x, y, p.y).normalize()
 }
 
+/// [`decode`] by arithmetic that vectorises, to roundings: in a loop over lanes, which nothing here branches on. `at` is a
+/// point of an `n` × `n` map in texels, texel (x, y) having its centre at (x, y), and `scale` 2/n.
+#[inline(always)]
+pub fn decode_lane([u, v]: [f32; 2], scale: f32) -> [f32; 3] {
+    let x = (u + 0.5) * scale - 1.0;
+    let z = (v + 0.5) * scale - 1.0;
+    let y = 1.0 - x.abs() - z.abs();
+    // How far a point of the lower hemisphere moves towards the middle.
+    let over = if y < 0.0 { -y } else { 0.0 };
+    let x = x - over.copysign(x);
+    let z = z - over.copysign(z);
+    let inverse = 1.0 / (x * x + y * y + z * z).sqrt();
+    [x * inverse, y * inverse, z * inverse]
+}
+
 /// The unit direction of the centre of texel (`x`, `y`) of an `n` × `n` map.
 pub fn texel_direction(x: u32, y: u32, n: u32) -> Vec3 {
     decode((Vec2::new(x as f32, y as f32) + 0.5) / n as f32)
@@ -102,6 +117,17 @@ fn fold(q: Vec2) -> Vec2 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn lanes_decode_as_scalars_do() {
+        const N: u32 = 37;
+        for index in 0..N * N {
+            let (x, y) = (index % N, index / N);
+            let lane = decode_lane([x as f32, y as f32], 2.0 / N as f32);
+            let expected = texel_direction(x, y, N);
+            assert!(expected.distance(lane.into()) < 1e-6, "{x} {y}");
+        }
+    }
 
     #[test]
     fn encode_inverts_decode_at_every_texel() {

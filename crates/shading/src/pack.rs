@@ -5,7 +5,7 @@ use relight_format::{CHANNELS_PER_TILE, Scene, Surface, Texture, TextureEncoding
 
 use crate::gpu::{
     AtlasLayout, Cluster, Layer, LimitError, MAX_ATLAS_LAYERS, MAX_ATLAS_SIZE, Material,
-    SURFACE_LAYERED, SURFACE_LAYERS, SURFACE_METALLIC_ROUGHNESS, TextureSlot, Vertex,
+    SURFACE_DIFFUSE_SPECULAR, SURFACE_LAYERS, SURFACE_METALLIC_ROUGHNESS, TextureSlot, Vertex,
 };
 use crate::ssdf::Basis;
 use crate::surface::{LayerParameters, Model, has_diffuse, visit_layers};
@@ -171,7 +171,7 @@ pub fn pack_material(material: &relight_format::Material, textures: &[PackedText
                 ..packed
             };
         }
-        Surface::Layered { .. } => packed.surface = SURFACE_LAYERED,
+        Surface::DiffuseSpecular { .. } => packed.surface = SURFACE_DIFFUSE_SPECULAR,
         Surface::Layers { .. } => packed.surface = SURFACE_LAYERS,
     }
     visit_layers(material, |layer: LayerParameters| {
@@ -456,7 +456,7 @@ mod tests {
         }
         scene.materials.push(relight_format::Material {
             name: "painted".into(),
-            surface: Surface::Layered {
+            surface: Surface::DiffuseSpecular {
                 diffuse: [0.1, 0.2, 0.3],
                 specular: relight_format::Specular::Ward {
                     specular: [0.4, 0.5, 0.6],
@@ -479,7 +479,7 @@ mod tests {
         let material = packed.materials[0];
         assert_eq!(
             (material.surface, material.layer_count),
-            (SURFACE_LAYERED, 1)
+            (SURFACE_DIFFUSE_SPECULAR, 1)
         );
         let layer = material.layers[0];
         assert_eq!(layer.model, Model::Ward as u32);

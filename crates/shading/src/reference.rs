@@ -80,14 +80,6 @@ mod tests {
     use crate::models::evaluate;
     use crate::surface::Reflection;
 
-    const MODELS: [Model; 5] = [
-        Model::BlinnPhong,
-        Model::Ward,
-        Model::CookTorrance,
-        Model::Ggx,
-        Model::AshikhminShirley,
-    ];
-
     /// Surfaces of every model, smooth and rough, isotropic and not where the model can.
     fn appearances() -> impl Iterator<Item = Appearance<'static>> {
         let base = Vec3::new(0.3, 0.2, 0.1);
@@ -108,7 +100,7 @@ mod tests {
         );
         [diffuse, mixed]
             .into_iter()
-            .chain(MODELS.into_iter().flat_map(move |model| {
+            .chain(Model::ALL.into_iter().flat_map(move |model| {
                 let alphas = match model {
                     Model::BlinnPhong => [(4.0, 4.0), (40.0, 40.0)],
                     Model::CookTorrance => [(0.15, 0.15), (0.6, 0.6)],

@@ -47,6 +47,17 @@ pub enum Model {
     AshikhminShirley = 5,
 }
 
+impl Model {
+    /// All that reflect.
+    pub const ALL: [Self; 5] = [
+        Self::BlinnPhong,
+        Self::Ward,
+        Self::CookTorrance,
+        Self::Ggx,
+        Self::AshikhminShirley,
+    ];
+}
+
 /// One specular reflection, textures applied and parameters clamped to what is shaded.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reflection<'a> {
@@ -243,7 +254,7 @@ pub fn visit_layers<'a>(material: &'a Material, mut visit: impl FnMut(LayerParam
     };
     match &material.surface {
         Surface::MetallicRoughness { .. } => {}
-        Surface::Layered { diffuse, specular } => visit_layer(
+        Surface::DiffuseSpecular { diffuse, specular } => visit_layer(
             LayerParameters {
                 diffuse_texture: material.base_color_texture.as_ref(),
                 ..plain(diffuse)
@@ -502,7 +513,7 @@ pub fn surface_seen<'a>(
         appearance
     };
     let anisotropic = (appearance.reflections()).any(|r| r.alpha.x != r.alpha.y);
-    if anisotropic && matches!(material.surface, Surface::Layered { .. }) {
+    if anisotropic && matches!(material.surface, Surface::DiffuseSpecular { .. }) {
         // glTF says that the frame is interpolated from the vertices; that of other materials is
         // the triangle's own: x along ∂position/∂u, by Cramer's rule and up to its length. Zero
         // without texture coordinates.
@@ -794,7 +805,7 @@ mod tests {
 
     #[test]
     fn roughness_is_clamped_to_what_is_shaded() {
-        let specular = |specular| Surface::Layered {
+        let specular = |specular| Surface::DiffuseSpecular {
             diffuse: [0.0; 3],
             specular,
         };
@@ -818,7 +829,7 @@ mod tests {
 
     #[test]
     fn textures_are_bilinear_and_repeat() {
-        let mut material = material(Surface::Layered {
+        let mut material = material(Surface::DiffuseSpecular {
             diffuse: [1.0; 3],
             specular: Specular::None,
         });
@@ -849,7 +860,7 @@ mod tests {
 
     #[test]
     fn rows_go_down_and_srgb_is_decoded_before_filtering() {
-        let mut material = material(Surface::Layered {
+        let mut material = material(Surface::DiffuseSpecular {
             diffuse: [1.0; 3],
             specular: Specular::None,
         });

@@ -404,20 +404,16 @@ pub fn albedo(point: &SurfacePoint) -> Vec3 {
 
 /// The same of a reflection with a colour of 1.
 fn uncolored(reflection: &Reflection) -> f32 {
-    const MODELS: [Model; 5] = [
-        Model::BlinnPhong,
-        Model::Ward,
-        Model::CookTorrance,
-        Model::Ggx,
-        Model::AshikhminShirley,
-    ];
     static TABLE: OnceLock<Vec<[f32; ALPHAS]>> = OnceLock::new();
     let alpha_at = |i: usize| MIN_ALPHA + (1.0 - MIN_ALPHA) * i as f32 / (ALPHAS - 1) as f32;
     let table = TABLE.get_or_init(|| {
         let of = |model: Model| std::array::from_fn(|i| integrated(model, alpha_at(i)));
-        MODELS.into_iter().map(of).collect()
+        Model::ALL.into_iter().map(of).collect()
     });
-    let Some(row) = MODELS.iter().position(|model| *model == reflection.model) else {
+    let Some(row) = Model::ALL
+        .iter()
+        .position(|model| *model == reflection.model)
+    else {
         return 0.0;
     };
     let mean = if reflection.model == Model::BlinnPhong {

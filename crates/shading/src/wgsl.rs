@@ -444,7 +444,7 @@ fn constants() -> String {
             "SURFACE_METALLIC_ROUGHNESS",
             gpu::SURFACE_METALLIC_ROUGHNESS,
         ),
-        ("SURFACE_LAYERED", gpu::SURFACE_LAYERED),
+        ("SURFACE_DIFFUSE_SPECULAR", gpu::SURFACE_DIFFUSE_SPECULAR),
         ("SURFACE_LAYERS", gpu::SURFACE_LAYERS),
         ("MODEL_NONE", Model::None as u32),
         ("MODEL_BLINN_PHONG", Model::BlinnPhong as u32),

@@ -181,7 +181,7 @@ pub fn scene_input(detail: f32) -> anyhow::Result<SceneInput> {
     let mut mesh = Mesh::default();
     let material = |name: &str, diffuse, f0, alpha: [f32; 2]| Material {
         name: name.into(),
-        surface: Surface::Layered {
+        surface: Surface::DiffuseSpecular {
             diffuse,
             specular: Specular::Ggx { f0, alpha },
         },
@@ -211,7 +211,7 @@ pub fn scene_input(detail: f32) -> anyhow::Result<SceneInput> {
             base + 1.5 * Vec3::Y * t
         });
     }
-    let surface = Surface::Layered {
+    let surface = Surface::DiffuseSpecular {
         diffuse: [0.45; 3],
         specular: Specular::Ggx {
             f0: [0.06; 3],

@@ -285,7 +285,7 @@ pub(crate) mod test_scene {
             camera: None,
             materials: vec![Material {
                 name: "grey".into(),
-                surface: Surface::Layered {
+                surface: Surface::DiffuseSpecular {
                     diffuse: albedo,
                     specular: Specular::None,
                 },

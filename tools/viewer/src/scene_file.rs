@@ -6,7 +6,7 @@ use anyhow::{Context as _, bail};
 use relight_bake::scene::description::{
     self, BlendName, Color, LayerFile, MaterialOverride, SceneFile,
 };
-use relight_format::{self as format, Blend, Camera, FieldOfView, Material, Specular, Surface};
+use relight_format::{self as format, Blend, Camera, FieldOfView, Material, Surface};
 use relight_runtime::LocalLight;
 
 use crate::state::{Document, Light};
@@ -214,10 +214,12 @@ fn describe_material(material: &Material) -> anyhow::Result<MaterialOverride> {
             anisotropy_strength: *anisotropy_strength,
             anisotropy_rotation_degrees: anisotropy_rotation.to_degrees(),
         }),
-        Surface::Layered { diffuse, specular } => Ok(describe_specular(*diffuse, specular)),
+        Surface::DiffuseSpecular { diffuse, specular } => {
+            Ok(MaterialOverride::over_base(*diffuse, specular))
+        }
         Surface::Layers { layers } => {
             let layers = layers.iter().map(|layer| LayerFile {
-                material: Box::new(describe_specular(layer.diffuse, &layer.specular)),
+                material: Box::new(MaterialOverride::over_base(layer.diffuse, &layer.specular)),
                 weight: layer.weight,
                 blend: match layer.blend {
                     Blend::Over => BlendName::Over,
@@ -236,53 +238,5 @@ fn describe_material(material: &Material) -> anyhow::Result<MaterialOverride> {
                 anisotropy_texture: None,
             })
         }
-    }
-}
-
-fn describe_specular(diffuse: [f32; 3], specular: &Specular) -> MaterialOverride {
-    let diffuse = Color::Rgb(diffuse);
-    match specular {
-        Specular::None => MaterialOverride::Diffuse { diffuse },
-        Specular::BlinnPhong { specular, exponent } => MaterialOverride::BlinnPhong {
-            diffuse,
-            specular: Color::Rgb(*specular),
-            exponent: *exponent,
-        },
-        Specular::Ward {
-            specular,
-            alpha: [x, y],
-        } => MaterialOverride::Ward {
-            diffuse,
-            specular: Color::Rgb(*specular),
-            alpha: None,
-            alpha_x: Some(*x),
-            alpha_y: Some(*y),
-        },
-        Specular::CookTorrance { f0, roughness } => MaterialOverride::CookTorrance {
-            diffuse,
-            f0: Color::Rgb(*f0),
-            roughness: *roughness,
-        },
-        Specular::Ggx { f0, alpha: [x, y] } => MaterialOverride::Ggx {
-            diffuse,
-            f0: Color::Rgb(*f0),
-            alpha: None,
-            alpha_x: Some(*x),
-            alpha_y: Some(*y),
-        },
-        Specular::AshikhminShirley {
-            f0,
-            exponents: [x, y],
-        } => MaterialOverride::AshikhminShirley {
-            diffuse,
-            f0: Color::Rgb(*f0),
-            exponent: None,
-            exponent_x: Some(*x),
-            exponent_y: Some(*y),
-        },
-        Specular::Lobes { path, .. } => MaterialOverride::Measured {
-            file: path.into(),
-            original: None,
-        },
     }
 }

@@ -437,7 +437,7 @@ impl Document {
 fn ratios_mut(surface: &mut Surface) -> impl Iterator<Item = &mut TextureSlot> {
     let (layers, single): (&mut [Layer], _) = match surface {
         Surface::Layers { layers } => (layers, None),
-        Surface::Layered { specular, .. } => (&mut [], Some(specular)),
+        Surface::DiffuseSpecular { specular, .. } => (&mut [], Some(specular)),
         Surface::MetallicRoughness { .. } => (&mut [], None),
     };
     let speculars = layers

@@ -395,7 +395,7 @@ fn bake_material(arguments: &MaterialArguments, monitor: Monitor) -> anyhow::Res
         "textures": asset.textures.len(),
         "seconds": seconds,
     });
-    if let format::Surface::Layered {
+    if let format::Surface::DiffuseSpecular {
         specular: format::Specular::Lobes { lobes, .. },
         ..
     } = &asset.material.surface

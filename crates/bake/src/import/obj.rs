@@ -621,7 +621,7 @@ fn convert(
         } else {
             Specular::None
         };
-        Surface::Layered { diffuse, specular }
+        Surface::DiffuseSpecular { diffuse, specular }
     };
     if !mtl.ignored_maps.is_empty() {
         let maps = mtl.ignored_maps.join(", ");

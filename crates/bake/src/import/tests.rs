@@ -830,7 +830,7 @@ fn material_libraries_are_read() {
             .map(|material| material.surface.clone())
             .expect(name)
     };
-    let layered = |diffuse, specular| Surface::Layered { diffuse, specular };
+    let layered = |diffuse, specular| Surface::DiffuseSpecular { diffuse, specular };
     assert_eq!(surface("matte"), layered([0.25; 3], Specular::None));
     let shine = Specular::BlinnPhong {
         specular: [0.5; 3],
@@ -1316,7 +1316,7 @@ fn vertex_colours_of_obj_files_are_encoded() {
     ] {
         let mesh = import_obj(text).expect("a triangle");
         assert_eq!(painted(&mesh, 0), expected);
-        let white = Surface::Layered {
+        let white = Surface::DiffuseSpecular {
             diffuse: [1.0; 3],
             specular: Specular::None,
         };

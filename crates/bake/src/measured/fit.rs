@@ -63,7 +63,7 @@ pub struct Fit {
 impl Fit {
     /// As a surface of an asset; `path` names the table, `ratio` the texture of what is missing.
     pub fn surface(&self, path: String, ratio: Option<TextureSlot>) -> Surface {
-        Surface::Layered {
+        Surface::DiffuseSpecular {
             diffuse: self.diffuse,
             specular: Specular::Lobes {
                 path,

@@ -125,19 +125,14 @@ pub(super) fn mirrors(material: &format::Material) -> bool {
     /// Colours below are those of a dielectric, or twice as bright.
     const LEAST: f32 = 0.08;
     let bright = |color: &[f32; 3]| color.iter().any(|x| *x > LEAST);
-    let mirrors = |specular: &format::Specular| match specular {
-        format::Specular::None => false,
-        format::Specular::BlinnPhong { specular, .. } | format::Specular::Ward { specular, .. } => {
-            bright(specular)
-        }
-        format::Specular::CookTorrance { f0, .. }
-        | format::Specular::Ggx { f0, .. }
-        | format::Specular::AshikhminShirley { f0, .. } => bright(f0),
-        format::Specular::Lobes { lobes, .. } => lobes.iter().any(|lobe| bright(&lobe.f0)),
+    let mirrors = |specular: &format::Specular| match (specular, specular.model()) {
+        (_, Some((_, parameters))) => bright(&parameters.color),
+        (format::Specular::Lobes { lobes, .. }, _) => lobes.iter().any(|lobe| bright(&lobe.f0)),
+        _ => false,
     };
     match &material.surface {
         format::Surface::MetallicRoughness { metallic, .. } => *metallic > LEAST,
-        format::Surface::Layered { specular, .. } => mirrors(specular),
+        format::Surface::DiffuseSpecular { specular, .. } => mirrors(specular),
         format::Surface::Layers { layers } => layers.iter().any(|layer| mirrors(&layer.specular)),
     }
 }

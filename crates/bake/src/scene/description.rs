@@ -5,6 +5,8 @@
 //! Unknown keys are errors, because a misspelt optional key would otherwise silently keep
 //! its default.
 
+mod reflection;
+
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -846,6 +848,29 @@ mod tests {
             (scene.ground, scene.camera, scene.refinement),
             (None, None, None)
         );
+    }
+
+    #[test]
+    fn every_model_of_the_format_is_written_and_read_again() {
+        for model in format::REFLECTION_MODELS {
+            let roughness = [0.3, if model.anisotropic { 0.2 } else { 0.3 }];
+            let specular = model.reflection(format::ModelParameters {
+                color: [0.1, 0.2, 0.3],
+                roughness: roughness.map(|alpha| model.roughness.from_alpha(alpha)),
+            });
+            let material = MaterialOverride::over_base([0.5; 3], &specular);
+            let text = toml::to_string(&material).expect("a table");
+            assert!(
+                text.contains(&format!("model = \"{}\"", model.key)),
+                "{text}"
+            );
+            for name in [model.color, model.roughness_name] {
+                assert!(text.contains(&format!("\n{name}")), "{name}: {text}");
+            }
+            let scene = parse(&format!("mesh = 'a'\n[materials.m]\n{text}")).expect(&text);
+            let found = scene.materials["m"].reflection().expect("a model");
+            assert_eq!(found, (Color::Rgb([0.5; 3]), specular));
+        }
     }
 
     #[test]

@@ -14,9 +14,7 @@ use crate::files::{Access, Files};
 use crate::import::{self, Error};
 use crate::measured::{self, Table, fit};
 use crate::mesh::{self, MAX_COORDINATE, Mesh, ground};
-use crate::scene::description::{
-    self, BlendName, LayerFile, MaterialOverride, SceneFile, alpha_pair,
-};
+use crate::scene::description::{self, BlendName, LayerFile, MaterialOverride, SceneFile};
 
 /// A scene, ready to bake.
 #[derive(Clone, Debug)]
@@ -361,7 +359,7 @@ fn layered_material(
     let layers = layers
         .iter()
         .map(|layer| -> Result<format::Layer, Error> {
-            let format::Surface::Layered { diffuse, specular } =
+            let format::Surface::DiffuseSpecular { diffuse, specular } =
                 surface(files, &layer.material, folder, textures)?
             else {
                 unreachable!("checked when the file was read")
@@ -422,83 +420,11 @@ fn surface(
     textures: &mut Vec<format::Texture>,
 ) -> Result<format::Surface, Error> {
     use MaterialOverride as M;
-    let layered = |diffuse: description::Color, specular| format::Surface::Layered {
-        diffuse: diffuse.rgb(),
-        specular,
-    };
-    let pair = |alpha, x, y| alpha_pair(alpha, x, y).unwrap_or([1.0; 2]);
+    if let Some((diffuse, specular)) = material.reflection() {
+        let diffuse = diffuse.rgb();
+        return Ok(format::Surface::DiffuseSpecular { diffuse, specular });
+    }
     Ok(match *material {
-        M::Diffuse { diffuse } => layered(diffuse, format::Specular::None),
-        M::BlinnPhong {
-            diffuse,
-            specular,
-            exponent,
-        } => layered(
-            diffuse,
-            format::Specular::BlinnPhong {
-                specular: specular.rgb(),
-                exponent,
-            },
-        ),
-        M::Ward {
-            diffuse,
-            specular,
-            alpha,
-            alpha_x,
-            alpha_y,
-        } => {
-            let alpha = pair(alpha, alpha_x, alpha_y);
-            layered(
-                diffuse,
-                format::Specular::Ward {
-                    specular: specular.rgb(),
-                    alpha,
-                },
-            )
-        }
-        M::CookTorrance {
-            diffuse,
-            f0,
-            roughness,
-        } => layered(
-            diffuse,
-            format::Specular::CookTorrance {
-                f0: f0.rgb(),
-                roughness,
-            },
-        ),
-        M::Ggx {
-            diffuse,
-            f0,
-            alpha,
-            alpha_x,
-            alpha_y,
-        } => {
-            let alpha = pair(alpha, alpha_x, alpha_y);
-            layered(
-                diffuse,
-                format::Specular::Ggx {
-                    f0: f0.rgb(),
-                    alpha,
-                },
-            )
-        }
-        M::AshikhminShirley {
-            diffuse,
-            f0,
-            exponent,
-            exponent_x,
-            exponent_y,
-        } => {
-            let exponents = pair(exponent, exponent_x, exponent_y);
-            layered(
-                diffuse,
-                format::Specular::AshikhminShirley {
-                    f0: f0.rgb(),
-                    exponents,
-                },
-            )
-        }
         M::MetallicRoughness {
             base_color,
             metallic,
@@ -513,7 +439,7 @@ fn surface(
             anisotropy_rotation: anisotropy_rotation_degrees.to_radians(),
         },
         M::Measured { ref file, .. } => measured_surface(files, file, folder, textures)?,
-        M::Layers { .. } => unreachable!("layers do not nest"),
+        _ => unreachable!("layers do not nest"),
     })
 }
 
@@ -531,7 +457,7 @@ fn measured_surface(
             .map_err(|error| Error::invalid(&path, "file", "a baked material", error))?;
         let material = appended(asset, textures);
         return match material.surface {
-            surface @ format::Surface::Layered { .. } => Ok(surface),
+            surface @ format::Surface::DiffuseSpecular { .. } => Ok(surface),
             _ => Err(Error::invalid(
                 &path,
                 "file",
@@ -686,7 +612,7 @@ mod tests {
             alpha: [0.1, 0.2],
         };
         let expected = [([0.0; 3], ggx), ([0.1, 0.2, 0.3], format::Specular::None)]
-            .map(|(diffuse, specular)| format::Surface::Layered { diffuse, specular });
+            .map(|(diffuse, specular)| format::Surface::DiffuseSpecular { diffuse, specular });
         assert_eq!(surfaces, expected);
     }
 

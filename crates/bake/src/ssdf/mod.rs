@@ -322,7 +322,7 @@ impl Boundary {
             for i in 0..CHUNK {
                 // What remains of a chunk repeats its last point.
                 let place = places[i.min(places.len() - 1)];
-                let [x, y, z] = decode(place.to_array(), scale);
+                let [x, y, z] = octahedral::decode_lane(place.to_array(), scale);
                 (chunk[0][i], chunk[1][i], chunk[2][i]) = (x, y, z);
             }
             let centre = chunk.map(|axis| axis[CHUNK / 2]);
@@ -552,20 +552,6 @@ fn border(n: usize) -> Vec<([u32; 2], Vec2)> {
 /// The direction at a point of the map in texels: texel (x, y) has its centre at (x, y).
 fn direction(at: Vec2, n: usize) -> Vec3 {
     octahedral::decode((at + 0.5) / n as f32)
-}
-
-/// The same by arithmetic that vectorises.
-#[inline(always)]
-fn decode([u, v]: [f32; 2], scale: f32) -> [f32; 3] {
-    let x = (u + 0.5) * scale - 1.0;
-    let z = (v + 0.5) * scale - 1.0;
-    let y = 1.0 - x.abs() - z.abs();
-    // How far a point of the lower hemisphere moves towards the middle.
-    let over = if y < 0.0 { -y } else { 0.0 };
-    let x = x - over.copysign(x);
-    let z = z - over.copysign(z);
-    let inverse = 1.0 / (x * x + y * y + z * z).sqrt();
-    [x * inverse, y * inverse, z * inverse]
 }
 
 /// A direction amid others and the largest chord to one of them.

@@ -527,7 +527,7 @@ pub(super) mod tests {
                 });
             }
         }
-        let surface = Surface::Layered {
+        let surface = Surface::DiffuseSpecular {
             diffuse: [albedo; 3],
             specular: Specular::None,
         };

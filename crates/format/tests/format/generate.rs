@@ -348,7 +348,7 @@ fn surface(random: &mut Random, slot: &impl Fn(&mut Random) -> Option<TextureSlo
             anisotropy_rotation: random.signed(),
         };
     }
-    Surface::Layered {
+    Surface::DiffuseSpecular {
         diffuse: random.color(),
         specular: specular(random, MAX_FITTED_LOBES),
     }

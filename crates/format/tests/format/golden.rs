@@ -314,7 +314,7 @@ fn materials() -> Vec<Material> {
         texture,
         transform: [[2.0, 0.0, 0.5], [0.0, -1.0, 1.0]],
     };
-    let layered = |specular| Surface::Layered {
+    let layered = |specular| Surface::DiffuseSpecular {
         diffuse: [0.75, 0.5, 0.25],
         specular,
     };

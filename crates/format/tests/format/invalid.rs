@@ -76,7 +76,7 @@ fn cameras() {
 #[test]
 #[allow(clippy::too_many_lines, reason = "a table of cases")]
 fn materials() {
-    let surface = |specular| Surface::Layered {
+    let surface = |specular| Surface::DiffuseSpecular {
         diffuse: [0.5; 3],
         specular,
     };
@@ -114,7 +114,7 @@ fn materials() {
         metallic_roughness([f32::NAN; 3], 0.0, 0.5),
         metallic_roughness([0.5; 3], 1.1, 0.5),
         metallic_roughness([0.5; 3], 0.0, -0.1),
-        Surface::Layered {
+        Surface::DiffuseSpecular {
             diffuse: negative,
             specular: Specular::None,
         },

@@ -1053,7 +1053,7 @@ fn large_scenes_are_drawn(gpu: &mut Gpu) -> Outcome {
         })
         .collect();
     for (material, index) in scene.materials.iter_mut().zip(0u8..) {
-        if let Surface::Layered { diffuse, .. } = &mut material.surface {
+        if let Surface::DiffuseSpecular { diffuse, .. } = &mut material.surface {
             *diffuse = [f32::from(index) / 64.0, 0.5, 1.0 - f32::from(index) / 64.0];
         }
     }

@@ -157,7 +157,7 @@ pub fn disagreeing_floor() -> Scene {
     scene.visibility.basis_resolution = 12;
     scene.materials = vec![Material {
         base_color_texture: None,
-        surface: Surface::Layered {
+        surface: Surface::DiffuseSpecular {
             diffuse: [0.8; 3],
             specular: Specular::None,
         },
@@ -307,7 +307,7 @@ fn plane_material() -> Material {
 fn sphere_material() -> Material {
     Material {
         name: "dimpled".into(),
-        surface: Surface::Layered {
+        surface: Surface::DiffuseSpecular {
             diffuse: [0.5, 0.1, 0.1],
             specular: Specular::Ward {
                 specular: [0.2, 0.2, 0.2],

@@ -182,7 +182,7 @@ struct Layer {
 struct Material {
     // Metallic-roughness: base colour.
     color: vec3<f32>,
-    // SURFACE_METALLIC_ROUGHNESS, SURFACE_LAYERED or SURFACE_LAYERS.
+    // SURFACE_METALLIC_ROUGHNESS, SURFACE_DIFFUSE_SPECULAR or SURFACE_LAYERS.
     surface: u32,
     // Metallic-roughness, as in format::Surface.
     metallic: f32,

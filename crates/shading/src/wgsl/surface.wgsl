@@ -190,7 +190,7 @@ fn surface_point(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32
             anisotropic = anisotropic || (reflection.model != MODEL_NONE && alpha.x != alpha.y);
         }
     }
-    if anisotropic && materials[material_index].surface == SURFACE_LAYERED {
+    if anisotropic && materials[material_index].surface == SURFACE_DIFFUSE_SPECULAR {
         // glTF says that the frame is interpolated from the vertices; that of other materials is
         // the triangle's own: x along the derivative of position by u, up to its length. Zero
         // without texture coordinates.

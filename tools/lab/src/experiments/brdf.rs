@@ -57,13 +57,7 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
 
 fn rows() -> Vec<Row> {
     let mut cases = Vec::new();
-    for model in [
-        Model::BlinnPhong,
-        Model::Ward,
-        Model::CookTorrance,
-        Model::Ggx,
-        Model::AshikhminShirley,
-    ] {
+    for model in Model::ALL {
         let two = !matches!(model, Model::BlinnPhong | Model::CookTorrance);
         let fresnel = !matches!(model, Model::BlinnPhong | Model::Ward);
         for &reflectance in if fresnel {

@@ -148,13 +148,13 @@ pub fn run(
 }
 
 /// The diffuse material that errors are measured with.
-const DIFFUSE: Surface = Surface::Layered {
+const DIFFUSE: Surface = Surface::DiffuseSpecular {
     diffuse: [0.5; 3],
     specular: Specular::None,
 };
 
 /// The glossy one.
-const GLOSSY: Surface = Surface::Layered {
+const GLOSSY: Surface = Surface::DiffuseSpecular {
     diffuse: [0.0; 3],
     specular: Specular::Ggx {
         f0: [0.5; 3],

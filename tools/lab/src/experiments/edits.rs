@@ -42,7 +42,7 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
     let duck = laboratory.scene("duck")?;
 
     let ward = |scene: &Scene, alpha: [f32; 2]| {
-        let surface = |diffuse, specular| Surface::Layered {
+        let surface = |diffuse, specular| Surface::DiffuseSpecular {
             diffuse: [diffuse; 3],
             specular: Specular::Ward {
                 specular: [specular; 3],
@@ -62,7 +62,7 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
     )?;
 
     let steps = [[40.0, 40.0], [15.0, 110.0], [6.0, 270.0], [2.0, 800.0]].map(|exponents| {
-        let surface = |diffuse: [f32; 3], f0| Surface::Layered {
+        let surface = |diffuse: [f32; 3], f0| Surface::DiffuseSpecular {
             diffuse,
             specular: Specular::AshikhminShirley {
                 f0: [f0; 3],
@@ -98,14 +98,14 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
 
     let plain = put_on(
         &duck,
-        &Surface::Layered {
+        &Surface::DiffuseSpecular {
             diffuse: [0.5, 0.4, 0.1],
             specular: Specular::Ggx {
                 f0: [0.04; 3],
                 alpha: [0.2; 2],
             },
         },
-        &Surface::Layered {
+        &Surface::DiffuseSpecular {
             diffuse: [0.4; 3],
             specular: Specular::None,
         },
@@ -220,7 +220,7 @@ fn put_on(scene: &Scene, object: &Surface, ground: &Surface) -> Scene {
 
 /// The scene in glossy plastic.
 pub fn glossy(scene: &Scene) -> Scene {
-    let surface = |diffuse, f0| Surface::Layered {
+    let surface = |diffuse, f0| Surface::DiffuseSpecular {
         diffuse,
         specular: Specular::Ggx {
             f0: [f0; 3],

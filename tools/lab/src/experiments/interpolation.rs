@@ -119,7 +119,7 @@ fn compare_bakes(
 }
 
 fn over_plane(name: &str, boards: &[[Vec3; 2]]) -> anyhow::Result<SceneInput> {
-    let grey = |albedo| Surface::Layered {
+    let grey = |albedo| Surface::DiffuseSpecular {
         diffuse: [albedo; 3],
         specular: Specular::None,
     };

@@ -152,7 +152,7 @@ fn prepared(case: &Case) -> anyhow::Result<(SceneInput, Camera)> {
     let (low, high) = input.mesh.bounds().unwrap_or_default();
     let camera = framing(low, high);
     if case.ground {
-        let grey = Surface::Layered {
+        let grey = Surface::DiffuseSpecular {
             diffuse: [0.5; 3],
             specular: relight_format::Specular::None,
         };

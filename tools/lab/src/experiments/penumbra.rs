@@ -182,7 +182,7 @@ fn lights() -> Vec<SphericalGaussian> {
 }
 
 fn sphere_over_plane() -> anyhow::Result<SceneInput> {
-    let glossy = |diffuse, specular| Surface::Layered {
+    let glossy = |diffuse, specular| Surface::DiffuseSpecular {
         diffuse: [diffuse; 3],
         specular: Specular::BlinnPhong {
             specular: [specular; 3],

@@ -312,7 +312,7 @@ mod tests {
     }
 
     fn lambert(diffuse: [f32; 3]) -> Surface {
-        Surface::Layered {
+        Surface::DiffuseSpecular {
             diffuse,
             specular: Specular::None,
         }
@@ -449,7 +449,7 @@ mod tests {
             let [x, _, z] = vertex.position;
             vertex.uv = [x + 2.0 * z, -2.0 * x + z];
         }
-        let alpha = |alpha| Surface::Layered {
+        let alpha = |alpha| Surface::DiffuseSpecular {
             diffuse: [0.0; 3],
             specular: Specular::Ggx {
                 f0: [1.0; 3],
@@ -479,7 +479,7 @@ mod tests {
     fn both_strategies_agree_on_a_glossy_surface() {
         // The environment's density carries the first image, the reflection's the second:
         // their light is one small source and one that is nearly constant.
-        let glossy = |alpha: f32| Surface::Layered {
+        let glossy = |alpha: f32| Surface::DiffuseSpecular {
             diffuse: [0.2; 3],
             specular: Specular::Ggx {
                 f0: [0.6; 3],

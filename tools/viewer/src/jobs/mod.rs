@@ -257,7 +257,7 @@ pub fn panorama_of(image: &LatLong, stage: usize, stages: &[usize]) -> Option<Pa
 fn surface_of(asset: MaterialAsset) -> anyhow::Result<(Surface, Vec<Texture>)> {
     let mut plain = asset.material.clone();
     let layers = match &mut plain.surface {
-        Surface::Layered { specular, .. } => vec![specular],
+        Surface::DiffuseSpecular { specular, .. } => vec![specular],
         Surface::Layers { layers } => layers.iter_mut().map(|layer| &mut layer.specular).collect(),
         Surface::MetallicRoughness { .. } => Vec::new(),
     };

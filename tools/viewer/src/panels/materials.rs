@@ -3,7 +3,10 @@
 use std::sync::Arc;
 
 use egui::{DragValue, Slider, Ui};
-use relight_format::{Blend, Layer, MAX_LAYERS, MAX_REFLECTIONS, Material, Specular, Surface};
+use relight_format::{
+    Blend, Layer, MAX_LAYERS, MAX_REFLECTIONS, Material, ModelParameters, REFLECTION_MODELS,
+    Roughness, Specular, Surface,
+};
 
 use crate::app::{Purpose, Viewer};
 
@@ -65,7 +68,7 @@ fn edit(ui: &mut Ui, material: &mut Material) {
     let surface = &mut material.surface;
     let kind = match surface {
         Surface::MetallicRoughness { .. } => "metallic-roughness",
-        Surface::Layered { .. } => "base and reflection",
+        Surface::DiffuseSpecular { .. } => "base and reflection",
         Surface::Layers { .. } => "layers",
     };
     egui::ComboBox::from_label("surface")
@@ -85,7 +88,7 @@ fn edit(ui: &mut Ui, material: &mut Material) {
                 ),
                 (
                     "base and reflection",
-                    Surface::Layered {
+                    Surface::DiffuseSpecular {
                         diffuse: color,
                         specular: Specular::None,
                     },
@@ -118,7 +121,7 @@ fn edit(ui: &mut Ui, material: &mut Material) {
             let range = -std::f32::consts::PI..=std::f32::consts::PI;
             ui.add(Slider::new(anisotropy_rotation, range).text("its direction, rad"));
         }
-        Surface::Layered { diffuse, specular } => {
+        Surface::DiffuseSpecular { diffuse, specular } => {
             color_row(ui, "diffuse", diffuse);
             specular_edit(ui, specular);
         }
@@ -139,7 +142,7 @@ fn edit(ui: &mut Ui, material: &mut Material) {
 fn base_color(surface: &Surface) -> [f32; 3] {
     match surface {
         Surface::MetallicRoughness { base_color, .. } => *base_color,
-        Surface::Layered { diffuse, .. } => *diffuse,
+        Surface::DiffuseSpecular { diffuse, .. } => *diffuse,
         Surface::Layers { layers } => layers.first().map_or([0.5; 3], |layer| layer.diffuse),
     }
 }
@@ -199,140 +202,73 @@ fn layers_edit(ui: &mut Ui, layers: &mut Vec<Layer>) {
     }
 }
 
-#[expect(
-    clippy::too_many_lines,
-    reason = "one row after the other, for every model"
-)]
 fn specular_edit(ui: &mut Ui, specular: &mut Specular) {
-    let name = match specular {
-        Specular::None => "none",
-        Specular::BlinnPhong { .. } => "Blinn-Phong",
-        Specular::Ward { .. } => "Ward",
-        Specular::CookTorrance { .. } => "Cook-Torrance",
-        Specular::Ggx { .. } => "GGX",
-        Specular::AshikhminShirley { .. } => "Ashikhmin-Shirley",
-        Specular::Lobes { .. } => "measured",
+    let name = match specular.model() {
+        Some((model, _)) => model.name,
+        None if *specular == Specular::None => "none",
+        None => "measured",
     };
     egui::ComboBox::from_label("reflection")
         .selected_text(name)
         .show_ui(ui, |ui| {
-            let (f0, alpha) = color_and_alpha(specular);
-            let exponent = (2.0 / (alpha * alpha)).max(2.0);
-            let choices = [
-                ("none", Specular::None),
-                (
-                    "Blinn-Phong",
-                    Specular::BlinnPhong {
-                        specular: f0,
-                        exponent,
-                    },
-                ),
-                (
-                    "Ward",
-                    Specular::Ward {
-                        specular: f0,
-                        alpha: [alpha; 2],
-                    },
-                ),
-                (
-                    "Cook-Torrance",
-                    Specular::CookTorrance {
-                        f0,
-                        roughness: alpha,
-                    },
-                ),
-                (
-                    "GGX",
-                    Specular::Ggx {
-                        f0,
-                        alpha: [alpha; 2],
-                    },
-                ),
-                (
-                    "Ashikhmin-Shirley",
-                    Specular::AshikhminShirley {
-                        f0,
-                        exponents: [exponent; 2],
-                    },
-                ),
-            ];
-            for (choice, value) in choices {
+            let (color, alpha) = color_and_alpha(specular);
+            let models = REFLECTION_MODELS.iter().map(|model| {
+                let roughness = [model.roughness.from_alpha(alpha); 2];
+                let parameters = ModelParameters { color, roughness };
+                (model.name, model.reflection(parameters))
+            });
+            for (choice, value) in std::iter::once(("none", Specular::None)).chain(models) {
                 if ui.selectable_label(name == choice, choice).clicked() && name != choice {
                     *specular = value;
                 }
             }
         });
-    let roughness = |ui: &mut Ui, value: &mut f32, name: &str| {
-        ui.add(
-            Slider::new(value, LEAST_ROUGHNESS..=1.0)
-                .logarithmic(true)
-                .text(name),
-        );
-    };
-    let exponent = |ui: &mut Ui, value: &mut f32, least: f32, name: &str| {
-        let range = least..=relight_shading::surface::MAX_EXPONENT;
-        ui.add(Slider::new(value, range).logarithmic(true).text(name));
-    };
-    match specular {
-        Specular::None => {}
-        Specular::BlinnPhong {
-            specular,
-            exponent: n,
-        } => {
-            color_row(ui, "specular", specular);
-            exponent(ui, n, 1.0, "exponent");
+    if let Some((model, mut parameters)) = specular.model() {
+        color_row(ui, model.color, &mut parameters.color);
+        let name = match model.roughness_name {
+            "alpha" => "α",
+            name => name,
+        };
+        let [along, across] = &mut parameters.roughness;
+        if model.anisotropic {
+            roughness_row(ui, model.roughness, along, &format!("{name} along"));
+            roughness_row(ui, model.roughness, across, &format!("{name} across"));
+        } else {
+            roughness_row(ui, model.roughness, along, name);
         }
-        Specular::Ward {
-            specular,
-            alpha: [x, y],
-        } => {
-            color_row(ui, "specular", specular);
-            roughness(ui, x, "α along");
-            roughness(ui, y, "α across");
-        }
-        Specular::CookTorrance { f0, roughness: m } => {
-            color_row(ui, "f0", f0);
-            roughness(ui, m, "roughness");
-        }
-        Specular::Ggx { f0, alpha: [x, y] } => {
-            color_row(ui, "f0", f0);
-            roughness(ui, x, "α along");
-            roughness(ui, y, "α across");
-        }
-        Specular::AshikhminShirley {
-            f0,
-            exponents: [x, y],
-        } => {
-            color_row(ui, "f0", f0);
-            exponent(ui, x, 2.0, "exponent along");
-            exponent(ui, y, 2.0, "exponent across");
-        }
-        Specular::Lobes { path, lobes, .. } => {
-            ui.label(path.as_str());
-            for (index, lobe) in lobes.iter_mut().enumerate() {
-                ui.push_id(index, |ui| {
-                    color_row(ui, "f0", &mut lobe.f0);
-                    color_row(ui, "at grazing", &mut lobe.f90);
-                    roughness(ui, &mut lobe.roughness, "roughness");
-                });
-            }
+        *specular = model.reflection(parameters);
+    } else if let Specular::Lobes { path, lobes, .. } = specular {
+        ui.label(path.as_str());
+        for (index, lobe) in lobes.iter_mut().enumerate() {
+            ui.push_id(index, |ui| {
+                color_row(ui, "f0", &mut lobe.f0);
+                color_row(ui, "at grazing", &mut lobe.f90);
+                roughness_row(ui, Roughness::Alpha, &mut lobe.roughness, "roughness");
+            });
         }
     }
 }
 
+/// A slider over what can be drawn of a roughness.
+fn roughness_row(ui: &mut Ui, kind: Roughness, value: &mut f32, name: &str) {
+    let range = match kind {
+        Roughness::Alpha => LEAST_ROUGHNESS..=1.0,
+        Roughness::Exponent { least } => least..=relight_shading::surface::MAX_EXPONENT,
+    };
+    ui.add(Slider::new(value, range).logarithmic(true).text(name));
+}
+
 /// Colour and roughness to go on with in another model.
 fn color_and_alpha(specular: &Specular) -> ([f32; 3], f32) {
-    let of_exponent = |n: f32| (2.0 / n.max(2.0)).sqrt();
-    let (color, alpha) = match specular {
-        Specular::None => ([0.04; 3], 0.3),
-        Specular::BlinnPhong { specular, exponent } => (*specular, of_exponent(*exponent)),
-        Specular::Ward { specular, alpha } => (*specular, alpha[0]),
-        Specular::CookTorrance { f0, roughness } => (*f0, *roughness),
-        Specular::Ggx { f0, alpha } => (*f0, alpha[0]),
-        Specular::AshikhminShirley { f0, exponents } => (*f0, of_exponent(exponents[0])),
-        Specular::Lobes { lobes, .. } => lobes
-            .first()
-            .map_or(([0.04; 3], 0.3), |lobe| (lobe.f0, lobe.roughness)),
+    let (color, alpha) = match (specular, specular.model()) {
+        (_, Some((model, parameters))) => {
+            let alpha = model.roughness.to_alpha(parameters.roughness[0]);
+            (parameters.color, alpha)
+        }
+        (Specular::Lobes { lobes, .. }, _) if !lobes.is_empty() => {
+            (lobes[0].f0, lobes[0].roughness)
+        }
+        _ => ([0.04; 3], 0.3),
     };
     (color, alpha.clamp(LEAST_ROUGHNESS, 1.0))
 }

@@ -225,8 +225,8 @@ fn project_own(p: Vec3, half: f32) -> Point {
     project(p.abs(), Vec3::new(sign(p.x), sign(p.y), sign(p.z)), half)
 }
 
-/// Projects a point, given by its coordinates in an octant, to the square. The arithmetic
-/// depends on the point and the octant alone: edges that share a vertex meet exactly.
+/// Projects a point, given by its coordinates in an octant, to the square: `octahedral::encode` in texels, but
+/// that the arithmetic depends on the point and the octant alone, so that edges that share a vertex meet exactly.
 #[inline(always)]
 fn project(p: Vec3, sign: Vec3, half: f32) -> Point {
     let (px, py, pz) = (max_zero(p.x), max_zero(p.y), max_zero(p.z));

@@ -180,20 +180,12 @@ const fn model<const NUMBER: usize>(name: &'static str, tolerances: [f64; 2]) ->
         twin: |[a, b, c, d]| {
             let reflection = Reflection {
                 grazing: b.xyz(),
-                ..Reflection::new(MODELS[NUMBER], a.xyz(), Vec2::new(b.w, c.w))
+                ..Reflection::new(Model::ALL[NUMBER], a.xyz(), Vec2::new(b.w, c.w))
             };
             models::evaluate_specular(&reflection, c.xyz(), d.xyz()).extend(0.0)
         },
     }
 }
-
-const MODELS: [Model; 5] = [
-    Model::BlinnPhong,
-    Model::Ward,
-    Model::CookTorrance,
-    Model::Ggx,
-    Model::AshikhminShirley,
-];
 
 fn lobe(shape: Vec4, amplitude: Vec4) -> SphericalGaussian {
     SphericalGaussian {
@@ -239,7 +231,7 @@ fn reflection<const NUMBER: usize>(random: &mut Random) -> [Vec4; 4] {
     let (specular, grazing) = (color(), color());
     let mut alpha = || 10f32.powf(-1.5 * random.unit());
     let (mut x, mut y) = (alpha(), alpha());
-    match MODELS[NUMBER] {
+    match Model::ALL[NUMBER] {
         Model::BlinnPhong => (x, y) = (1.0 / (x * x), 1.0 / (x * x)),
         Model::CookTorrance => y = x,
         _ => {}

@@ -244,7 +244,7 @@ fn material(random: &mut Random) -> Material {
     };
     let kind = random.next() % 4;
     let surface = match kind {
-        0 => Surface::Layered {
+        0 => Surface::DiffuseSpecular {
             diffuse: color(random),
             specular: specular(random, 7),
         },

@@ -368,9 +368,9 @@ impl Renderer {
                 &self.visibility_pipeline
             });
             for (scene, resources) in drawn.clone() {
-                pass.set_bind_group(0, resources.frame_group(), &[0]);
-                pass.set_bind_group(1, &scene.bind_group, &[]);
                 for seen in resources.seen() {
+                    pass.set_bind_group(0, resources.frame_group(), &[0]);
+                    pass.set_bind_group(1, &scene.bind_group, &[]);
                     pass.draw(0..3 * scene.triangle_count, seen);
                 }
             }
@@ -427,6 +427,13 @@ impl Renderer {
             let placed: Vec<_> = (batch.iter())
                 .map(|&index| &placed[index as usize])
                 .collect();
+            if placed.iter().all(|(_, numbered)| numbered.region.is_none()) {
+                let resources = view.resources.get_mut(index).into_iter();
+                resources
+                    .chain(view.open.get_mut(index))
+                    .for_each(Resources::leave);
+                continue;
+            }
             let part = (tiling, rows);
             view.resources[index].fill(self, scene, frame, &image, part, &placed)?;
             match (view.open.get_mut(index), &scene.open) {
@@ -490,10 +497,10 @@ impl Renderer {
             dispatch(self.cells_pipeline(), groups);
             return;
         }
-        if let Some(([frame, images], [x, y, z])) = resources.vertices() {
+        if let Some(([frame, images], (offset, [x, y, z]))) = resources.vertices() {
             dispatch(self.mark_pipeline(), [frame, &scene.vertex_group, images]);
             pass.set_pipeline(self.vertex_pipeline());
-            pass.set_bind_group(0, frame, &[0]);
+            pass.set_bind_group(0, frame, &[offset]);
             pass.set_bind_group(1, &scene.vertex_group, &[]);
             pass.set_bind_group(2, images, &[]);
             pass.dispatch_workgroups(x, y, z);

@@ -44,6 +44,8 @@ pub(crate) struct Resources {
     dispatches: Vec<Dispatch>,
     /// Whether these shade all rows.
     whole: bool,
+    /// As many workgroups as instances may be seen, a tile of each.
+    per_instance: Dispatch,
 }
 
 /// An instance in the order of a frame.
@@ -67,6 +69,13 @@ impl Resources {
             vertex_lights,
             ..Self::default()
         };
+    }
+
+    /// None of the instances is seen.
+    pub(crate) fn leave(&mut self) {
+        self.regions.clear();
+        self.dispatches.clear();
+        self.whole = true;
     }
 
     /// Fills everything for one picture.
@@ -166,11 +175,11 @@ impl Resources {
         rows: &Range<u32>,
     ) -> Result<(), Error> {
         self.whole = *rows == (0..tiling.size[1]);
-        let (words, dispatches) = tiles::list(&self.regions, tiling, rows);
+        let (mut words, dispatches) = tiles::list(&self.regions, tiling, rows);
         self.dispatches = dispatches;
+        self.per_instance = tiles::list_instances(&self.regions, &mut words);
         // What the last dispatch is bound to ends behind it.
-        let last = self.dispatches.last().map_or(0, |last| last.offset);
-        let room = u64::from(last) + TILES_BYTES;
+        let room = u64::from(self.per_instance.offset) + TILES_BYTES;
         let words = bytemuck::cast_slice(&words);
         let usage = wgpu::BufferUsages::UNIFORM;
         if (self.tiles).fill(renderer, "relight tiles", words, room, usage)? {
@@ -226,16 +235,22 @@ impl Resources {
         let Some(vertex_lights) = &mut self.vertex_lights else {
             return;
         };
+        if self.regions.is_empty() {
+            return;
+        }
         vertex_lights.bind(renderer, visibility);
         let buffers = [&self.frames, &self.lights, &self.tiles].map(Slot::buffer);
         (self.vertex_group).get_or_insert_with(|| renderer.vertex_frame_group(buffers));
     }
 
-    /// The same, once bound: groups 0 and 2, and workgroups.
-    pub(crate) fn vertices(&self) -> Option<([&wgpu::BindGroup; 2], [u32; 3])> {
+    /// The same, once bound: groups 0 and 2; of the kernel that finds it, where tiles of instances begin, and
+    /// workgroups.
+    pub(crate) fn vertices(&self) -> Option<([&wgpu::BindGroup; 2], (u32, [u32; 3]))> {
         let lights = self.vertex_lights.as_ref()?;
         let frame = self.vertex_group.as_ref()?;
-        Some(([frame, lights.group()], lights.workgroups()))
+        let Dispatch { offset, workgroups } = self.per_instance;
+        let [x, y] = lights.workgroups();
+        Some(([frame, lights.group()], (offset, [x, y, workgroups])))
     }
 
     /// Group 0.

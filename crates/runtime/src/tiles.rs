@@ -11,7 +11,7 @@ pub(crate) const OFFSET_ALIGNMENT: usize = 256;
 pub(crate) const WORKGROUP: u32 = 8;
 
 /// Tiles that are shaded at a time.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Dispatch {
     /// Where they begin in their buffer, bytes.
     pub(crate) offset: u32,
@@ -154,6 +154,18 @@ pub(crate) fn list(
         }
     }
     (words, dispatches)
+}
+
+/// Adds a tile of every instance that may be seen; what is dispatched for these.
+pub(crate) fn list_instances(regions: &[Option<Region>], words: &mut Vec<u32>) -> Dispatch {
+    words.resize(words.len().next_multiple_of(OFFSET_ALIGNMENT / 4), 0);
+    let offset = 4 * words.len() as u32;
+    let seen = (0u32..).zip(regions).filter(|(_, region)| region.is_some());
+    words.extend(seen.map(|(place, _)| gpu::tile(place, 0, 0)));
+    Dispatch {
+        offset,
+        workgroups: words.len() as u32 - offset / 4,
+    }
 }
 
 #[cfg(test)]

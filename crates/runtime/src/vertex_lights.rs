@@ -16,8 +16,6 @@ pub(crate) struct VertexLights {
     quads: usize,
     /// By instance; those of frames before this one may have been more.
     lights: Vec<LightOfInstance>,
-    /// Instances of this frame.
-    count: usize,
     /// Instances that there is room for.
     room: usize,
     /// A word per vertex, instance after instance: the stamp of the frame that it was last wanted in.
@@ -92,7 +90,6 @@ impl VertexLights {
                 lights: (lights.iter())
                     .map(|lights| LightOfInstance::new(lights))
                     .collect(),
-                count: lights.len(),
                 room: lights.len(),
                 states: device.create_buffer(&wgpu::BufferDescriptor {
                     label: Some("relight vertex states"),
@@ -104,7 +101,6 @@ impl VertexLights {
                 group: None,
             });
         };
-        kept.count = lights.len();
         for (index, lights) in lights.iter().enumerate() {
             match kept.lights.get_mut(index) {
                 Some(of) => of.next_frame(lights),
@@ -134,13 +130,9 @@ impl VertexLights {
         of.light << FRAME_BITS | of.frame
     }
 
-    /// Workgroups of `vertices_main`.
-    pub(crate) fn workgroups(&self) -> [u32; 3] {
-        [
-            (self.vertices as u32).div_ceil(64),
-            self.quads as u32,
-            self.count as u32,
-        ]
+    /// Workgroups of `vertices_main` for an instance.
+    pub(crate) fn workgroups(&self) -> [u32; 2] {
+        [(self.vertices as u32).div_ceil(64), self.quads as u32]
     }
 
     /// Makes group 2 of kernels of vertices, unless it is there.

@@ -312,6 +312,16 @@ pub fn batches_match_twin(gpu: &mut Gpu) -> Outcome {
             "{name}: {different}"
         );
     }
+    // Out of sight and back.
+    let instance = |placement| Instance {
+        scene: &uploaded,
+        placement,
+    };
+    let few = few.map(instance);
+    let before = prepare(gpu, &mut view, &few, &frame)?;
+    let nothing = prepare(gpu, &mut view, &few[2..3], &frame)?;
+    assert!(nothing.pixels.iter().all(|pixel| pixel[3] == 0.0));
+    assert!(prepare(gpu, &mut view, &few, &frame)? == before);
     Ok(())
 }
 

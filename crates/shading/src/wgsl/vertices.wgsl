@@ -27,11 +27,12 @@ fn vertices_want(vertex: u32) {
     }
 }
 
-// Twin of light_fraction in vertex_visibility.rs: four lights (y) at one vertex (x) of an instance (z).
+// Twin of light_fraction in vertex_visibility.rs: four lights (y) at one vertex (x) of a tile's
+// instance (z).
 @compute @workgroup_size(64)
 fn vertices_main(@builtin(global_invocation_id) id: vec3<u32>) {
     let vertex = id.x;
-    frame_index = id.z;
+    tile_enter(id.z);
     let stamp = frames[frame_index].vertex_stamp;
     if vertex >= frames[frame_index].vertex_count || stamp == 0u {
         return;

@@ -94,7 +94,7 @@ fn test() -> ExitCode {
         None => println!("xtask: no test data; tests on real input are skipped"),
     }
     let mut counts = Counts::default();
-    let steps: [(&str, &mut dyn FnMut() -> Outcome); 8] = [
+    let steps: [(&str, &mut dyn FnMut() -> Outcome); 7] = [
         ("install", &mut || install(&root)),
         ("format", &mut || {
             Outcome::of(&mut cargo("fmt --all --check"))
@@ -102,18 +102,6 @@ fn test() -> ExitCode {
         ("lints", &mut || {
             let arguments = "clippy --release --workspace --all-targets -- -D warnings";
             Outcome::of(&mut cargo(arguments))
-        }),
-        // The workspace as one has all features.
-        ("features", &mut || {
-            let check = |package| {
-                Outcome::of(&mut cargo(&format!(
-                    "clippy --release -p {package} -- -D warnings"
-                )))
-            };
-            match check("relight-runtime --no-default-features") {
-                Outcome::Passed => check("relight-bake"),
-                other => other,
-            }
         }),
         ("documentation", &mut || {
             let mut doc = cargo("doc --release --workspace --no-deps");

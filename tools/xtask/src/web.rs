@@ -76,8 +76,9 @@ fn build(root: &Path) -> Result<PathBuf, String> {
     std::fs::create_dir_all(&folder).map_err(|error| failed(&folder, error))?;
     for page in &PAGES {
         let compiled = compile(root, page.package)?;
-        // The JavaScript around it.
+        // The JavaScript around it, which finds the module beside itself.
         (Bindgen::new().input_path(&compiled).typescript(false))
+            .omit_default_module_path(false)
             .web(true)
             .and_then(|bindgen| bindgen.generate(&folder))
             .map_err(|error| format!("wasm-bindgen: {}: {error:#}", compiled.display()))?;

@@ -56,7 +56,7 @@ pub enum Specular {
         /// 1 to [`MAX_FITTED_LOBES`] lobes, added.
         lobes: Vec<FittedLobe>,
         /// What the sum of the lobes is multiplied by to be the table less the diffuse base, by the
-        /// directions of light and view: [`TextureEncoding::Rgbe`], [`RATIO_SIZE`] texels. Its
+        /// directions of light and view: [`crate::TextureEncoding::Rgbe`], [`crate::RATIO_SIZE`] texels. Its
         /// transform is not used.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         ratio: Option<TextureSlot>,

@@ -497,10 +497,11 @@ impl Renderer {
             dispatch(self.cells_pipeline(), groups);
             return;
         }
-        if let Some(([frame, images], (offset, [x, y, z]))) = resources.vertices() {
+        if let Some(work) = resources.vertices() {
+            let ([frame, images], [x, y, z]) = (work.groups, work.workgroups);
             dispatch(self.mark_pipeline(), [frame, &scene.vertex_group, images]);
             pass.set_pipeline(self.vertex_pipeline());
-            pass.set_bind_group(0, frame, &[offset]);
+            pass.set_bind_group(0, frame, &[work.offset]);
             pass.set_bind_group(1, &scene.vertex_group, &[]);
             pass.set_bind_group(2, images, &[]);
             pass.dispatch_workgroups(x, y, z);

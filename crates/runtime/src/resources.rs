@@ -59,6 +59,15 @@ pub(crate) struct Numbered {
     pub(crate) region: Option<Region>,
 }
 
+/// What kernels of vertices are run with.
+pub(crate) struct VertexWork<'a> {
+    /// Groups 0 and 2.
+    pub(crate) groups: [&'a wgpu::BindGroup; 2],
+    /// Where tiles of instances begin, for the kernel that finds fractions, and its workgroups.
+    pub(crate) offset: u32,
+    pub(crate) workgroups: [u32; 3],
+}
+
 impl Resources {
     /// Lets go of the buffers, so that what is recorded already keeps what it was recorded with.
     pub(crate) fn renew(&mut self) {
@@ -243,14 +252,17 @@ impl Resources {
         (self.vertex_group).get_or_insert_with(|| renderer.vertex_frame_group(buffers));
     }
 
-    /// The same, once bound: groups 0 and 2; of the kernel that finds it, where tiles of instances begin, and
-    /// workgroups.
-    pub(crate) fn vertices(&self) -> Option<([&wgpu::BindGroup; 2], (u32, [u32; 3]))> {
+    /// The same, once bound.
+    pub(crate) fn vertices(&self) -> Option<VertexWork<'_>> {
         let lights = self.vertex_lights.as_ref()?;
         let frame = self.vertex_group.as_ref()?;
         let Dispatch { offset, workgroups } = self.per_instance;
         let [x, y] = lights.workgroups();
-        Some(([frame, lights.group()], (offset, [x, y, workgroups])))
+        Some(VertexWork {
+            groups: [frame, lights.group()],
+            offset,
+            workgroups: [x, y, workgroups],
+        })
     }
 
     /// Group 0.

@@ -8,9 +8,7 @@ use relight_runtime::wgpu;
 use relight_shading::spherical_gaussian::SphericalGaussian;
 use relight_shading::surface::{Model, Reflection};
 use relight_shading::tables::Tables;
-use relight_shading::wgsl::{Entry, source};
 use relight_shading::{models, octahedral, tonemap};
-use wgpu::util::DeviceExt as _;
 
 use super::oracle;
 use crate::scenes::Random;
@@ -297,44 +295,13 @@ pub fn functions_match_oracle_and_twin(gpu: &mut Gpu) -> Result<(), Failed> {
 }
 
 fn answers(gpu: &Gpu, cases: &[Case]) -> Result<Vec<Vec4>, Failed> {
-    let device = &gpu.device;
-    let library =
-        source(Entry::Library) + include_str!("../../../../shading/src/wgsl/tonemap.wgsl");
-    let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
-        label: Some("functions"),
-        source: wgpu::ShaderSource::Wgsl((library + include_str!("functions.wgsl")).into()),
-    });
-    let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-        label: Some("functions"),
-        layout: None,
-        module: &module,
-        entry_point: Some("functions"),
-        compilation_options: wgpu::PipelineCompilationOptions::default(),
-        cache: None,
-    });
-    let storage = |contents: &[u8]| {
-        device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
-            label: None,
-            contents,
-            usage: wgpu::BufferUsages::STORAGE,
-        })
-    };
-    let tables = storage(bytemuck::cast_slice(Tables::get().values()));
-    let input = storage(bytemuck::cast_slice(cases));
-    let size = (cases.len() * 16) as u64;
-    let buffer = |usage| {
-        device.create_buffer(&wgpu::BufferDescriptor {
-            label: None,
-            size,
-            usage,
-            mapped_at_creation: false,
-        })
-    };
-    let output = buffer(wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC);
-    let read_back = buffer(wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ);
-    let entry = |binding, resource| wgpu::BindGroupEntry { binding, resource };
+    let wgsl = concat!(
+        include_str!("../../../../shading/src/wgsl/tonemap.wgsl"),
+        include_str!("functions.wgsl")
+    );
+    let tables = super::storage(gpu, Tables::get().values());
     // No reflection has a ratio; something has to be bound where one would be.
-    let texels = device.create_texture(&wgpu::TextureDescriptor {
+    let texels = gpu.device.create_texture(&wgpu::TextureDescriptor {
         label: None,
         size: wgpu::Extent3d::default(),
         mip_level_count: 1,
@@ -349,37 +316,8 @@ fn answers(gpu: &Gpu, cases: &[Case]) -> Result<Vec<Vec4>, Failed> {
         ..Default::default()
     });
     let groups = [
-        (0, vec![entry(2, tables.as_entire_binding())]),
-        (
-            1,
-            vec![entry(5, wgpu::BindingResource::TextureView(&texels))],
-        ),
-        (
-            3,
-            vec![
-                entry(0, input.as_entire_binding()),
-                entry(1, output.as_entire_binding()),
-            ],
-        ),
-    ]
-    .map(|(index, entries)| {
-        let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: None,
-            layout: &pipeline.get_bind_group_layout(index),
-            entries: &entries,
-        });
-        (index, group)
-    });
-    let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-    {
-        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-        pass.set_pipeline(&pipeline);
-        for (index, group) in &groups {
-            pass.set_bind_group(*index, group, &[]);
-        }
-        pass.dispatch_workgroups((cases.len() as u32).div_ceil(64), 1, 1);
-    }
-    encoder.copy_buffer_to_buffer(&output, 0, &read_back, 0, size);
-    gpu.queue.submit([encoder.finish()]);
-    Ok(bytemuck::pod_collect_to_vec(&gpu.read_buffer(&read_back)?))
+        (0, &[(2, tables.as_entire_binding())][..]),
+        (1, &[(5, wgpu::BindingResource::TextureView(&texels))]),
+    ];
+    super::run(gpu, ("functions", wgsl), &groups, cases, 1)
 }

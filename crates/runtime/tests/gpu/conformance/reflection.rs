@@ -16,7 +16,6 @@ use relight_shading::pack::{PackedScene, pack_scene};
 use relight_shading::shade::gpu_tables;
 use relight_shading::surface::{MAX_REFLECTIONS, Reflection, sample_ratio, surface_seen};
 use relight_shading::textures::{Filter, Mipmaps};
-use relight_shading::wgsl::{Entry, source};
 use wgpu::util::DeviceExt as _;
 
 use crate::scenes::{self, Random};
@@ -325,89 +324,34 @@ fn specular(random: &mut Random, most_lobes: u64) -> Specular {
 }
 
 fn answers(gpu: &Gpu, scene: &Scene, queries: &[Query]) -> Result<Vec<Vec4>, Failed> {
-    let device = &gpu.device;
-    let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
-        label: Some("reflection"),
-        source: wgpu::ShaderSource::Wgsl(
-            (source(Entry::Library) + include_str!("reflection.wgsl")).into(),
-        ),
-    });
-    let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-        label: Some("reflection"),
-        layout: None,
-        module: &module,
-        entry_point: Some("reflection"),
-        compilation_options: wgpu::PipelineCompilationOptions::default(),
-        cache: None,
-    });
-    let buffer = |contents: &[u8], usage| {
-        device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
-            label: None,
-            contents,
-            usage,
-        })
-    };
-    let storage = |contents: &[u8]| buffer(contents, wgpu::BufferUsages::STORAGE);
     let packed = pack_scene(scene)?;
     let frame = gpu::Frame::new(&view(), &packed.atlas, packed.distance_clamp);
-    let frame = buffer(&scenes::batch(&frame), wgpu::BufferUsages::UNIFORM);
-    let tables = storage(bytemuck::cast_slice(&gpu_tables()));
-    let vertices = storage(bytemuck::cast_slice(&packed.vertices));
-    let triangles = storage(bytemuck::cast_slice(&packed.triangles));
-    let materials = storage(bytemuck::cast_slice(&packed.materials));
+    let frame = super::buffer(gpu, &scenes::batch(&frame), wgpu::BufferUsages::UNIFORM);
+    let tables = super::storage(gpu, &gpu_tables());
+    let vertices = super::storage(gpu, &packed.vertices);
+    let triangles = super::storage(gpu, &packed.triangles);
+    let materials = super::storage(gpu, &packed.materials);
     let texels = texels(gpu, scene, &packed);
-    let input = storage(bytemuck::cast_slice(queries));
-    let size = (queries.len() * WORDS * 16) as u64;
-    let output = device.create_buffer(&wgpu::BufferDescriptor {
-        label: None,
-        size,
-        usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC,
-        mapped_at_creation: false,
-    });
-    let read_back = device.create_buffer(&wgpu::BufferDescriptor {
-        label: None,
-        size,
-        usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
-        mapped_at_creation: false,
-    });
     let groups = [
-        (0, vec![(0, &frame), (2, &tables)]),
-        (1, vec![(0, &vertices), (1, &triangles), (4, &materials)]),
-        (3, vec![(0, &input), (1, &output)]),
-    ]
-    .map(|(index, buffers)| {
-        let mut entries: Vec<_> = buffers
-            .into_iter()
-            .map(|(binding, buffer)| wgpu::BindGroupEntry {
-                binding,
-                resource: buffer.as_entire_binding(),
-            })
-            .collect();
-        if index == 1 {
-            entries.push(wgpu::BindGroupEntry {
-                binding: 5,
-                resource: wgpu::BindingResource::TextureView(&texels),
-            });
-        }
-        let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: None,
-            layout: &pipeline.get_bind_group_layout(index),
-            entries: &entries,
-        });
-        (index, group)
-    });
-    let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-    {
-        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-        pass.set_pipeline(&pipeline);
-        for (index, group) in &groups {
-            pass.set_bind_group(*index, group, &[]);
-        }
-        pass.dispatch_workgroups((queries.len() as u32).div_ceil(64), 1, 1);
-    }
-    encoder.copy_buffer_to_buffer(&output, 0, &read_back, 0, size);
-    gpu.queue.submit([encoder.finish()]);
-    Ok(bytemuck::pod_collect_to_vec(&gpu.read_buffer(&read_back)?))
+        (
+            0,
+            &[
+                (0, frame.as_entire_binding()),
+                (2, tables.as_entire_binding()),
+            ][..],
+        ),
+        (
+            1,
+            &[
+                (0, vertices.as_entire_binding()),
+                (1, triangles.as_entire_binding()),
+                (4, materials.as_entire_binding()),
+                (5, wgpu::BindingResource::TextureView(&texels)),
+            ],
+        ),
+    ];
+    let kernel = ("reflection", include_str!("reflection.wgsl"));
+    super::run(gpu, kernel, &groups, queries, WORDS)
 }
 
 /// Pixels so wide that textures are seen at several levels.

@@ -1,7 +1,7 @@
 //! SSDF decoding and both integrators, function by function on random input.
 
 use bytemuck::{Pod, Zeroable};
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Vec3, Vec4};
 use libtest_mimic::Failed;
 use relight_format::{CHANNELS_PER_TILE, Scene};
 use relight_runtime::offscreen::Gpu;
@@ -12,7 +12,6 @@ use relight_shading::pack::pack_scene;
 use relight_shading::spherical_gaussian::energy;
 use relight_shading::ssdf::{Basis, SignedDistance as _, Ssdf};
 use relight_shading::tables::Tables;
-use relight_shading::wgsl::{Entry, source};
 use relight_shading::{ambient, octahedral, polar};
 use wgpu::util::{DeviceExt as _, TextureDataOrder};
 
@@ -150,57 +149,17 @@ fn queries(scene: &Scene) -> Vec<Query> {
         .collect()
 }
 
-#[allow(
-    clippy::too_many_lines,
-    reason = "one pass, from the module to what is read back"
-)]
-fn probe(gpu: &Gpu, scene: &Scene, queries: &[Query]) -> Result<Vec<[f32; 4]>, Failed> {
+fn probe(gpu: &Gpu, scene: &Scene, queries: &[Query]) -> Result<Vec<Vec4>, Failed> {
     let device = &gpu.device;
-    let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
-        label: Some("probe"),
-        source: wgpu::ShaderSource::Wgsl(
-            (source(Entry::Library) + include_str!("visibility.wgsl")).into(),
-        ),
-    });
-    let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-        label: Some("probe"),
-        layout: None,
-        module: &module,
-        entry_point: Some("probe"),
-        compilation_options: wgpu::PipelineCompilationOptions::default(),
-        cache: None,
-    });
-    let buffer = |contents: &[u8], usage| {
-        device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
-            label: None,
-            contents,
-            usage,
-        })
-    };
-    let storage = |contents: &[u8]| buffer(contents, wgpu::BufferUsages::STORAGE);
     let packed = pack_scene(scene)?;
     let view = View::new(&scenes::camera(), 1, 1, 1.0);
     let mut frame = gpu::Frame::new(&view, &packed.atlas, packed.distance_clamp);
     frame.spokes = SPOKES;
-    let frame = buffer(&scenes::batch(&frame), wgpu::BufferUsages::UNIFORM);
-    let tables = storage(bytemuck::cast_slice(Tables::get().values()));
-    let triangles = storage(bytemuck::cast_slice(&packed.triangles));
-    let clusters = storage(bytemuck::cast_slice(&packed.clusters));
-    let coefficients = storage(bytemuck::cast_slice(&packed.coefficients));
-    let input = storage(bytemuck::cast_slice(queries));
-    let size = (queries.len() * 16) as u64;
-    let output = device.create_buffer(&wgpu::BufferDescriptor {
-        label: None,
-        size,
-        usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC,
-        mapped_at_creation: false,
-    });
-    let read_back = device.create_buffer(&wgpu::BufferDescriptor {
-        label: None,
-        size,
-        usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
-        mapped_at_creation: false,
-    });
+    let frame = super::buffer(gpu, &scenes::batch(&frame), wgpu::BufferUsages::UNIFORM);
+    let tables = super::storage(gpu, Tables::get().values());
+    let triangles = super::storage(gpu, &packed.triangles);
+    let clusters = super::storage(gpu, &packed.clusters);
+    let coefficients = super::storage(gpu, &packed.coefficients);
     let atlas = device.create_texture_with_data(
         &gpu.queue,
         &wgpu::TextureDescriptor {
@@ -229,62 +188,25 @@ fn probe(gpu: &Gpu, scene: &Scene, queries: &[Query]) -> Result<Vec<[f32; 4]>, F
         min_filter: wgpu::FilterMode::Linear,
         ..Default::default()
     });
-    let group = |index: u32, resources: Vec<(u32, wgpu::BindingResource)>| {
-        let entries: Vec<_> = resources
-            .into_iter()
-            .map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource })
-            .collect();
-        device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: None,
-            layout: &pipeline.get_bind_group_layout(index),
-            entries: &entries,
-        })
-    };
     let groups = [
         (
             0,
-            group(
-                0,
-                vec![
-                    (0, frame.as_entire_binding()),
-                    (2, tables.as_entire_binding()),
-                ],
-            ),
+            &[
+                (0, frame.as_entire_binding()),
+                (2, tables.as_entire_binding()),
+            ][..],
         ),
         (
             1,
-            group(
-                1,
-                vec![
-                    (1, triangles.as_entire_binding()),
-                    (2, clusters.as_entire_binding()),
-                    (3, coefficients.as_entire_binding()),
-                    (6, wgpu::BindingResource::TextureView(&atlas)),
-                    (7, wgpu::BindingResource::Sampler(&sampler)),
-                ],
-            ),
-        ),
-        (
-            3,
-            group(
-                3,
-                vec![
-                    (0, input.as_entire_binding()),
-                    (1, output.as_entire_binding()),
-                ],
-            ),
+            &[
+                (1, triangles.as_entire_binding()),
+                (2, clusters.as_entire_binding()),
+                (3, coefficients.as_entire_binding()),
+                (6, wgpu::BindingResource::TextureView(&atlas)),
+                (7, wgpu::BindingResource::Sampler(&sampler)),
+            ],
         ),
     ];
-    let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-    {
-        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-        pass.set_pipeline(&pipeline);
-        for (index, group) in &groups {
-            pass.set_bind_group(*index, group, &[]);
-        }
-        pass.dispatch_workgroups((queries.len() as u32).div_ceil(64), 1, 1);
-    }
-    encoder.copy_buffer_to_buffer(&output, 0, &read_back, 0, size);
-    gpu.queue.submit([encoder.finish()]);
-    Ok(bytemuck::pod_collect_to_vec(&gpu.read_buffer(&read_back)?))
+    let kernel = ("probe", include_str!("visibility.wgsl"));
+    super::run(gpu, kernel, &groups, queries, 1)
 }

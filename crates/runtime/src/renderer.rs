@@ -919,7 +919,9 @@ fn check_device(device: &wgpu::Device) -> Result<(), Error> {
     ] {
         LimitError::check(limit, u64::from(needed), u64::from(allowed)).map_err(Error::Device)?;
     }
-    Ok(())
+    let uniforms = limits.max_uniform_buffer_binding_size;
+    LimitError::check("max_uniform_buffer_binding_size", FRAMES_BYTES, uniforms)
+        .map_err(Error::Device)
 }
 
 /// A texture that nobody reads.

@@ -112,9 +112,9 @@ impl VertexLights {
 
     /// Most instances whose fractions fit into one texture; all where there are none.
     pub(crate) fn most_instances(device: &wgpu::Device, vertices: usize, lights: usize) -> usize {
+        let allowed = device.limits().max_texture_dimension_2d;
         let fits = |instances: usize| {
-            texture_rows(vertices * instances, lights)
-                .is_some_and(|rows| rows <= device.limits().max_texture_dimension_2d)
+            texture_rows(vertices * instances, lights).is_some_and(|rows| rows <= allowed)
         };
         let most = gpu::MAX_BATCH as usize;
         if fits(1) {

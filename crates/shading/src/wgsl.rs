@@ -10,6 +10,9 @@ use crate::{
 };
 
 /// What a shader module is for.
+///
+/// Kernels of workgroups of 8 × 8 pixels, but for `surfaces_main`, are dispatched along x, one workgroup for each
+/// [`gpu::tile`] that is bound; `sources_main` along z for each source as well.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Entry {
     /// Triangle under each pixel: `visibility_buffer_vertex`, `visibility_buffer_fragment`.
@@ -19,7 +22,7 @@ pub enum Entry {
     /// Samples of visibility to the surfaces of every pixel: `surfaces_main`, workgroups of a tile.
     Surfaces,
     /// Visible fractions of lights at vertices: `vertices_mark`, workgroups of 8 × 8 pixels, and
-    /// `vertices_main`, workgroups of 64 vertices and four lights.
+    /// `vertices_main`, workgroups of 64 vertices (x) and four lights (y), for the instance of each tile bound (z).
     Vertices,
     /// Visibility buffer to a reflection and its lobes: `reflections_main`, as the following five
     /// workgroups of 8 × 8 pixels.

@@ -1035,6 +1035,16 @@ fn limits_are_checked(_: &mut Gpu) -> Outcome {
         }
         other => return Err(format!("a renderer in spite of limits: {other:?}").into()),
     }
+    let small = wgpu::Limits {
+        max_uniform_buffer_binding_size: 16 << 10,
+        ..wgpu::Limits::default()
+    };
+    match Gpu::new(&small) {
+        Err(Error::Device(limit)) => {
+            assert_eq!(limit.limit, "max_uniform_buffer_binding_size");
+        }
+        other => return Err(format!("a renderer in spite of limits: {other:?}").into()),
+    }
     let many = wgpu::Limits {
         max_texture_dimension_2d: 1 << 30,
         ..wgpu::Limits::default()

@@ -219,7 +219,7 @@ pub fn a_thousand_instances_cost_their_pixels(gpu: &mut Gpu) -> Outcome {
     }];
     let mut results = Vec::new();
     for (name, instances) in [("one", &one[..]), ("a thousand", &many)] {
-        let mut view = gpu.renderer.view([512, 512])?;
+        let mut view = gpu.renderer.view([320, 320])?;
         let pixels = draw(gpu, &mut view, instances, &frame)?;
         let covered = (pixels.chunks_exact(16))
             .filter(|pixel| pixel[12..] == 1f32.to_le_bytes())

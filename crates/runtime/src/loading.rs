@@ -1,5 +1,8 @@
 //! From memory to the GPU, piece by piece, while others draw.
 
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
 use bytemuck::Pod;
 use relight_shading::gpu::LimitError;
 
@@ -9,6 +12,10 @@ use crate::transfer::filled_buffer;
 /// Most bytes that are handed to a queue at a time: a queue is locked meanwhile, a thread that draws would
 /// wait.
 const PIECE: usize = 1 << 20;
+/// Bytes that go with one submission.
+const SUBMITTED_TOGETHER: u64 = 4 << 20;
+/// How long an upload waits for a thread that draws to submit: ten frames a second.
+const PATIENCE: Duration = Duration::from_millis(100);
 
 /// How far an upload is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -24,8 +31,66 @@ pub(crate) struct Loading<'a> {
     device: &'a wgpu::Device,
     queue: &'a wgpu::Queue,
     /// Without, everything is left to the next submission.
-    wanted: Option<&'a mut dyn FnMut(UploadProgress) -> bool>,
+    pieces: Option<Pieces<'a>>,
     progress: UploadProgress,
+}
+
+/// What goes to the GPU a few megabytes at a time. Where a thread draws they go with its submissions: one of
+/// another thread's would make it wait, as drivers may submit only after what was submitted before.
+struct Pieces<'a> {
+    wanted: &'a mut dyn FnMut(UploadProgress) -> bool,
+    /// Frames that were prepared so far.
+    frames: &'a AtomicU64,
+    /// The same when there was something new last.
+    seen: u64,
+    /// Whether frames came while it waited for one.
+    drawing: bool,
+    submitted: u64,
+}
+
+impl Pieces<'_> {
+    /// Sees that what was copied goes to the GPU, and asks whether there shall be more.
+    fn hand_over(
+        &mut self,
+        device: &wgpu::Device,
+        queue: &wgpu::Queue,
+        progress: UploadProgress,
+    ) -> Result<(), Error> {
+        if progress.bytes - self.submitted >= SUBMITTED_TOGETHER {
+            self.submitted = progress.bytes;
+            if !self.waits_for_a_frame() {
+                queue.submit([]);
+                // Lets go of what was copied. That the device is lost shows in what is drawn.
+                let _ = device.poll(wgpu::PollType::Poll);
+            }
+        }
+        if (self.wanted)(progress) {
+            Ok(())
+        } else {
+            Err(Error::Cancelled)
+        }
+    }
+
+    /// Whether another frame was prepared, which takes along what was copied before it. Once there is none for a
+    /// while nobody is waited for until there is one again.
+    fn waits_for_a_frame(&mut self) -> bool {
+        let step = Duration::from_millis(1);
+        let mut waited = Duration::ZERO;
+        loop {
+            let frames = self.frames.load(Ordering::Relaxed);
+            if frames != self.seen {
+                (self.seen, self.drawing) = (frames, true);
+                return true;
+            }
+            // Pages have one thread, which cannot sleep.
+            if !self.drawing || waited >= PATIENCE || cfg!(target_family = "wasm") {
+                self.drawing = false;
+                return false;
+            }
+            std::thread::sleep(step);
+            waited += step;
+        }
+    }
 }
 
 impl<'a> Loading<'a> {
@@ -34,7 +99,7 @@ impl<'a> Loading<'a> {
         Self {
             device,
             queue,
-            wanted: None,
+            pieces: None,
             progress: UploadProgress {
                 bytes: 0,
                 at_most: 0,
@@ -42,15 +107,23 @@ impl<'a> Loading<'a> {
         }
     }
 
-    /// What is submitted piece by piece, for as long as it is `wanted`.
+    /// What is handed over piece by piece, for as long as it is `wanted`, between `frames` that are prepared.
     pub(crate) fn by_pieces(
         device: &'a wgpu::Device,
         queue: &'a wgpu::Queue,
+        frames: &'a AtomicU64,
         at_most: u64,
         wanted: &'a mut dyn FnMut(UploadProgress) -> bool,
     ) -> Self {
+        let seen = frames.load(Ordering::Relaxed);
         Self {
-            wanted: Some(wanted),
+            pieces: Some(Pieces {
+                wanted,
+                frames,
+                seen,
+                drawing: seen > 0,
+                submitted: 0,
+            }),
             progress: UploadProgress { bytes: 0, at_most },
             ..Self::at_once(device, queue)
         }
@@ -73,16 +146,9 @@ impl<'a> Loading<'a> {
 
     /// Whether it is still wanted, before work that copies nothing.
     pub(crate) fn ask(&mut self) -> Result<(), Error> {
-        let Some(wanted) = &mut self.wanted else {
-            return Ok(());
-        };
-        self.queue.submit([]);
-        // Lets go of what was copied. That the device is lost shows in what is drawn.
-        let _ = self.device.poll(wgpu::PollType::Poll);
-        if wanted(self.progress) {
-            Ok(())
-        } else {
-            Err(Error::Cancelled)
+        match &mut self.pieces {
+            Some(pieces) => pieces.hand_over(self.device, self.queue, self.progress),
+            None => Ok(()),
         }
     }
 

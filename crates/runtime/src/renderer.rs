@@ -5,6 +5,7 @@ mod cells;
 
 use std::collections::HashMap;
 use std::ops::Range;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use relight_shading::gpu::{self, LimitError};
@@ -79,6 +80,8 @@ pub struct Renderer {
     own: Option<View>,
     timestamps: Option<Timestamps>,
     owner: Owner,
+    /// How many were prepared, by all that share pipelines.
+    frames: Arc<AtomicU64>,
 }
 
 /// The compute pipelines, each made when it is first needed: no frame needs all.
@@ -144,6 +147,7 @@ impl Renderer {
             own: None,
             timestamps: Timestamps::new(device, queue),
             owner: Owner::default(),
+            frames: Arc::default(),
         })
     }
 
@@ -174,6 +178,7 @@ impl Renderer {
             own: None,
             timestamps: Timestamps::new(&self.device, &self.queue),
             owner: self.owner.clone(),
+            frames: self.frames.clone(),
             options,
         })
     }
@@ -192,6 +197,11 @@ impl Renderer {
 
     pub(crate) fn owner(&self) -> &Owner {
         &self.owner
+    }
+
+    /// How many frames were prepared.
+    pub(crate) fn frames(&self) -> &AtomicU64 {
+        &self.frames
     }
 
     /// Images of `width` × `height` pixels, for one camera.
@@ -398,6 +408,7 @@ impl Renderer {
         for (scene, resources, targets) in drawn.chain(open) {
             self.shade(&mut pass, (scene, resources), images, targets, frame);
         }
+        self.frames.fetch_add(1, Ordering::Relaxed);
         Ok(())
     }
 

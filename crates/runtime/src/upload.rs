@@ -68,16 +68,19 @@ impl Renderer {
         self.load(loading, scene)
     }
 
-    /// The same beside a thread that draws: submits as it goes, a megabyte of textures or one buffer at a time,
-    /// and stops with [`Error::Cancelled`] once `wanted`, which is asked after each, says so. It
-    /// belongs on a thread of its own, where it takes as long as packing the scene and copying it.
+    /// The same beside a thread that draws: hands over a megabyte of textures or one buffer at a time,
+    /// and stops with [`Error::Cancelled`] once `wanted`, which is asked after each, says so. Some megabytes go along
+    /// with each frame that is prepared and submitted meanwhile; while there is none it submits by itself. It
+    /// belongs on a thread of its own, where it takes as long as packing the scene and copying it, or as a frame
+    /// for every 4 MB.
     pub fn upload_while(
         &self,
         scene: &Scene,
         wanted: &mut dyn FnMut(UploadProgress) -> bool,
     ) -> Result<GpuScene, Error> {
         let at_most = self.upload_bytes(scene)?;
-        let loading = Loading::by_pieces(self.device(), self.queue(), at_most, wanted);
+        let loading =
+            Loading::by_pieces(self.device(), self.queue(), self.frames(), at_most, wanted);
         self.load(loading, scene)
     }
 

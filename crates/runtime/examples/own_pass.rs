@@ -7,7 +7,7 @@ use std::error::Error;
 use std::path::Path;
 
 use glam::{Mat4, Vec3, camera::rh};
-use relight_runtime::{Options, wgpu};
+use relight_runtime::{Options, Renderer, wgpu};
 
 #[path = "support/in_your_pass.rs"]
 mod in_your_pass;
@@ -36,11 +36,28 @@ pub fn run(scene: &Path, environment: &Path, picture: &Path) -> Result<(), Box<d
     let look = rh::view::look_at_mat4(Vec3::new(1.2, 1.6, 3.2), 0.6 * Vec3::Y, Vec3::Y);
     let aspect = SIZE[0] as f32 / SIZE[1] as f32;
     let projection = rh::proj::directx::perspective_infinite_reverse(0.8, aspect, 0.05);
-    let mut relit = Relit::new((&device, &queue), SIZE, [scene, environment])?;
+    let options = Options {
+        target_format: wgpu::TextureFormat::Rgba8UnormSrgb,
+        depth_stencil: Some(wgpu::DepthStencilState {
+            format: wgpu::TextureFormat::Depth32Float,
+            depth_write_enabled: Some(true),
+            depth_compare: Some(wgpu::CompareFunction::Greater), // Less: not reversed
+            stencil: wgpu::StencilState::default(),
+            bias: wgpu::DepthBiasState::default(),
+        }),
+        multisample: wgpu::MultisampleState {
+            count: 4,
+            ..Default::default()
+        },
+        ..Options::default()
+    };
+    let renderer = Renderer::new(&device, &queue, options)?;
+    let [scene, environment] = [std::fs::read(scene)?, std::fs::read(environment)?];
+    let mut relit = Relit::new(&renderer, SIZE, [&scene, &environment])?;
     let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-    relit.prepare(&mut encoder, [look, projection])?;
+    relit.prepare(&renderer, &mut encoder, [look, projection])?;
 
-    let options = relit.renderer.options();
+    let options = renderer.options();
     let (bars, clip) = bars(&device, options, projection * look);
     let attachment = |format, samples| support::attachment(&device, SIZE, format, samples);
     let [color, resolved] = [4, 1].map(|samples| attachment(options.target_format, samples));
@@ -63,7 +80,7 @@ pub fn run(scene: &Path, environment: &Path, picture: &Path) -> Result<(), Box<d
     pass.set_pipeline(&bars);
     pass.set_bind_group(0, &clip, &[]);
     pass.draw(0..4, 0..2);
-    relit.draw(&mut pass)?;
+    relit.draw(&renderer, &mut pass)?;
     drop(pass);
     queue.submit([encoder.finish()]);
     support::save(&device, &queue, &resolved, picture)

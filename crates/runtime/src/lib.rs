@@ -8,7 +8,8 @@
 //!
 //! A [`Renderer`] holds pipelines, a [`GpuScene`] is an asset on the GPU, a [`View`] holds the images of
 //! one camera. [`Renderer::prepare`] shades, outside of any pass; [`Renderer::composite`] draws the
-//! pixels in a pass of the app's, with its depth, samples, viewport and blending.
+//! pixels in a pass of the app's, with its depth, samples, viewport and blending. [`Renderer::new`] takes what the
+//! app's own pipelines have of these, as [`Options`].
 //!
 //! ```no_run
 #![doc = include_str!("../examples/support/in_your_pass.rs")]

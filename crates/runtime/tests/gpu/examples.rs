@@ -28,6 +28,8 @@ mod picture_in_picture;
 const MEAN_CODES: f64 = 0.5;
 /// Lines that an example may have.
 const MOST_LINES: usize = 150;
+/// Lines that an app takes to draw a scene in its own pass, without those of comments and of nothing but brackets.
+const MOST_LINES_IN_A_PASS: usize = 30;
 
 type Example = fn(&Path, &Path, &Path) -> Result<(), Box<dyn std::error::Error>>;
 
@@ -57,6 +59,11 @@ pub fn examples_make_their_pictures(_: &mut Gpu) -> Outcome {
     std::fs::write(&environment, write_environment(&lit)?)?;
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));
     let update = std::env::var_os("RELIGHT_UPDATE_PICTURES").is_some_and(|value| value == "1");
+    let source = std::fs::read_to_string(here.join("examples/support/in_your_pass.rs"))?;
+    let lines = (source.lines().map(str::trim))
+        .filter(|line| !line.starts_with("//") && line.contains(char::is_alphanumeric));
+    let lines = lines.count();
+    assert!(lines <= MOST_LINES_IN_A_PASS, "in_your_pass: {lines} lines");
     let mut wrong = Vec::new();
     for (name, run) in EXAMPLES {
         let source = here.join("examples").join(name).with_extension("rs");

@@ -15,8 +15,9 @@ const MAX_WINDOW_LOG: u32 = 23;
 mod c {
     use super::{MAX_WINDOW_LOG, Read, io};
 
-    /// Speed matters little offline and decoding speed does not depend on it.
-    const LEVEL: i32 = 15;
+    /// The last of the fast ones: the next takes three times as long for 0.2 % of the bytes. Decoding speed does
+    /// not depend on it.
+    const LEVEL: i32 = 12;
 
     /// All bytes in one frame.
     pub(crate) fn compress(raw: &[u8]) -> io::Result<Vec<u8>> {

@@ -48,6 +48,12 @@ const MIN_DEVIATION: f32 = 0.01;
 /// Most that masking may take from a Gaussian's sharpness, so that some is left.
 const MAX_TILT: f32 = 0.9;
 
+/// Smallest cosine of a facet's slope on the long axis, and of its distance to the last that are seen.
+const LEAST_TIPPED: f32 = 1e-2;
+/// Part of what facets' slopes alone would have of [`tip`]: masking has moved the lobes by the rest. Of .15 to 1 it has the
+/// least error in pictures of brushed metal, and near the least over directions.
+const TIPPING: f32 = 0.35;
+
 /// Mixtures are tabulated at ratios 2^(i / MIXTURES_PER_OCTAVE).
 const MIXTURES: usize = 16;
 const MIXTURES_PER_OCTAVE: f32 = 3.0;
@@ -163,27 +169,38 @@ fn shape(values: &[f32], reflection: &Reflection, wo: Vec3) -> SpecularLobes {
     };
 
     let mut lobes = SpecularLobes::EMPTY;
-    let mut push = |offset: Vec2, scale: f32, weight: f32| {
-        let h = offset.extend(1.0).normalize();
+    let slope = stretched.long_axis * width;
+    let facing =
+        TIPPING * (stretched.long_axis * reflection.alpha).dot(incidence) * horizontal / cosine;
+    let mut push = |along: f32, scale: f32, weight: f32| {
+        let (along, apart) = if model == Model::Ggx {
+            tip(along, facing, slope.length_squared())
+        } else {
+            (along, 0.0)
+        };
+        let h = (slope * along).extend(1.0).normalize();
         let axis = 2.0 * h.dot(wo) * h - wo;
         let short = Stretch::new(width, incidence, h.dot(wo).max(MIN_COSINE)).short;
-        let sharpness = 2.0 * scale / (short * widening * widening);
-        // Where lobes are wider than at the centre they overlap more along the long axis.
-        let weight = weight * (stretched.short / short).sqrt();
+        // A lobe is as wide as the reflection across the long axis, or as it takes to meet its neighbours along it.
+        let across = (short / stretched.short).sqrt();
+        let growth = across.max(apart);
+        let sharpness = 2.0 * scale / (stretched.short * (widening * growth).powi(2));
+        // All of it is as bright as it would be across the long axis.
+        let weight = weight * across / (growth * growth);
         lobes.lobes[lobes.count] = tilt(reflection, wo, axis, sharpness, weight);
         lobes.count += 1;
     };
     if round && model != Model::Ggx {
-        push(Vec2::ZERO, 1.0, 1.0);
+        push(0.0, 1.0, 1.0);
         return lobes;
     }
-    push(Vec2::ZERO, math::exp(mixture(0)), math::exp(mixture(1)));
-    let step = stretched.long_axis * width * ((ratio * ratio - 1.0).max(0.0).sqrt() / ratio);
+    push(0.0, math::exp(mixture(0)), math::exp(mixture(1)));
+    let step = (ratio * ratio - 1.0).max(0.0).sqrt() / ratio;
     for pair in 0..pairs {
         let scale = math::exp(mixture(2 + 3 * pair));
         let weight = math::exp(mixture(3 + 3 * pair));
         if round {
-            push(Vec2::ZERO, scale, 2.0 * weight);
+            push(0.0, scale, 2.0 * weight);
         } else {
             let offset = step * mixture(4 + 3 * pair);
             push(offset, scale, weight);
@@ -191,6 +208,27 @@ fn shape(values: &[f32], reflection: &Reflection, wo: Vec3) -> SpecularLobes {
         }
     }
     lobes
+}
+
+/// Where on the long axis a lobe of GGX lies that lies at `along` on a profile seen from above, and how many times as
+/// far its neighbours are from it on the sphere.
+///
+/// The eye sees facets of slope r in proportion to 1 + κ r (Heitz 2018, "Sampling the GGX distribution of visible
+/// normals"), `facing` being κ; there are (1 + r²)^(−3/2) of them. The lobe goes to the slope below which there is as large a part
+/// of those that are seen as of all below its own. `squared_slope` is that of the profile's unit.
+fn tip(along: f32, facing: f32, squared_slope: f32) -> (f32, f32) {
+    let root = (1.0 + facing * facing).sqrt();
+    let straight = 1.0 + along * along;
+    let part = 0.5 * (1.0 + along / straight.sqrt());
+    let sine = part * (1.0 + root) / root - 1.0;
+    let cosine = (1.0 - sine * sine).max(LEAST_TIPPED).sqrt();
+    // Angles whose tangents are κ and the slope.
+    let tipped_cosine = ((cosine - sine * facing) / root).max(LEAST_TIPPED);
+    let tipped = (sine + cosine * facing) / (root * tipped_cosine);
+    let seen = tipped_cosine * tipped_cosine * cosine;
+    let apart = 0.5 * (1.0 + root) / root / (straight * straight.sqrt() * seen);
+    let flattened = (1.0 + squared_slope * along * along) / (1.0 + squared_slope * tipped * tipped);
+    (tipped, apart * flattened)
 }
 
 /// How the profile's unit circle lies on the sphere of incident directions.
@@ -476,6 +514,8 @@ pub fn wgsl_constants() -> String {
         ("BRDF_MIN_FRESNEL", MIN_FRESNEL),
         ("BRDF_MIN_DEVIATION", MIN_DEVIATION),
         ("BRDF_MAX_TILT", MAX_TILT),
+        ("BRDF_LEAST_TIPPED", LEAST_TIPPED),
+        ("BRDF_TIPPING", TIPPING),
         ("BRDF_MIXTURES_PER_OCTAVE", MIXTURES_PER_OCTAVE),
         ("BRDF_QUARTER_COSINE", QUARTER.x),
         ("BRDF_QUARTER_SINE", QUARTER.y),

@@ -135,7 +135,7 @@ pub fn others_draw_meanwhile(gpu: &mut Gpu) -> Outcome {
             (gpu.renderer).prepare(&mut encoder, &mut view, &instances, &frame)?;
             let prepared = start.elapsed();
             gpu.queue.submit([encoder.finish()]);
-            waits.push([prepared, start.elapsed() - prepared]);
+            waits.push([prepared, start.elapsed().saturating_sub(prepared)]);
             gpu.device
                 .poll(wgpu::PollType::wait_indefinitely())
                 .map_err(|error| Error::DeviceFailed(error.to_string()))?;

@@ -49,11 +49,13 @@ fn brdf_shape(reflection: Reflection, wo: vec3<f32>) -> f32 {
 
     let alone = round && model != MODEL_GGX;
     let count = 1u + select(pairs * select(2u, 1u, round), 0u, alone);
-    let step = stretched.long_axis * width * (sqrt(max(ratio * ratio - 1.0, 0.0)) / ratio);
+    let step = sqrt(max(ratio * ratio - 1.0, 0.0)) / ratio;
+    let slope = stretched.long_axis * width;
+    let facing = BRDF_TIPPING * dot(stretched.long_axis * alpha, incidence) * horizontal / cosine;
     var unscaled = 0.0;
     // One place that lobes are made: copies of it are most of a shader.
     for (var i = 0u; i < count; i++) {
-        var offset = vec2(0.0);
+        var along = 0.0;
         var scale = 1.0;
         var weight = 1.0;
         if i > 0u {
@@ -63,14 +65,19 @@ fn brdf_shape(reflection: Reflection, wo: vec3<f32>) -> f32 {
             if round {
                 weight *= 2.0;
             } else {
-                offset = step * brdf_mixture(first + 4u + 3u * pair, fraction);
-                offset = select(-offset, offset, (i & 1u) == 1u);
+                along = step * brdf_mixture(first + 4u + 3u * pair, fraction);
+                along = select(-along, along, (i & 1u) == 1u);
             }
         } else if !alone {
             scale = exp(brdf_mixture(first, fraction));
             weight = exp(brdf_mixture(first + 1u, fraction));
         }
-        let lobe = brdf_lobe(reflection, wo, width, incidence, stretched.short, widening, offset, scale, weight);
+        var place = vec2(along, 0.0);
+        if model == MODEL_GGX {
+            place = brdf_tip(along, facing, dot(slope, slope));
+        }
+        let narrow = stretched.short * widening * widening;
+        let lobe = brdf_lobe(reflection, wo, width, incidence, stretched.short, narrow, slope * place.x, place.y, scale, weight);
         unscaled += lobe.amplitude.x * tables_cosine_integral(lobe.sharpness, lobe.axis.z);
         lobes_put(i, lobe.axis, lobe.sharpness, lobe.amplitude.x);
     }
@@ -88,18 +95,38 @@ fn brdf_lobe(
     width: vec2<f32>,
     incidence: vec2<f32>,
     central_short: f32,
-    widening: f32,
+    narrow: f32,
     offset: vec2<f32>,
+    apart: f32,
     scale: f32,
     weight: f32,
 ) -> SphericalGaussian {
     let h = normalize(vec3(offset, 1.0));
     let axis = 2.0 * dot(h, wo) * h - wo;
     let short = brdf_stretch(width, incidence, max(dot(h, wo), BRDF_MIN_COSINE)).short;
-    let sharpness = 2.0 * scale / (short * widening * widening);
-    // Where lobes are wider than at the centre they overlap more along the long axis.
-    let adjusted = weight * sqrt(central_short / short);
+    // A lobe is as wide as the reflection across the long axis, or as it takes to meet its neighbours along it.
+    let across = sqrt(short / central_short);
+    let growth = max(across, apart);
+    let sharpness = 2.0 * scale / (narrow * growth * growth);
+    // All of it is as bright as it would be across the long axis.
+    let adjusted = weight * across / (growth * growth);
     return brdf_tilt(reflection, wo, axis, sharpness, adjusted);
+}
+
+// Where on the long axis a lobe of GGX lies, and how many times as far its neighbours are from it.
+fn brdf_tip(along: f32, facing: f32, squared_slope: f32) -> vec2<f32> {
+    let root = sqrt(1.0 + facing * facing);
+    let straight = 1.0 + along * along;
+    let part = 0.5 * (1.0 + along / sqrt(straight));
+    let sine = part * (1.0 + root) / root - 1.0;
+    let cosine = sqrt(max(1.0 - sine * sine, BRDF_LEAST_TIPPED));
+    // Angles whose tangents are kappa and the slope.
+    let tipped_cosine = max((cosine - sine * facing) / root, BRDF_LEAST_TIPPED);
+    let tipped = (sine + cosine * facing) / (root * tipped_cosine);
+    let seen = tipped_cosine * tipped_cosine * cosine;
+    let apart = 0.5 * (1.0 + root) / root / (straight * sqrt(straight) * seen);
+    let flattened = (1.0 + squared_slope * along * along) / (1.0 + squared_slope * tipped * tipped);
+    return vec2(tipped, apart * flattened);
 }
 
 struct Stretch {

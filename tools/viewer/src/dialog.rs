@@ -5,6 +5,28 @@ use std::path::PathBuf;
 /// Takes the file that was chosen, or that none was.
 pub type Answer = Box<dyn FnOnce(Option<PathBuf>) + Send>;
 
+/// What a file that was chosen in a dialog is for.
+#[derive(Clone, Debug)]
+pub enum Purpose {
+    /// To be opened.
+    Open,
+    /// For the picture, as PNG or OpenEXR by its ending.
+    SavePicture,
+    /// For the camera.
+    SaveCamera,
+    /// For a scene file.
+    #[cfg(not(target_family = "wasm"))]
+    SaveScene,
+    /// For the baked scene.
+    SaveAsset,
+    /// A folder for a turntable.
+    #[cfg(not(target_family = "wasm"))]
+    SaveTurntable,
+}
+
+/// Asks for a file, for a purpose and a scene of this name; the answer may come at any time.
+pub type Dialog = Box<dyn Fn(&Purpose, &str, Answer)>;
+
 #[cfg(target_family = "wasm")]
 pub use page::of_the_page;
 #[cfg(not(target_family = "wasm"))]
@@ -12,8 +34,8 @@ pub use system::of_the_system;
 
 #[cfg(target_family = "wasm")]
 mod page {
-    use crate::app::{Dialog, Purpose};
-    use crate::page::Hooks;
+    use super::{Dialog, Purpose};
+    use crate::browser::Hooks;
 
     /// The page's: files to open come as its messages, those to save go where browsers put them.
     pub fn of_the_page(hooks: Hooks) -> Dialog {
@@ -30,8 +52,7 @@ mod page {
 mod system {
     use std::pin::Pin;
 
-    use super::Answer;
-    use crate::app::Purpose;
+    use super::{Answer, Purpose};
     use crate::jobs;
 
     /// A file that a dialog may bring.

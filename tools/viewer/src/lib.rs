@@ -2,13 +2,16 @@
 //!
 //! The application is data in, data out: [`state`] holds what is chosen, [`engine`] turns it into
 //! linear pictures, [`compose`] pictures into pixels of the screen, [`jobs`] files into scenes,
-//! environments and materials, [`save`] all of it into files. [`app`] and [`panels`] draw and
-//! change the state; nothing else knows of windows.
+//! environments and materials, [`save`] all of it into files. [`app`] holds it all and brings
+//! it together, [`panels`] and [`viewport`] show and change it, [`window`] is one frame of them;
+//! nothing else knows of windows.
 //!
 //! Compiled to WebAssembly it is the same application on a page, without what takes files and
-//! threads: `page` is how the page and it talk, `worker` what the page's workers run.
+//! threads: `page` is how the page talks to it, `browser` how it talks to the page, `worker` what the page's workers run.
 
 pub mod app;
+#[cfg(target_family = "wasm")]
+pub mod browser;
 pub mod camera_file;
 #[cfg(not(target_family = "wasm"))]
 pub mod command;
@@ -32,6 +35,7 @@ pub mod turntable;
 pub mod viewport;
 #[cfg(not(target_family = "wasm"))]
 pub mod watch;
+pub mod window;
 #[cfg(target_family = "wasm")]
 pub mod worker;
 

@@ -1,4 +1,4 @@
-//! How a page and the application in it talk.
+//! What a page tells the application in it.
 //!
 //! `web/app.js` is the other half: it hands over files, runs workers, and offers what is saved. What
 //! tests ask is answered here too: what is shown, and where widgets are, as screen readers see them.
@@ -16,35 +16,9 @@ use wasm_bindgen::{JsError, JsValue};
 use web_sys::HtmlCanvasElement;
 
 use crate::app::{Start, Viewer};
+use crate::browser::Hooks;
 use crate::jobs::{Inbox, Message};
 use crate::settings;
-
-#[wasm_bindgen]
-extern "C" {
-    /// What the page does for the application.
-    #[derive(Clone)]
-    pub type Hooks;
-
-    /// Fits a file, as job `number`, in a worker: of `kind` light or material.
-    #[wasm_bindgen(method)]
-    pub fn fit(this: &Hooks, number: u32, kind: &str, name: &str, bytes: Vec<u8>, lobes: u32);
-
-    /// Ends a job; nothing is told of it afterwards.
-    #[wasm_bindgen(method)]
-    pub fn cancel(this: &Hooks, number: u32);
-
-    /// Offers a file for download.
-    #[wasm_bindgen(method)]
-    pub fn save(this: &Hooks, name: &str, bytes: &[u8]);
-
-    /// Lets somebody choose files to open.
-    #[wasm_bindgen(method)]
-    pub fn choose(this: &Hooks);
-
-    /// The browser's.
-    #[wasm_bindgen(js_namespace = console, js_name = error)]
-    fn console_error(text: &str);
-}
 
 /// The application on a canvas.
 #[wasm_bindgen]
@@ -284,35 +258,5 @@ impl egui::Plugin for Widgets {
         if let Some(update) = output.platform_output.accesskit_update.take() {
             *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(update);
         }
-    }
-}
-
-/// Reads a dropped file, which becomes a message.
-pub fn take_dropped(file: Arc<dyn egui::DroppedFile>, inbox: Inbox, context: &egui::Context) {
-    let context = context.clone();
-    wasm_bindgen_futures::spawn_local(async move {
-        let name = crate::jobs::file_name(file.path());
-        match file.bytes_async().await {
-            Ok(bytes) => inbox.borrow_mut().push(Message::Open { name, bytes }),
-            Err(error) => console_error(&format!("{name}: {error}")),
-        }
-        context.request_repaint();
-    });
-}
-
-fn storage() -> Option<web_sys::Storage> {
-    web_sys::window()?.local_storage().ok()?
-}
-
-/// What the browser keeps under a name.
-pub fn stored(key: &str) -> Option<String> {
-    storage()?.get_item(key).ok()?
-}
-
-/// Has the browser keep it, if it may.
-pub fn store(key: &str, text: &str) {
-    if let Some(storage) = storage() {
-        // Full, or forbidden: settings are not worth a message.
-        let _ = storage.set_item(key, text);
     }
 }

@@ -50,7 +50,7 @@ const KEY: &str = "relight.viewer";
 /// Those of the last visit, or the default ones where they cannot be read.
 #[cfg(target_family = "wasm")]
 pub fn read() -> Settings {
-    crate::page::stored(KEY)
+    crate::browser::stored(KEY)
         .and_then(|text| serde_json::from_str(&text).ok())
         .unwrap_or_default()
 }
@@ -59,6 +59,6 @@ pub fn read() -> Settings {
 #[cfg(target_family = "wasm")]
 pub fn write(settings: &Settings) {
     if let Ok(text) = serde_json::to_string(settings) {
-        crate::page::store(KEY, &text);
+        crate::browser::store(KEY, &text);
     }
 }

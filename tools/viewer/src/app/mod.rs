@@ -1,4 +1,4 @@
-//! The application: its state, its start, and one frame of it.
+//! The application: its state, its start, and what goes on between its frames.
 
 mod inspecting;
 mod open;
@@ -16,6 +16,7 @@ use relight_shading::ssdf::Basis;
 
 use crate::compose::{self, Sky};
 use crate::composer::Worker;
+use crate::dialog::{self, Dialog, Purpose};
 #[cfg(not(target_family = "wasm"))]
 use crate::engine::Device;
 use crate::engine::{Engine, Picture};
@@ -29,7 +30,6 @@ use crate::state::{Document, Light, LightTurn, Settings};
 use crate::turntable::Turntable;
 #[cfg(not(target_family = "wasm"))]
 use crate::watch::Watch;
-use crate::{dialog, panels, settings, viewport};
 
 pub use pictures::{Answer, First};
 use pictures::{Composed, ComposedKey, Composition, Flight, Wanted};
@@ -45,7 +45,7 @@ pub struct Start {
     /// In place of the default ones.
     pub settings: Option<Settings>,
     /// What the page does for it.
-    pub hooks: crate::page::Hooks,
+    pub hooks: crate::browser::Hooks,
     /// What the page tells it.
     pub inbox: jobs::Inbox,
     /// What draws the window, and the pictures.
@@ -75,29 +75,8 @@ pub struct Message {
     pub is_error: bool,
 }
 
-/// What a file that was chosen in a dialog is for.
-#[derive(Clone, Debug)]
-pub enum Purpose {
-    /// To be opened.
-    Open,
-    /// For the picture, as PNG or OpenEXR by its ending.
-    SavePicture,
-    /// For the camera.
-    SaveCamera,
-    /// For a scene file.
-    #[cfg(not(target_family = "wasm"))]
-    SaveScene,
-    /// For the baked scene.
-    SaveAsset,
-    /// A folder for a turntable.
-    #[cfg(not(target_family = "wasm"))]
-    SaveTurntable,
-}
-
 /// A file and what it was chosen for.
 type Choice = (Purpose, PathBuf);
-/// Asks for a file, for a purpose and a scene of this name; the answer may come at any time.
-pub type Dialog = Box<dyn Fn(&Purpose, &str, dialog::Answer)>;
 
 /// The application.
 #[expect(
@@ -317,8 +296,8 @@ impl Viewer {
         self.messages.drain(..surplus);
     }
 
-    /// One frame: takes what has come, draws the window, and asks for what is missing.
-    pub fn show(&mut self, ui: &mut egui::Ui) {
+    /// Before a frame: takes what has come.
+    pub(crate) fn take_what_has_come(&mut self, ui: &egui::Ui) {
         self.receive();
         self.take_dropped(ui);
         #[cfg(not(target_family = "wasm"))]
@@ -329,33 +308,22 @@ impl Viewer {
                 .rem_euclid(std::f32::consts::TAU);
             ui.ctx().request_repaint();
         }
-        panels::show(ui, self);
-        viewport::show(ui, self);
+    }
+
+    /// After a frame: asks for what is missing.
+    pub(crate) fn ask_for_what_is_missing(&mut self) {
         self.ask_for_pictures();
         self.ask_for_pixels();
         #[cfg(not(target_family = "wasm"))]
         self.capture();
-        #[cfg(target_family = "wasm")]
-        if self.kept_settings != self.settings && !ui.input(|input| input.pointer.any_down()) {
-            // Nobody tells a page that it ends.
-            self.kept_settings = self.settings;
-            settings::write(&self.settings);
-        }
-    }
-}
-
-impl eframe::App for Viewer {
-    fn ui(&mut self, ui: &mut egui::Ui, _frame: &mut eframe::Frame) {
-        self.show(ui);
     }
 
-    #[cfg(not(target_family = "wasm"))]
-    fn on_exit(&mut self) {
-        settings::write(&self.settings);
-    }
-
+    /// Keeps settings that changed: nobody tells a page that it ends.
     #[cfg(target_family = "wasm")]
-    fn as_any_mut(&mut self) -> Option<&mut dyn std::any::Any> {
-        Some(self)
+    pub(crate) fn keep_settings(&mut self) {
+        if self.kept_settings != self.settings {
+            self.kept_settings = self.settings;
+            crate::settings::write(&self.settings);
+        }
     }
 }

@@ -106,7 +106,7 @@ impl Viewer {
             #[cfg(not(target_family = "wasm"))]
             self.open(file.path());
             #[cfg(target_family = "wasm")]
-            crate::page::take_dropped(file, self.jobs.inbox(), &self.context);
+            crate::jobs::take_dropped(file, self.jobs.inbox(), &self.context);
         }
     }
 

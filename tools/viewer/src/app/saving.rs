@@ -9,9 +9,10 @@ use std::time::Duration;
 #[cfg(target_family = "wasm")]
 use relight_format::Scene;
 
-use super::{Purpose, Viewer};
+use super::Viewer;
 #[cfg(not(target_family = "wasm"))]
 use crate::compose::Look;
+use crate::dialog::Purpose;
 #[cfg(not(target_family = "wasm"))]
 use crate::jobs::{self, Kind, Loaded};
 #[cfg(not(target_family = "wasm"))]

@@ -3,6 +3,7 @@
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
+use std::sync::Arc;
 
 use anyhow::Context as _;
 use relight_format::{self as format, Limits};
@@ -12,7 +13,7 @@ use web_time::Instant;
 use super::{
     Event, FileKind, Kind, Loaded, Plan, Status, Tracker, fit_plan, fit_stages_to, surface_of,
 };
-use crate::page::Hooks;
+use crate::browser::{Hooks, console_error};
 use crate::state::Light;
 
 /// What the page tells the application.
@@ -322,4 +323,17 @@ fn read_asset(kind: FileKind, path: &Path, bytes: &[u8]) -> anyhow::Result<Loade
             }
         }
     })
+}
+
+/// Reads a dropped file, which becomes a message.
+pub fn take_dropped(file: Arc<dyn egui::DroppedFile>, inbox: Inbox, context: &egui::Context) {
+    let context = context.clone();
+    wasm_bindgen_futures::spawn_local(async move {
+        let name = super::file_name(file.path());
+        match file.bytes_async().await {
+            Ok(bytes) => inbox.borrow_mut().push(Message::Open { name, bytes }),
+            Err(error) => console_error(&format!("{name}: {error}")),
+        }
+        context.request_repaint();
+    });
 }

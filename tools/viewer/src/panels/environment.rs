@@ -3,7 +3,8 @@
 use egui::{Color32, Sense, Stroke, Ui, Vec2};
 use glam::{Mat3, Vec3};
 
-use crate::app::{Purpose, Viewer};
+use crate::app::Viewer;
+use crate::dialog::Purpose;
 use crate::state::Background;
 
 /// Side of the globe, points.

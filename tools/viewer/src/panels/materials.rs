@@ -8,7 +8,8 @@ use relight_format::{
     Roughness, Specular, Surface,
 };
 
-use crate::app::{Purpose, Viewer};
+use crate::app::Viewer;
+use crate::dialog::Purpose;
 
 /// Smallest roughness that can be set: as sharp as reflections can be drawn.
 const LEAST_ROUGHNESS: f32 = relight_shading::surface::MIN_ALPHA;

@@ -10,7 +10,8 @@ mod scene;
 
 use egui::{Panel, Ui};
 
-use crate::app::{Purpose, Viewer};
+use crate::app::Viewer;
+use crate::dialog::Purpose;
 use crate::jobs::Status;
 use crate::state::Layout;
 

@@ -3,9 +3,9 @@
 use egui::Ui;
 use relight_shading::tonemap;
 
-#[cfg(not(target_family = "wasm"))]
-use crate::app::Purpose;
 use crate::app::Viewer;
+#[cfg(not(target_family = "wasm"))]
+use crate::dialog::Purpose;
 use crate::state::Curve;
 #[cfg(not(target_family = "wasm"))]
 use crate::turntable::{MAX_FRAMES, Turn};

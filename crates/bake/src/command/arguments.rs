@@ -188,18 +188,19 @@ pub struct SceneArguments {
     #[arg(long, value_name = "K", hide = !scene::PAPER,
           value_parser = clap::value_parser!(u32).range(0..=31))]
     rank: Option<u32>,
-    /// Clustered representation: target RMS displacement of shadow boundaries, radians, more than
+    /// Target RMS displacement of shadow boundaries, radians, more than
     /// 0. It includes the error of compression, which more bytes lower, and that of interpolation
     /// between vertices, which --max-edge and --refine-error lower [default: none; each preset
     /// weighs errors against bytes].
     #[arg(long, value_name = "RADIANS", value_parser = positive, allow_negative_numbers = true)]
     max_error: Option<f32>,
-    /// Clustered representation: largest size of the asset, textures included, at least 1; the
+    /// Largest size of the asset, textures included, at least 1; the
     /// bake looks for the smallest error that fits.
     #[arg(long, value_name = "BYTES", conflicts_with_all = ["max_error", "shard"],
           value_parser = clap::value_parser!(u64).range(1..))]
     max_bytes: Option<u64>,
-    /// Clustered representation: tiles of four basis images per cluster, at most; 1 to 8
+    /// Visibility of neighbouring vertices is stored together, as weighted sums of a few images; at
+    /// most this many times four of them, 1 to 8: more follow shadows more closely, and take more bytes
     /// [default: 2 for draft, 4 for standard, 6 for high].
     #[arg(long, value_name = "N",
           value_parser = clap::value_parser!(u32).range(1..=i64::from(format::MAX_TILES_PER_CLUSTER)))]
@@ -265,6 +266,13 @@ impl SceneArguments {
             }
             refuse(&clustered, "--representation clustered with it")?;
         } else {
+            if self.rank.is_some() && !scene::PAPER {
+                return Err(Usage {
+                    place: "--rank",
+                    expected: "a build with the feature `paper`".into(),
+                    found: "one without".into(),
+                });
+            }
             let rank = [("--rank", self.rank.is_some())];
             refuse(&rank, "--representation global with it")?;
         }

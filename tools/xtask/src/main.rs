@@ -107,7 +107,16 @@ fn test() -> ExitCode {
             let mut doc = cargo("doc --release --workspace --no-deps");
             Outcome::of(doc.env("RUSTDOCFLAGS", "-D warnings"))
         }),
-        ("pages", &mut || web::for_tests(&root)),
+        ("pages", &mut || {
+            // A page is put together by one thread; the tests are compiled meanwhile. What fails there fails again
+            // where they run.
+            let tests = cargo("test --release --workspace --no-run --quiet").spawn();
+            let pages = web::for_tests(&root);
+            if let Ok(mut tests) = tests {
+                let _ = tests.wait();
+            }
+            pages
+        }),
         ("tests", &mut || {
             run_tests(
                 &mut cargo("test --release --workspace --no-fail-fast"),

@@ -8,7 +8,7 @@ pub(crate) use c::{Decoder, compress};
 #[cfg(target_family = "wasm")]
 pub(crate) use rust::{Decoder, compress};
 
-/// log2 of the largest window a reader allocates for; level 15 uses 22 at most.
+/// log2 of the largest window a reader allocates for; levels up to 15 use 22 at most.
 const MAX_WINDOW_LOG: u32 = 23;
 
 #[cfg(not(target_family = "wasm"))]

@@ -17,6 +17,8 @@ pub struct Accuracy {
     pub relative_l2: f64,
     /// Albedo of the lobes over that of the model, less 1.
     pub albedo_error: f64,
+    /// Part of the light that the lobes send elsewhere than the model does, were both to send as much.
+    pub misplaced: f64,
     /// Spherical Gaussians used.
     pub lobes: usize,
 }
@@ -31,6 +33,7 @@ pub fn accuracy(reflection: &Reflection, view: Vec3) -> Accuracy {
     let point = local_point(Appearance::new(Vec3::ZERO, &[*reflection]), view);
     let lobes = specular_lobes(&point, reflection);
     let mut sums = [0.0f64; 4];
+    let mut sent = Vec::with_capacity(RADII * ANGLES);
     for i in 0..RADII {
         let u = (i as f32 + 0.5) / RADII as f32;
         let theta = PI * u * u * u;
@@ -50,13 +53,16 @@ pub fn accuracy(reflection: &Reflection, view: Vec3) -> Accuracy {
                 .map(|lobe| lobe.evaluate(wi).x)
                 .sum();
             let (exact, found) = (exact * wi.z, found * wi.z);
+            sent.push([exact, found].map(|light| f64::from(light * solid_angle)));
             let terms = [exact, found, exact * exact, (found - exact).powi(2)];
             for (sum, term) in sums.iter_mut().zip(terms) {
                 *sum += f64::from(term * solid_angle);
             }
         }
     }
+    let elsewhere = |[exact, found]: &[f64; 2]| (exact / sums[0] - found / sums[1]).abs();
     Accuracy {
+        misplaced: 0.5 * sent.iter().map(elsewhere).sum::<f64>(),
         relative_l2: (sums[3] / sums[2]).sqrt(),
         albedo_error: sums[1] / sums[0] - 1.0,
         lobes: lobes.count,

@@ -199,8 +199,8 @@ pub struct SceneArguments {
     #[arg(long, value_name = "BYTES", conflicts_with_all = ["max_error", "shard"],
           value_parser = clap::value_parser!(u64).range(1..))]
     max_bytes: Option<u64>,
-    /// Visibility of neighbouring vertices is stored together, as weighted sums of a few images; at
-    /// most this many times four of them, 1 to 8: more follow shadows more closely, and take more bytes
+    /// How many images the visibility of neighbouring vertices is mixed from, at most: four times this
+    /// number, which is 1 to 8. More images follow shadows more closely and take more bytes
     /// [default: 2 for draft, 4 for standard, 6 for high].
     #[arg(long, value_name = "N",
           value_parser = clap::value_parser!(u32).range(1..=i64::from(format::MAX_TILES_PER_CLUSTER)))]
@@ -256,24 +256,23 @@ impl SceneArguments {
             ("--max-bytes", self.max_bytes.is_some()),
             ("--max-tiles", self.max_tiles.is_some()),
         ];
-        if self.representation == Some(RepresentationArgument::Global) {
-            if !scene::PAPER {
+        let rank = [("--rank", self.rank.is_some())];
+        let global = self.representation == Some(RepresentationArgument::Global);
+        for (place, given, what) in [
+            ("--representation", global, " for global"),
+            ("--rank", self.rank.is_some(), ""),
+        ] {
+            if given && !scene::PAPER {
                 return Err(Usage {
-                    place: "--representation",
-                    expected: "a build with the feature `paper` for global".into(),
+                    place,
+                    expected: format!("a build with the feature `paper`{what}"),
                     found: "one without".into(),
                 });
             }
+        }
+        if global {
             refuse(&clustered, "--representation clustered with it")?;
         } else {
-            if self.rank.is_some() && !scene::PAPER {
-                return Err(Usage {
-                    place: "--rank",
-                    expected: "a build with the feature `paper`".into(),
-                    found: "one without".into(),
-                });
-            }
-            let rank = [("--rank", self.rank.is_some())];
             refuse(&rank, "--representation global with it")?;
         }
         let mut options = match self.preset {

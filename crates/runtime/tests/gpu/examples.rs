@@ -61,8 +61,8 @@ pub fn examples_make_their_pictures(_: &mut Gpu) -> Outcome {
     let update = std::env::var_os("RELIGHT_UPDATE_PICTURES").is_some_and(|value| value == "1");
     let source = std::fs::read_to_string(here.join("examples/support/in_your_pass.rs"))?;
     let lines = (source.lines().map(str::trim))
-        .filter(|line| !line.starts_with("//") && line.contains(char::is_alphanumeric));
-    let lines = lines.count();
+        .filter(|line| !line.starts_with("//") && line.contains(char::is_alphanumeric))
+        .count();
     assert!(lines <= MOST_LINES_IN_A_PASS, "in_your_pass: {lines} lines");
     let mut wrong = Vec::new();
     for (name, run) in EXAMPLES {

@@ -76,11 +76,21 @@ fn draw(
 }
 
 fn submit(gpu: &Gpu, view: &mut View, instances: &[Instance], frame: &Frame) -> Result<(), Error> {
+    let encoder = prepare(gpu, view, instances, frame)?;
+    gpu.queue.submit([encoder.finish()]);
+    Ok(())
+}
+
+fn prepare(
+    gpu: &Gpu,
+    view: &mut View,
+    instances: &[Instance],
+    frame: &Frame,
+) -> Result<wgpu::CommandEncoder, Error> {
     let descriptor = wgpu::CommandEncoderDescriptor::default();
     let mut encoder = gpu.device.create_command_encoder(&descriptor);
     gpu.renderer.prepare(&mut encoder, view, instances, frame)?;
-    gpu.queue.submit([encoder.finish()]);
-    Ok(())
+    Ok(encoder)
 }
 
 /// A view draws what is in the scene's place now: smaller, larger, with other textures, and back.
@@ -130,9 +140,7 @@ pub fn others_draw_meanwhile(gpu: &mut Gpu) -> Outcome {
         let mut waits = Vec::new();
         while !done() {
             let start = Instant::now();
-            let descriptor = wgpu::CommandEncoderDescriptor::default();
-            let mut encoder = gpu.device.create_command_encoder(&descriptor);
-            (gpu.renderer).prepare(&mut encoder, &mut view, &instances, &frame)?;
+            let encoder = prepare(gpu, &mut view, &instances, &frame)?;
             let prepared = start.elapsed();
             gpu.queue.submit([encoder.finish()]);
             waits.push([prepared, start.elapsed().saturating_sub(prepared)]);

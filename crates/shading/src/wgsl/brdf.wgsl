@@ -76,8 +76,7 @@ fn brdf_shape(reflection: Reflection, wo: vec3<f32>) -> f32 {
         if model == MODEL_GGX {
             place = brdf_tip(along, facing, dot(slope, slope));
         }
-        let narrow = stretched.short * widening * widening;
-        let lobe = brdf_lobe(reflection, wo, width, incidence, stretched.short, narrow, slope * place.x, place.y, scale, weight);
+        let lobe = brdf_lobe(reflection, wo, width, incidence, stretched.short, widening, slope * place.x, place.y, scale, weight);
         unscaled += lobe.amplitude.x * tables_cosine_integral(lobe.sharpness, lobe.axis.z);
         lobes_put(i, lobe.axis, lobe.sharpness, lobe.amplitude.x);
     }
@@ -95,7 +94,7 @@ fn brdf_lobe(
     width: vec2<f32>,
     incidence: vec2<f32>,
     central_short: f32,
-    narrow: f32,
+    widening: f32,
     offset: vec2<f32>,
     apart: f32,
     scale: f32,
@@ -107,7 +106,8 @@ fn brdf_lobe(
     // A lobe is as wide as the reflection across the long axis, or as it takes to meet its neighbours along it.
     let across = sqrt(short / central_short);
     let growth = max(across, apart);
-    let sharpness = 2.0 * scale / (narrow * growth * growth);
+    let wider = widening * growth;
+    let sharpness = 2.0 * scale / (central_short * wider * wider);
     // All of it is as bright as it would be across the long axis.
     let adjusted = weight * across / (growth * growth);
     return brdf_tilt(reflection, wo, axis, sharpness, adjusted);

@@ -117,6 +117,7 @@ fn table(rows: &[Row]) -> Table {
             relative_l2,
             albedo_error,
             lobes,
+            ..
         } = row.accuracy;
         let [x, y] = row.alpha.map(f64::from);
         table.row([

@@ -7,7 +7,7 @@
 //! that of the whole method.
 //!
 //! In both the cosine and the horizon are those of the shading normal, and rays start at
-//! the point moved along the geometric normal, as visibility was sampled. Every pixel is
+//! the point moved a little along the geometric normal; behind the triangle itself nothing is visible. Every pixel is
 //! estimated [`REPLICAS`] times independently, which gives the variance of the mean; its
 //! random numbers depend on the seed and the pixel alone.
 
@@ -47,6 +47,12 @@ pub const ALL_BOUNCES: u32 = 64;
 
 /// Random numbers of everything that asks for no others.
 pub const SEED: u32 = 0;
+
+/// Distance that rays start from a surface, in diagonals of the scene's bounding box: less than that at which
+/// visibility is sampled, so that the error of that is measured.
+const RAY_OFFSET: f32 = 2e-6;
+/// The least of it, in steps of the largest coordinate.
+const ROUNDINGS: f32 = 4.0;
 
 /// How much work to do and where.
 #[derive(Clone, Copy, Debug)]
@@ -89,6 +95,8 @@ pub struct Geometry<'a> {
     view: View,
     trees: Arc<Trees>,
     mipmaps: Mipmaps,
+    /// Distance of the starts of rays from their surface.
+    ray_offset: f32,
 }
 
 /// What rays are traced through: worth keeping for as long as triangles and eye stay.
@@ -159,6 +167,7 @@ impl<'a> Geometry<'a> {
             view,
             trees,
             mipmaps,
+            ray_offset: ray_offset(scene),
         }
     }
 
@@ -183,20 +192,39 @@ impl<'a> Geometry<'a> {
 
     /// Whether distant light from `direction` reaches `point`.
     fn visible(&self, point: &SurfacePoint, direction: Vec3) -> bool {
-        !self.trees.occluders.any_hit(self.origin(point), direction)
+        faces(point, direction) && !self.trees.occluders.any_hit(self.origin(point), direction)
     }
 
     /// Whether light from `direction` reaches `point` from the given distance.
     fn visible_at(&self, point: &SurfacePoint, direction: Vec3, distance: f32) -> bool {
-        (self.trees.occluders)
-            .closest_hit(self.origin(point), direction)
-            .is_none_or(|hit| hit.distance >= distance)
+        let hit = || (self.trees.occluders).closest_hit(self.origin(point), direction);
+        faces(point, direction) && hit().is_none_or(|hit| hit.distance >= distance)
     }
 
     /// Where rays from `point` begin.
     fn origin(&self, point: &SurfacePoint) -> Vec3 {
-        point.position + point.geometric_normal * self.scene.visibility.ray_offset
+        point.position + point.geometric_normal * self.ray_offset
     }
+}
+
+/// Whether a direction leaves the triangle that `point` lies on on its front: interpolated normals reflect light from
+/// behind it, too, where the surface itself is in the way. A ray that starts above it would pass beside it near its edges.
+fn faces(point: &SurfacePoint, direction: Vec3) -> bool {
+    point.geometric_normal.dot(direction) > 0.0
+}
+
+/// See [`RAY_OFFSET`] and [`ROUNDINGS`].
+fn ray_offset(scene: &Scene) -> f32 {
+    let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+    for vertex in &scene.vertices {
+        low = low.min(vertex.position.into());
+        high = high.max(vertex.position.into());
+    }
+    if scene.vertices.is_empty() {
+        return 0.0;
+    }
+    let largest = low.abs().max(high.abs()).max_element();
+    (RAY_OFFSET * low.distance(high)).max(ROUNDINGS * largest * f32::EPSILON)
 }
 
 /// Radiance times coverage, and coverage, of one replica of a pixel.

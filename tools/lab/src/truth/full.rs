@@ -16,15 +16,10 @@ use super::{Estimate, Filter, Geometry, Options, REPLICAS, estimate_image};
 use crate::display::luminance;
 use crate::image_file::Image;
 
-/// Distance that rays start from a surface, in diagonals of the scene's bounding box, as
-/// baking has it.
-const RAY_OFFSET: f32 = 1e-4;
-
 /// The scene of an input file as the runtime would see it but without visibility: nothing
 /// that [`render`] reads is missing.
 pub fn unbaked(input: &SceneInput) -> Scene {
     let mesh = &input.mesh;
-    let diagonal = mesh.diagonal();
     Scene {
         name: input.name.clone(),
         visibility: VisibilityParameters {
@@ -32,7 +27,7 @@ pub fn unbaked(input: &SceneInput) -> Scene {
             sample_resolution: 1,
             basis_resolution: 2,
             distance_clamp: PI,
-            ray_offset: RAY_OFFSET * diagonal,
+            ray_offset: 0.0,
         },
         camera: input.camera,
         materials: mesh.materials.clone(),

@@ -14,8 +14,8 @@ use relight_shading::gpu;
 use relight_shading::surface::{SurfacePoint, emission, surface_point};
 use relight_shading::{models, reference};
 
-use super::Geometry;
 use super::random::{hash, sobol_pair};
+use super::{Geometry, faces};
 
 /// Reflections after which paths begin to end by chance.
 const SURE_BOUNCES: u32 = 3;
@@ -126,7 +126,7 @@ impl<'a, L: DistantLight> Paths<'a, L> {
             }
             let density = reflector.density(light, view);
             let value = reflector.evaluate(light, view) * light.z;
-            if !(density > 0.0 && value != Vec3::ZERO) {
+            if !(density > 0.0 && value != Vec3::ZERO && faces(&reflector.point, direction)) {
                 break;
             }
             let Some(next) = self.next(&reflector.point, direction) else {

@@ -28,6 +28,9 @@ pub const SHORTEST_STEP_LIMIT: f32 = 0.1;
 /// symmetric about that plane: a quarter puts no spoke on another's mirror image.
 pub const PHASE: f32 = 0.25;
 
+/// Cosine between two normals whose planes are one: flat surfaces have two that differ by rounding.
+pub const SAME_PLANE: f32 = 0.999_99;
+
 /// Spokes of a lobe that can add no less than has been gathered before it, in those asked for.
 /// The error of a sum is least where terms that count more are found more closely: as many
 /// spokes in all leave half to nine tenths of the error.
@@ -86,7 +89,7 @@ pub fn integrate(
         return 0.0;
     }
     let distance = field.distance(axis);
-    let fraction = visible_fraction(field, sharpness, axis, normal, distance, *options);
+    let fraction = visible_fraction(field, sharpness, axis, [normal; 2], distance, *options);
     Tables::get().cosine_integral(sharpness, cosine) * fraction
 }
 
@@ -96,23 +99,26 @@ pub(crate) fn meets_horizon(sharpness: f32, cosine: f32) -> bool {
 }
 
 /// The visible fraction of a lobe that [`meets_horizon`], `distance` being that of its axis: the share of the
-/// integral that spokes yield.
+/// integral that spokes yield. `face` is the unit normal of the plane behind which nothing is visible, whatever the
+/// field says: that of a triangle's corners is of the surface about them.
 pub(crate) fn visible_fraction(
     field: &impl SignedDistance,
     sharpness: f32,
     axis: Vec3,
-    normal: Vec3,
+    [normal, face]: [Vec3; 2],
     distance: f32,
     options: PolarOptions,
 ) -> f32 {
     let cosine = normal.dot(axis);
     let radius = support_radius(sharpness);
-    if distance >= radius {
+    let clipped = is_clipped(radius, axis, [normal, face]);
+    if distance >= radius && !clipped {
         return 1.0;
     }
     if distance <= -radius {
         return 0.0;
     }
+    let face_cosine = face.dot(axis);
     let projected = normal - cosine * axis;
     let sine = projected.length();
     let tangent = if sine > 1e-4 {
@@ -149,13 +155,35 @@ pub(crate) fn visible_fraction(
         if start >= end {
             continue;
         }
+        let mut first = 0.0;
+        if start > 0.0 {
+            first = weights.dot(moments(sharpness, start));
+        }
+        whole += last - first;
+        if clipped {
+            let face_slope = face.dot(outward);
+            if face_cosine < 0.0 {
+                let above = math::atan2(-face_cosine, face_slope);
+                if above > start {
+                    start = above;
+                    first = weights.dot(moments(sharpness, start));
+                }
+            } else {
+                let below = math::atan2(face_cosine, -face_slope);
+                if below < end {
+                    end = below;
+                    last = weights.dot(moments(sharpness, end));
+                }
+            }
+            if start >= end {
+                continue;
+            }
+        }
         let mut theta = start;
         let mut here = distance;
-        let mut first = 0.0;
         if start > 0.0 {
             let (sine, cosine) = math::sin_cos(start);
             here = field.distance(axis * cosine + outward * sine);
-            first = weights.dot(moments(sharpness, start));
         }
         let mut sum = if here > 0.0 { -first } else { 0.0 };
         while theta + RELAXATION * here.abs() < end {
@@ -178,13 +206,18 @@ pub(crate) fn visible_fraction(
             here = there;
         }
         visible += if here > 0.0 { sum + last } else { sum };
-        whole += last - first;
     }
     if whole > 0.0 {
         (visible / whole).clamp(0.0, 1.0)
     } else {
         0.0
     }
+}
+
+/// Whether a plane of the unit normal `face`, but not that of `normal`, cuts a lobe of this radius.
+pub(crate) fn is_clipped(radius: f32, axis: Vec3, [normal, face]: [Vec3; 2]) -> bool {
+    let above = radius < 0.5 * PI && face.dot(axis) >= math::sin(radius);
+    face.dot(normal) < SAME_PLANE && !above
 }
 
 /// Angle from the axis at which the lobe has fallen to [`CUT`]; π where it never does.
@@ -224,7 +257,8 @@ pub fn wgsl_constants() -> String {
          const POLAR_PHASE: f32 = {PHASE:?};\n\
          const POLAR_MOST_SPOKES: f32 = {MOST_SPOKES:?};\n\
          const POLAR_LEAST_SPOKES: f32 = {LEAST_SPOKES:?};\n\
-         const POLAR_SPOKES_EXPONENT: f32 = {SPOKES_EXPONENT:?};\n"
+         const POLAR_SPOKES_EXPONENT: f32 = {SPOKES_EXPONENT:?};\n\
+         const POLAR_SAME_PLANE: f32 = {SAME_PLANE:?};\n"
     )
 }
 

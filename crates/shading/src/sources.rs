@@ -355,19 +355,25 @@ impl Lit<'_> {
             if !rim.iter().any(above) && !points[..LEVELS[0] as usize].iter().any(above) {
                 continue;
             }
+            let (axis, cosine) = (cone.direction.into(), cone.cone_cosine);
+            let touched = (self.occluders).meet_cone(origin, radius, axis, cosine);
             let mut visible = |place: Vec2, source: &gpu::SourcePoint| {
+                if point.geometric_normal.dot(source.direction.into()) <= 0.0 {
+                    return false;
+                }
+                if !touched {
+                    return true;
+                }
                 *rays += 1;
                 let nearest = OWN * at(place + from_point).length();
                 !(self.occluders).block(origin + at(place), source.direction.into(), nearest)
             };
-            let (axis, cosine) = (cone.direction.into(), cone.cone_cosine);
-            let touched = (self.occluders).meet_cone(origin, radius, axis, cosine);
             let (mut seen, mut hidden) = (false, false);
             let (mut sum, mut level) = (Vec3::ZERO, 1);
             for (index, source) in points.iter().enumerate() {
                 if index == LEVELS[0] as usize && !(seen && hidden) {
                     for probe in rim {
-                        if touched && !(seen && hidden) && above(probe) {
+                        if !(seen && hidden) && above(probe) {
                             let visible = visible(Vec2::ZERO, probe);
                             seen |= visible;
                             hidden |= !visible;
@@ -383,7 +389,7 @@ impl Lit<'_> {
                 }
                 let wi = point.to_local(source.direction.into());
                 if wi.z > 0.0 {
-                    let visible = !touched || visible(place(index as u32), source);
+                    let visible = visible(place(index as u32), source);
                     seen |= visible;
                     hidden |= !visible;
                     if visible {

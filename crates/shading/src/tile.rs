@@ -129,17 +129,20 @@ pub fn point_radiance(
 #[derive(Clone, Copy)]
 struct Waiting {
     lobe: SphericalGaussian,
+    /// Unit normals of the shading and of the plane behind which nothing is visible.
+    normals: [Vec3; 2],
     /// ∫ exp(λ(p·ω − 1)) max(n·ω, 0) dω.
     unoccluded: f32,
     asked: Asked,
 }
 
 impl Waiting {
-    fn new(lobe: SphericalGaussian, normal: Vec3) -> Self {
+    fn new(lobe: SphericalGaussian, normals @ [normal, _]: [Vec3; 2]) -> Self {
         let cosine = normal.dot(lobe.axis);
         let meets = polar::meets_horizon(lobe.sharpness, cosine);
         Self {
             lobe,
+            normals,
             unoccluded: Tables::get().cosine_integral(lobe.sharpness, cosine),
             asked: Asked {
                 known: 0.0,
@@ -220,7 +223,7 @@ impl<'a, F: SignedDistance> Tile<'a, F> {
                         continue;
                     }
                     let share = share(whole, estimate);
-                    let mut found = Waiting::new(light, pixel.point.normal);
+                    let mut found = Waiting::new(light, [pixel.point.normal; 2]);
                     found.asked.share = share;
                     if found.asked.unknown > 0.0 {
                         let fractions = pixel.lighting.fractions(index, pixel.point);
@@ -356,7 +359,9 @@ impl<'a, F: SignedDistance> Tile<'a, F> {
                 *waiting = glossy
                     .reflected(&light, sum)
                     .filter(|lobe| !negligible(lobe.integral(), sum))
-                    .map(|lobe| Waiting::new(lobe, pixel.point.normal));
+                    .map(|lobe| {
+                        Waiting::new(lobe, [pixel.point.normal, pixel.point.geometric_normal])
+                    });
             }
             round
         };
@@ -388,14 +393,20 @@ impl<'a, F: SignedDistance> Tile<'a, F> {
             let SphericalGaussian {
                 axis, sharpness, ..
             } = waiting.lobe;
-            let normal = pixel.point.normal;
             match self.method {
                 Method::Polar(options) => {
                     let options = options.for_share(waiting.asked.share);
-                    polar::visible_fraction(pixel.field, sharpness, axis, normal, distance, options)
+                    polar::visible_fraction(
+                        pixel.field,
+                        sharpness,
+                        axis,
+                        waiting.normals,
+                        distance,
+                        options,
+                    )
                 }
                 Method::Ambient | Method::Cells(_) => {
-                    ambient::integrate(pixel.field, sharpness, axis, normal)
+                    ambient::integrate(pixel.field, sharpness, axis, pixel.point.normal)
                         / waiting.unoccluded.max(f32::MIN_POSITIVE)
                 }
             }
@@ -412,7 +423,13 @@ impl<F> Pixel<'_, F> {
         }
         let light = self.lighting.light(index, self.point.position);
         let fractions = self.lighting.fractions(index, self.point);
-        if let Some(fraction) = fractions.whole(&light, &waiting.lobe) {
+        let lobe = &waiting.lobe;
+        let radius = polar::support_radius(lobe.sharpness);
+        let clipped = polar::is_clipped(radius, lobe.axis, waiting.normals);
+        // What all corners see may be behind the triangle.
+        if let Some(fraction) = fractions.whole(&light, lobe)
+            && (fraction == 0.0 || !clipped)
+        {
             waiting.asked.known = fraction;
             waiting.asked.unknown = 0.0;
         }

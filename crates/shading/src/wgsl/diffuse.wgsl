@@ -98,3 +98,8 @@ fn pixel_axis(pixel: u32, lobe: u32) -> vec4<f32> {
     let light = diffuse_light(pixel, lobe);
     return vec4(light.axis, light.sharpness);
 }
+
+// What the corners know of lights, who agree for most pixels, is of the surface about them.
+fn pixel_face(pixel: u32) -> vec3<f32> {
+    return pixel_normals[pixel];
+}

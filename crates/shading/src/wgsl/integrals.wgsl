@@ -103,7 +103,14 @@ fn integrals_of_corners(place: u32, shape: vec4<f32>, holds: bool, corners: vec3
     let axis = surface_to_world(slots_point(), shape.xyz);
     let fractions = vertex_visibility_of(index, holds, corners, vec3(0.0));
     let light = light_distant(index);
-    return vertex_visibility_whole(fractions, light, SphericalGaussian(axis, shape.w, vec3(0.0)));
+    let fraction = vertex_visibility_whole(fractions, light, SphericalGaussian(axis, shape.w, vec3(0.0)));
+    // What all corners see may be behind the triangle.
+    let radius = polar_support_radius(shape.w);
+    if fraction > 0.0
+        && polar_is_clipped(radius, axis, pixel_normals[pixel_own], surface_geometric_normal(corners)) {
+        return VERTEX_VISIBILITY_UNKNOWN;
+    }
+    return fraction;
 }
 
 fn integrals_light(place: u32) -> u32 {
@@ -135,4 +142,10 @@ fn pixel_axis(pixel: u32, place: u32) -> vec4<f32> {
     slot = integrals_first_slot + pixel;
     let shape = slots_gathered_value(slots_shape(place));
     return vec4(surface_to_world(slots_point(), shape.xyz), shape.w);
+}
+
+// Normal of the triangle under a pixel.
+fn pixel_face(pixel: u32) -> vec3<f32> {
+    let triangle = triangles[seen_triangle(tile_pixel(pixel)).x];
+    return surface_geometric_normal(triangle.xyz);
 }

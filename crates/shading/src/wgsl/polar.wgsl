@@ -17,21 +17,24 @@ fn polar_integrate(sharpness: f32, axis: vec3<f32>, normal: vec3<f32>, spokes: u
     if !polar_meets_horizon(sharpness, cosine) {
         return 0.0;
     }
-    let fraction = polar_fraction(sharpness, axis, normal, ssdf_distance(axis), spokes);
+    let fraction = polar_fraction(sharpness, axis, normal, normal, ssdf_distance(axis), spokes);
     return tables_cosine_integral(sharpness, cosine) * fraction;
 }
 
-// The visible fraction of a lobe that meets the horizon, `distance` being that of its axis.
+// The visible fraction of a lobe that meets the horizon, `distance` being that of its axis, in front of the plane whose
+// normal is `face`.
 fn polar_fraction(
     sharpness: f32,
     axis: vec3<f32>,
     normal: vec3<f32>,
+    face: vec3<f32>,
     distance: f32,
     spokes: u32,
 ) -> f32 {
     let cosine = dot(normal, axis);
     let radius = polar_support_radius(sharpness);
-    if distance >= radius {
+    let clipped = polar_is_clipped(radius, axis, normal, face);
+    if distance >= radius && !clipped {
         return 1.0;
     }
     if distance <= -radius {
@@ -67,12 +70,35 @@ fn polar_fraction(
         if start >= end {
             continue;
         }
-        var theta = start;
-        var here = distance;
         var first = 0.0;
         if start > 0.0 {
-            here = ssdf_distance(axis * cos(start) + outward * sin(start));
             first = dot(weights, polar_moments(sharpness, start));
+        }
+        whole += last - first;
+        if clipped {
+            let face_cosine = dot(face, axis);
+            let face_slope = dot(face, outward);
+            if face_cosine < 0.0 {
+                let above = atan2(-face_cosine, face_slope);
+                if above > start {
+                    start = above;
+                    first = dot(weights, polar_moments(sharpness, start));
+                }
+            } else {
+                let below = atan2(face_cosine, -face_slope);
+                if below < end {
+                    end = below;
+                    last = dot(weights, polar_moments(sharpness, end));
+                }
+            }
+            if start >= end {
+                continue;
+            }
+        }
+        var theta = start;
+        var here = distance;
+        if start > 0.0 {
+            here = ssdf_distance(axis * cos(start) + outward * sin(start));
         }
         var sum = select(0.0, -first, here > 0.0);
         while theta + POLAR_RELAXATION * abs(here) < end {
@@ -87,12 +113,17 @@ fn polar_fraction(
             here = there;
         }
         visible += select(sum, sum + last, here > 0.0);
-        whole += last - first;
     }
     if whole > 0.0 {
         return clamp(visible / whole, 0.0, 1.0);
     }
     return 0.0;
+}
+
+// Whether a plane of the normal `face`, but not that of `normal`, cuts a lobe of this radius.
+fn polar_is_clipped(radius: f32, axis: vec3<f32>, normal: vec3<f32>, face: vec3<f32>) -> bool {
+    let above = radius < 0.5 * PI && dot(face, axis) >= sin(radius);
+    return dot(face, normal) < POLAR_SAME_PLANE && !above;
 }
 
 fn polar_support_radius(sharpness: f32) -> f32 {

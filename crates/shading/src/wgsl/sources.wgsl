@@ -56,8 +56,9 @@ fn sources_radiance(source: u32, point: SurfacePoint, from_point: vec2<f32>) -> 
         if i == first + SOURCE_LEVELS.x && !(seen && hidden) {
             for (var j = rim; j < first; j++) {
                 let direction = source_points[j].direction;
-                if touched && !(seen && hidden) && surface_to_local(point, direction).z > 0.0 {
-                    if sources_block(origin, direction, square, vec2(0.0), from_point) {
+                if !(seen && hidden) && surface_to_local(point, direction).z > 0.0 {
+                    if dot(point.geometric_normal, direction) <= 0.0
+                        || touched && sources_block(origin, direction, square, vec2(0.0), from_point) {
                         hidden = true;
                     } else {
                         seen = true;
@@ -76,7 +77,8 @@ fn sources_radiance(source: u32, point: SurfacePoint, from_point: vec2<f32>) -> 
         let wi = surface_to_local(point, direction);
         if wi.z > 0.0 {
             let place = sources_place(i - first);
-            if touched && sources_block(origin, direction, square, place, from_point) {
+            if dot(point.geometric_normal, direction) <= 0.0
+                || touched && sources_block(origin, direction, square, place, from_point) {
                 hidden = true;
             } else {
                 seen = true;

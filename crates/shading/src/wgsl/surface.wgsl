@@ -63,6 +63,13 @@ fn surface_to_world(point: SurfacePoint, local: vec3<f32>) -> vec3<f32> {
     return point.tangent * local.x + point.bitangent * local.y + point.normal * local.z;
 }
 
+fn surface_geometric_normal(corners: vec3<u32>) -> vec3<f32> {
+    let a = vertices[corners.x].position;
+    let b = vertices[corners.y].position;
+    let c = vertices[corners.z].position;
+    return surface_unit_or(cross(b - a, c - a), vec3(0.0, 1.0, 0.0));
+}
+
 fn surface_shape(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32>) -> SurfaceShape {
     let a = vertices[corners.x];
     let b = vertices[corners.y];
@@ -71,10 +78,7 @@ fn surface_shape(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32
     let vertex_normal = a.normal * barycentrics.x + b.normal * barycentrics.y + c.normal * barycentrics.z;
     let vertex_tangent = a.tangent * barycentrics.x + b.tangent * barycentrics.y + c.tangent * barycentrics.z;
     let uv = vec2(a.u, a.v) * barycentrics.x + vec2(b.u, b.v) * barycentrics.y + vec2(c.u, c.v) * barycentrics.z;
-    let geometric_normal = surface_unit_or(
-        cross(b.position - a.position, c.position - a.position),
-        vec3(0.0, 1.0, 0.0),
-    );
+    let geometric_normal = surface_geometric_normal(corners);
 
     let smooth_normal = surface_unit_or(vertex_normal, geometric_normal);
     var normal = smooth_normal;

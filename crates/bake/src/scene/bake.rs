@@ -31,7 +31,7 @@ const RELATIVE_MIN_EDGE: f32 = 0.004;
 const RELATIVE_EDGE: f32 = 0.02;
 /// Distance of a visibility sample from its surface, in diagonals of the scene: far above
 /// the rounding of coordinates, far below anything that casts a visible shadow.
-const RELATIVE_RAY_OFFSET: f32 = 1e-4;
+const RELATIVE_RAY_OFFSET: f32 = 1e-5;
 /// The least of that distance, in steps of the largest coordinate.
 const ROUNDINGS: f32 = 4.0;
 /// Triangles in which interpolation is checked, about, but for small scenes one of so many.

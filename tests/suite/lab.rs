@@ -263,7 +263,7 @@ fn report(browser: &str) -> Outcome {
     for name in ["penumbra", "brdf"] {
         let mut lab = binary("lab");
         lab.args(["experiments", name, "--device", "cpu", "--size", "96x72"]);
-        lab.args(["--samples", "64", "--preset", "draft", "--json", "--out"]);
+        lab.args(["--samples", "256", "--preset", "draft", "--json", "--out"]);
         let found: Value = serde_json::from_str(&expect(OK, lab.arg(&out)))?;
         assert_eq!(found["sections"][0]["name"], name);
     }

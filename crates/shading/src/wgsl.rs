@@ -296,7 +296,7 @@ pub const INTERFACES: &[Interface] = &[
     },
     Interface {
         what: "the lobe that a pixel of a tile asks about: a light, or one that waits",
-        names: &["pixel_axis", "pixel_face"],
+        names: &["pixel_axis", "pixel_face", "pixel_is_clipped"],
         files: &["diffuse.wgsl", "integrals.wgsl"],
     },
     Interface {

@@ -149,3 +149,7 @@ fn pixel_face(pixel: u32) -> vec3<f32> {
     let triangle = triangles[seen_triangle(tile_pixel(pixel)).x];
     return surface_geometric_normal(triangle.xyz);
 }
+
+fn pixel_is_clipped(radius: f32, axis: vec3<f32>, normal: vec3<f32>, face: vec3<f32>) -> bool {
+    return polar_is_clipped(radius, axis, normal, face);
+}

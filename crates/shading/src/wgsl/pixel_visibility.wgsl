@@ -1,6 +1,6 @@
 // Twin of pixel_visibility.rs: a workgroup is a tile, whose invocations find together what its pixels see
 // of lobes. A kernel says what a lobe is by pixel_axis, and
-// by pixel_face behind which plane nothing is visible. A round: pixel_ask for
+// by pixel_face and pixel_is_clipped behind which plane nothing is visible. A round: pixel_ask for
 // every lobe of the invocation's pixel, pixel_settle, pixel_fraction.
 
 // Of every pixel: where it is, and material + 1; 0: nothing is seen.
@@ -223,7 +223,9 @@ fn pixel_find(phase: u32, index: u32, at: u32) {
             / max(tables_cosine_integral(axis.w, dot(normal, axis.xyz)), 1.17549435e-38);
     } else {
         let spokes = polar_spokes(frames[frame_index].spokes, pixel_shares[index]);
-        found = polar_fraction(axis.w, axis.xyz, normal, pixel_face(pixel), distance, spokes);
+        let face = pixel_face(pixel);
+        let clipped = pixel_is_clipped(radius, axis.xyz, normal, face);
+        found = polar_fraction(axis.w, axis.xyz, normal, face, clipped, distance, spokes);
     }
     pixel_fractions[index] += pixel_unknown[index] * found;
 }

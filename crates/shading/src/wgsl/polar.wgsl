@@ -17,23 +17,23 @@ fn polar_integrate(sharpness: f32, axis: vec3<f32>, normal: vec3<f32>, spokes: u
     if !polar_meets_horizon(sharpness, cosine) {
         return 0.0;
     }
-    let fraction = polar_fraction(sharpness, axis, normal, normal, ssdf_distance(axis), spokes);
+    let fraction = polar_fraction(sharpness, axis, normal, normal, false, ssdf_distance(axis), spokes);
     return tables_cosine_integral(sharpness, cosine) * fraction;
 }
 
-// The visible fraction of a lobe that meets the horizon, `distance` being that of its axis, in front of the plane whose
-// normal is `face`.
+// The visible fraction of a lobe that meets the horizon, `distance` being that of its axis, if it is
+// `clipped` in front of the plane whose normal is `face`.
 fn polar_fraction(
     sharpness: f32,
     axis: vec3<f32>,
     normal: vec3<f32>,
     face: vec3<f32>,
+    clipped: bool,
     distance: f32,
     spokes: u32,
 ) -> f32 {
     let cosine = dot(normal, axis);
     let radius = polar_support_radius(sharpness);
-    let clipped = polar_is_clipped(radius, axis, normal, face);
     if distance >= radius && !clipped {
         return 1.0;
     }

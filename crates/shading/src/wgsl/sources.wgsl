@@ -58,7 +58,7 @@ fn sources_radiance(source: u32, point: SurfacePoint, from_point: vec2<f32>) -> 
                 let direction = source_points[j].direction;
                 if !(seen && hidden) && surface_to_local(point, direction).z > 0.0 {
                     if dot(point.geometric_normal, direction) <= 0.0
-                        || touched && sources_block(origin, direction, square, vec2(0.0), from_point) {
+                        || (touched && sources_block(origin, direction, square, vec2(0.0), from_point)) {
                         hidden = true;
                     } else {
                         seen = true;
@@ -78,7 +78,7 @@ fn sources_radiance(source: u32, point: SurfacePoint, from_point: vec2<f32>) -> 
         if wi.z > 0.0 {
             let place = sources_place(i - first);
             if dot(point.geometric_normal, direction) <= 0.0
-                || touched && sources_block(origin, direction, square, place, from_point) {
+                || (touched && sources_block(origin, direction, square, place, from_point)) {
                 hidden = true;
             } else {
                 seen = true;

@@ -152,6 +152,16 @@ impl Roughness {
     }
 }
 
+/// What numbers are in its range, as messages say it.
+impl std::fmt::Display for Roughness {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Alpha => formatter.write_str("a roughness in (0, 1]"),
+            Self::Exponent { least } => write!(formatter, "a number of at least {least}"),
+        }
+    }
+}
+
 /// A reflection model as the format has it. What it reflects is in `relight-shading`.
 #[derive(Clone, Copy, Debug)]
 pub struct ReflectionModel {

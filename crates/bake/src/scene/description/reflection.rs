@@ -2,14 +2,46 @@
 
 use relight_format::Specular;
 
-use super::{Color, MaterialOverride, alpha_pair};
+use super::{Color, MaterialOverride};
+
+/// A roughness or an exponent as given: once, or along tangent and bitangent.
+pub(super) struct AlongAxes {
+    both: Option<f32>,
+    x: Option<f32>,
+    y: Option<f32>,
+}
+
+impl AlongAxes {
+    /// The two numbers that it stands for, if it is given in one of the two ways.
+    pub(super) fn pair(&self) -> Option<[f32; 2]> {
+        match (self.both, self.x, self.y) {
+            (Some(both), None, None) => Some([both; 2]),
+            (None, Some(x), Some(y)) => Some([x, y]),
+            _ => None,
+        }
+    }
+
+    /// Which keys are given, for messages.
+    pub(super) fn found(&self, name: &str) -> String {
+        let given: Vec<_> = [("", self.both), ("_x", self.x), ("_y", self.y)]
+            .into_iter()
+            .filter_map(|(axis, value)| value.map(|_| format!("{name}{axis}")))
+            .collect();
+        if given.is_empty() {
+            "none of them".to_owned()
+        } else {
+            given.join(" and ")
+        }
+    }
+}
 
 impl MaterialOverride {
     /// The base and the reflection, if the material is a model over a base. Values are not checked.
     pub fn reflection(&self) -> Option<(Color, Specular)> {
         use MaterialOverride as M;
         let layered = |diffuse, specular| Some((diffuse, specular));
-        let pair = |alpha, x, y| alpha_pair(alpha, x, y).unwrap_or([1.0; 2]);
+        let pair = self.roughness_along_axes();
+        let pair = pair.and_then(|given| given.pair()).unwrap_or([1.0; 2]);
         match *self {
             M::Diffuse { diffuse } => layered(diffuse, Specular::None),
             M::BlinnPhong {
@@ -24,21 +56,14 @@ impl MaterialOverride {
                 },
             ),
             M::Ward {
+                diffuse, specular, ..
+            } => layered(
                 diffuse,
-                specular,
-                alpha,
-                alpha_x,
-                alpha_y,
-            } => {
-                let alpha = pair(alpha, alpha_x, alpha_y);
-                layered(
-                    diffuse,
-                    Specular::Ward {
-                        specular: specular.rgb(),
-                        alpha,
-                    },
-                )
-            }
+                Specular::Ward {
+                    specular: specular.rgb(),
+                    alpha: pair,
+                },
+            ),
             M::CookTorrance {
                 diffuse,
                 f0,
@@ -50,39 +75,47 @@ impl MaterialOverride {
                     roughness,
                 },
             ),
-            M::Ggx {
+            M::Ggx { diffuse, f0, .. } => layered(
                 diffuse,
-                f0,
-                alpha,
-                alpha_x,
-                alpha_y,
-            } => {
-                let alpha = pair(alpha, alpha_x, alpha_y);
-                layered(
-                    diffuse,
-                    Specular::Ggx {
-                        f0: f0.rgb(),
-                        alpha,
-                    },
-                )
-            }
-            M::AshikhminShirley {
+                Specular::Ggx {
+                    f0: f0.rgb(),
+                    alpha: pair,
+                },
+            ),
+            M::AshikhminShirley { diffuse, f0, .. } => layered(
                 diffuse,
-                f0,
-                exponent,
-                exponent_x,
-                exponent_y,
-            } => {
-                let exponents = pair(exponent, exponent_x, exponent_y);
-                layered(
-                    diffuse,
-                    Specular::AshikhminShirley {
-                        f0: f0.rgb(),
-                        exponents,
-                    },
-                )
-            }
+                Specular::AshikhminShirley {
+                    f0: f0.rgb(),
+                    exponents: pair,
+                },
+            ),
             M::MetallicRoughness { .. } | M::Measured { .. } | M::Layers { .. } => None,
+        }
+    }
+
+    /// The roughness of a model where it may differ along tangent and bitangent.
+    pub(super) fn roughness_along_axes(&self) -> Option<AlongAxes> {
+        use MaterialOverride as M;
+        match *self {
+            M::Ward {
+                alpha: both,
+                alpha_x: x,
+                alpha_y: y,
+                ..
+            }
+            | M::Ggx {
+                alpha: both,
+                alpha_x: x,
+                alpha_y: y,
+                ..
+            }
+            | M::AshikhminShirley {
+                exponent: both,
+                exponent_x: x,
+                exponent_y: y,
+                ..
+            } => Some(AlongAxes { both, x, y }),
+            _ => None,
         }
     }
 

@@ -414,13 +414,13 @@ fn damaged_asset() -> Outcome {
         &expect(BAD_INPUT, binary("bake").arg("validate").arg(&asset)),
         &asset,
     );
-    assert!(line.contains("BadChecksum"), "{line}");
+    assert!(line.ends_with("(the file is damaged)"), "{line}");
     std::fs::write(&asset, &bytes[..last])?;
     let line = error_line(
         &expect(BAD_INPUT, binary("bake").arg("inspect").arg(&asset)),
         &asset,
     );
-    assert!(line.contains("Truncated"), "{line}");
+    assert!(line.ends_with("(the file ends too early)"), "{line}");
     Ok(())
 }
 

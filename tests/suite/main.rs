@@ -15,6 +15,7 @@ mod cli;
 mod command;
 mod demo;
 mod determinism;
+mod errors;
 mod farm;
 mod features;
 mod gpu;
@@ -35,6 +36,7 @@ fn main() -> ExitCode {
         cli::trials(),
         demo::trials(),
         determinism::trials(),
+        errors::trials(),
         farm::trials(),
         features::trials(),
         gpu::trials(),

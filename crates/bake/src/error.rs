@@ -1,18 +1,17 @@
-//! Why an input cannot be read: one error that names the file, the place, what was expected and
-//! what was found. And how errors are told.
+//! Why an input cannot be read or an option not be followed, in one shape: what it is about, where in
+//! it, what was expected and what was found. And how errors are told.
 
-#[cfg(not(target_family = "wasm"))]
-use std::path::Path;
-use std::path::PathBuf;
+use std::fmt::Display;
+use std::path::{Path, PathBuf};
 
-/// An error and its causes as one sentence. Many messages end in that of their cause, which is not
-/// said again.
+/// An error and its causes as one sentence on one line. Many messages end in that of their cause, which
+/// is not said again.
 pub fn sentence<'a>(
     chain: impl IntoIterator<Item = &'a (dyn std::error::Error + 'static)>,
 ) -> String {
     let mut sentence = String::new();
     for cause in chain {
-        let cause = cause.to_string();
+        let cause = on_one_line(&cause.to_string());
         if !sentence.ends_with(&cause) {
             if !sentence.is_empty() {
                 sentence += ": ";
@@ -23,71 +22,137 @@ pub fn sentence<'a>(
     sentence
 }
 
-/// Why a scene file, mesh, material library or texture could not be read.
-#[derive(Debug, thiserror::Error)]
-pub enum Error {
-    /// The file system refused.
-    #[error("{}: cannot read: {source}", file.display())]
-    Read {
-        /// The file.
-        file: PathBuf,
-        /// The reason.
-        source: std::io::Error,
-    },
-    /// The text does not parse.
-    #[error("{}: {message}", file.display())]
-    Syntax {
-        /// The file.
-        file: PathBuf,
-        /// The parser's message, with line and column.
-        message: String,
-    },
-    /// A value is wrong.
-    #[error("{}: {place}: expected {expected}, found {found}", file.display())]
-    Invalid {
-        /// The file.
-        file: PathBuf,
-        /// The line, key or element.
-        place: String,
-        /// What would have been right.
-        expected: String,
-        /// What is there.
-        found: String,
-    },
-    /// The file requires a glTF extension that is not supported.
-    #[error(
-        "{}: requires the glTF extension {extension}, which is not supported{hint}", file.display()
-    )]
-    UnsupportedExtension {
-        /// The file.
-        file: PathBuf,
-        /// Its registered name.
-        extension: String,
-        /// What to do about it, or nothing.
-        hint: &'static str,
-    },
-}
-
-#[cfg(not(target_family = "wasm"))]
-impl Error {
-    pub(crate) fn read(file: &Path, source: std::io::Error) -> Self {
-        Self::Read {
-            file: file.into(),
-            source,
+/// Text on one line and without control characters: names in files that are not trusted are in it.
+fn on_one_line(text: &str) -> String {
+    let mut line = String::new();
+    for word in text.split_whitespace() {
+        if !line.is_empty() {
+            line.push(' ');
+        }
+        for character in word.chars() {
+            if character.is_control() {
+                line.extend(character.escape_default());
+            } else {
+                line.push(character);
+            }
         }
     }
+    line
+}
 
-    pub(crate) fn invalid(
-        file: &Path,
-        place: impl std::fmt::Display,
-        expected: impl std::fmt::Display,
-        found: impl std::fmt::Display,
-    ) -> Self {
-        Self::Invalid {
-            file: file.into(),
+/// What is wrong in some place, of a file or of the options.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{place}: expected {expected}, found {found}")]
+pub struct Objection {
+    /// The line, key, element or option.
+    pub place: String,
+    /// What would have been right.
+    pub expected: String,
+    /// What is there.
+    pub found: String,
+}
+
+impl Objection {
+    /// An objection to what was found in a place.
+    pub fn new(place: impl Display, expected: impl Display, found: impl Display) -> Self {
+        Self {
             place: place.to_string(),
             expected: expected.to_string(),
             found: found.to_string(),
         }
     }
+
+    /// The same of a file.
+    pub fn in_file(self, file: &Path) -> Error {
+        Error {
+            file: file.to_owned(),
+            objection: self,
+            source: None,
+        }
+    }
+}
+
+/// Why a file cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[error("{}: {objection}", file.display())]
+pub struct Error {
+    /// The file.
+    pub file: PathBuf,
+    /// What is wrong with it.
+    pub objection: Objection,
+    /// The system's reason, where it refused.
+    pub source: Option<std::io::Error>,
+}
+
+impl Error {
+    /// The system refuses to read a file.
+    pub fn read(file: &Path, source: std::io::Error) -> Self {
+        Self::refused(file, "file", "a readable file", source)
+    }
+
+    /// The system refuses.
+    pub fn refused(
+        file: &Path,
+        place: impl Display,
+        expected: impl Display,
+        source: std::io::Error,
+    ) -> Self {
+        let refused = Self::invalid(file, place, expected, &source);
+        Self {
+            source: Some(source),
+            ..refused
+        }
+    }
+
+    /// Something in a file is wrong.
+    pub fn invalid(
+        file: &Path,
+        place: impl Display,
+        expected: impl Display,
+        found: impl Display,
+    ) -> Self {
+        Objection::new(place, expected, found).in_file(file)
+    }
+
+    /// The same of the file that refers to this one, in some place.
+    #[cfg(not(target_family = "wasm"))]
+    #[must_use]
+    pub(crate) fn referred_to(self, by: &Path, place: impl Display) -> Self {
+        let found = format!("{}: {}", self.file.display(), self.objection.found);
+        Self {
+            file: by.to_owned(),
+            objection: Objection::new(place, self.objection.expected, found),
+            source: self.source,
+        }
+    }
+}
+
+/// Most bytes that are repeated of a file which begins otherwise than it should.
+const FIRST_BYTES: usize = 12;
+
+/// How a file begins, as text where it is.
+pub(crate) fn first_bytes(bytes: &[u8]) -> String {
+    match bytes {
+        [] => "an empty file".into(),
+        _ => format!(
+            "\"{}\"",
+            bytes[..bytes.len().min(FIRST_BYTES)].escape_ascii()
+        ),
+    }
+}
+
+/// What a parser of TOML or JSON objects to in a line and column; `whole` is what it should have
+/// been, for where it says no more. `serde` says "FOUND, expected EXPECTED".
+#[cfg(not(target_family = "wasm"))]
+pub(crate) fn of_parser([line, column]: [usize; 2], whole: &str, message: &str) -> Objection {
+    let place = format!("line {line}, column {column}");
+    if let Some(key) = message.strip_prefix("missing field ") {
+        return Objection::new(place, format_args!("{whole} with {key}"), "none");
+    }
+    let (found, expected) = (message.rsplit_once(", expected ")).unwrap_or((message, whole));
+    let mut kinds = ["invalid type: ", "invalid value: "].into_iter();
+    let found = kinds
+        .find_map(|kind| found.strip_prefix(kind))
+        .unwrap_or(found);
+    Objection::new(place, expected, found)
 }

@@ -124,11 +124,15 @@ impl Files {
         let root = match &access.root {
             Some(root) => root
                 .canonicalize()
-                .map_err(|source| Error::read(root, source))?,
+                .map_err(|source| no_root(root, source))?,
             None => folder.clone(),
         };
-        let opened = Dir::open_ambient_dir(&root, ambient_authority())
-            .map_err(|source| Error::read(&root, source))?;
+        let opened = Dir::open_ambient_dir(&root, ambient_authority()).map_err(|source| {
+            match &access.root {
+                Some(root) => no_root(root, source),
+                None => Error::read(&root, source),
+            }
+        })?;
         Ok(Self {
             access: access.clone(),
             given: given.to_owned(),
@@ -181,8 +185,8 @@ impl Files {
     ///
     /// # Errors
     ///
-    /// [`Error::Read`] if there is none or the system refuses; [`Error::Invalid`] if it is
-    /// outside the root, is no regular file, or is one too many for the budget.
+    /// There is none or the system refuses; it is outside the root, is no regular file, or is one
+    /// too many for the budget.
     pub fn read(&self, path: &Path) -> Result<Vec<u8>, Error> {
         if self.root.is_none() {
             return self.remembered(path);
@@ -291,8 +295,12 @@ impl Files {
         let root = self.root.as_ref().map_or(Path::new(""), |(_, root)| root);
         let root = root.display();
         let expected = format!("a file in {root} (--root names a wider folder)");
-        Error::invalid(path, "reference", expected, "one outside")
+        Error::invalid(path, "reference", expected, "one outside of it")
     }
+}
+
+fn no_root(root: &Path, source: std::io::Error) -> Error {
+    Error::refused(root, "--root", "a folder that can be read", source)
 }
 
 /// So that no open waits: for the other end of a pipe, or for a device.
@@ -334,38 +342,28 @@ fn irregular(path: &Path) -> Error {
 /// Why nothing may be written to a path.
 #[derive(Debug, thiserror::Error)]
 pub enum OutputError {
-    /// The system refused.
-    #[error("{}: cannot write there: {source}", path.display())]
-    Io {
-        /// The output.
-        path: PathBuf,
-        /// The system's reason.
-        source: std::io::Error,
-    },
-    /// There is something that must not be replaced.
-    #[error("{}: cannot write there: expected a regular file or nothing, found {found}", path.display())]
-    Irregular {
-        /// The output.
-        path: PathBuf,
-        /// What is there.
-        found: &'static str,
-    },
+    /// The system refuses, or there is something that must not be replaced.
+    #[error(transparent)]
+    Unwritable(Error),
     /// It is one of the inputs.
-    #[error("{}: output: expected another file than the inputs, found the input {}", path.display(), input.display())]
-    Input {
-        /// The output.
-        path: PathBuf,
-        /// The input, as it was read.
-        input: PathBuf,
-    },
+    #[error(transparent)]
+    Input(Error),
+}
+
+impl OutputError {
+    fn input(path: &Path, input: &Path) -> Self {
+        let found = format!("the input {}", input.display());
+        let expected = "another file than the inputs";
+        Self::Input(Error::invalid(path, "output", expected, found))
+    }
 }
 
 /// Checks that a file may be written or replaced: its folder exists, and what has its name
 /// is a regular file or nothing. Gives the identity of the file that would be replaced.
 pub fn check_output(path: &Path) -> Result<Option<Identity>, OutputError> {
-    let failed = |source| OutputError::Io {
-        path: path.to_owned(),
-        source,
+    let failed = |source| {
+        let expected = "a file that can be written";
+        OutputError::Unwritable(Error::refused(path, "output", expected, source))
     };
     let folder = path
         .parent()
@@ -392,10 +390,9 @@ pub fn check_output(path: &Path) -> Result<Option<Identity>, OutputError> {
     } else {
         "a pipe, socket or device"
     };
-    Err(OutputError::Irregular {
-        path: path.to_owned(),
-        found,
-    })
+    let expected = "a regular file or nothing";
+    let error = Error::invalid(path, "output", expected, found);
+    Err(OutputError::Unwritable(error))
 }
 
 /// [`check_output`], and that the file is none of those that were read.
@@ -403,10 +400,7 @@ pub fn check_output_beside(path: &Path, inputs: &Files) -> Result<(), OutputErro
     let Some(input) = check_output(path)?.and_then(|identity| inputs.find(&identity)) else {
         return Ok(());
     };
-    Err(OutputError::Input {
-        path: path.to_owned(),
-        input,
-    })
+    Err(OutputError::input(path, &input))
 }
 
 /// [`check_output`], and that the file is none of `inputs`, which the command line names.
@@ -419,10 +413,7 @@ pub fn check_output_among(path: &Path, inputs: &[PathBuf]) -> Result<(), OutputE
     };
     match inputs.iter().find(same) {
         None => Ok(()),
-        Some(input) => Err(OutputError::Input {
-            path: path.to_owned(),
-            input: input.clone(),
-        }),
+        Some(input) => Err(OutputError::input(path, input)),
     }
 }
 

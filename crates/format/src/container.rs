@@ -165,8 +165,8 @@ pub fn inspect(bytes: &[u8], limits: &Limits) -> Result<(Kind, u32, Vec<SectionI
         return Err(Error::invalid(
             Issue::BadMagic,
             "header",
-            format_args!("{MAGIC:02x?}"),
-            format_args!("{magic:02x?}"),
+            format_args!("\"{}\"", MAGIC.escape_ascii()),
+            format_args!("\"{}\"", magic.escape_ascii()),
         ));
     }
     let version = u32_at(8)?;

@@ -38,11 +38,33 @@ pub enum Issue {
     IndexOutOfRange,
 }
 
+impl std::fmt::Display for Issue {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.write_str(match self {
+            Self::BadMagic => "this is not a .relight file",
+            Self::UnknownVersion => "it was written for another version of the format",
+            Self::WrongKind => "it holds another kind of asset",
+            Self::ReservedNotZero => "a field that must be zero is not",
+            Self::Truncated => "the file ends too early",
+            Self::TrailingBytes => "the file goes on after its end",
+            Self::BadSectionTable => "the table of its sections is damaged",
+            Self::MissingSection => "a section is missing",
+            Self::BadChecksum => "the file is damaged",
+            Self::BadCompression => "a section cannot be decompressed",
+            Self::BadLength => "a section has the wrong length",
+            Self::OverBudget => "it would take more memory than is allowed",
+            Self::BadMetadata => "its metadata cannot be read",
+            Self::ValueOutOfRange => "a number is out of its range",
+            Self::IndexOutOfRange => "an index is out of its range",
+        })
+    }
+}
+
 /// One objection: what, where, what was expected and what was found.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// The bytes are not a valid asset.
-    #[error("{issue:?} in {place}: expected {expected}, found {found}")]
+    #[error("{place}: expected {expected}, found {found} ({issue})")]
     Invalid {
         /// Stable identifier.
         issue: Issue,
@@ -53,8 +75,8 @@ pub enum Error {
         /// What this file has there.
         found: String,
     },
-    /// The file could not be read or written.
-    #[error("{path}: {source}")]
+    /// The file could not be written.
+    #[error("{path}: output: expected a file that can be written, found {source}")]
     Io {
         /// The file.
         path: String,

@@ -3,69 +3,40 @@
 use std::path::Path;
 
 use glam::Vec3;
+use relight_bake::error::{Error, Objection};
+use relight_bake::files::{Access, Files};
 use relight_bake::scene::description;
 use relight_format::{Camera, FieldOfView};
 
-/// Why a camera file could not be used.
-#[derive(Debug, thiserror::Error)]
-pub enum Error {
-    /// The file could not be read.
-    #[error("{path}: {source}")]
-    Io {
-        /// The file.
-        path: String,
-        /// The system's reason.
-        source: std::io::Error,
-    },
-    /// The file does not describe a camera.
-    #[error("{path}: {reason}")]
-    Invalid {
-        /// The file.
-        path: String,
-        /// What is wrong with it.
-        reason: String,
-    },
-}
-
 /// Reads a camera file: TOML with the keys of a scene file's `[camera]` table.
 pub fn load(path: &Path) -> Result<Camera, Error> {
-    let error = |reason: String| Error::Invalid {
-        path: path.display().to_string(),
-        reason,
-    };
-    let text = std::fs::read_to_string(path).map_err(|source| Error::Io {
-        path: path.display().to_string(),
-        source,
-    })?;
-    let camera: description::Camera =
-        toml::from_str(&text).map_err(|reason| error(reason.to_string()))?;
+    let bytes = Files::new(path, &Access::default())?.read_named(path)?;
+    let camera: description::Camera = description::parse_toml(path, &bytes, "a camera")?;
     let found = camera.to_format().ok_or_else(|| {
-        error("expected one of fov_x_degrees and fov_y_degrees, found none or both".into())
+        let expected = "one of fov_x_degrees and fov_y_degrees";
+        Error::invalid(path, "camera", expected, "none or both")
     })?;
-    check(&found).map_err(error)?;
+    check(&found).map_err(|objection| objection.in_file(path))?;
     Ok(found)
 }
 
 /// Objects to a camera that shows nothing.
-pub fn check(camera: &Camera) -> Result<(), String> {
+pub fn check(camera: &Camera) -> Result<(), Objection> {
     let (FieldOfView::X(angle) | FieldOfView::Y(angle)) = camera.field_of_view;
     if !(angle > 0.0 && angle < std::f32::consts::PI) {
         let degrees = angle.to_degrees();
-        return Err(format!(
-            "field of view: expected degrees in (0, 180), found {degrees}"
-        ));
+        let place = "field of view of the camera";
+        return Err(Objection::new(place, "degrees in (0, 180)", degrees));
     }
     let [position, target, up] = [camera.position, camera.target, camera.up].map(Vec3::from);
     let forward = target - position;
     if !(position.is_finite() && forward.is_finite() && forward.length_squared() > 0.0) {
-        return Err(format!(
-            "target: expected a point other than {position}, found {target}"
-        ));
+        let expected = format!("a point other than its position, {position}");
+        return Err(Objection::new("target of the camera", expected, target));
     }
     if !(up.is_finite() && forward.cross(up).length_squared() > 0.0) {
-        return Err(format!(
-            "up: expected a direction other than {forward}, found {up}"
-        ));
+        let expected = format!("a direction other than that of its view, {forward}");
+        return Err(Objection::new("up of the camera", expected, up));
     }
     Ok(())
 }

@@ -10,7 +10,8 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use glam::Vec3;
 use indicatif::{ProgressBar, ProgressStyle};
 use relight_bake::environment::hdr;
-use relight_bake::files::{Access, Files};
+use relight_bake::error::{Error, Objection};
+use relight_bake::files::{Access, Files, OutputError};
 use relight_bake::monitor::{Monitor, Progress};
 use relight_bake::scene::{self, description, load};
 use relight_format::{Camera, Environment, FieldOfView, Limits, Scene};
@@ -41,8 +42,11 @@ fn exit_code(error: &anyhow::Error) -> u8 {
         if cause.is::<NoGpu>() {
             return 4;
         }
-        if cause.is::<std::io::Error>() {
+        if cause.is::<std::io::Error>() || cause.is::<OutputError>() {
             return 3;
+        }
+        if cause.is::<Usage>() {
+            return 2;
         }
     }
     1
@@ -52,6 +56,11 @@ fn exit_code(error: &anyhow::Error) -> u8 {
 #[derive(Debug, thiserror::Error)]
 #[error("--device gpu")]
 struct NoGpu(#[source] relight_runtime::Error);
+
+/// The command line is wrong in a way that its syntax does not tell. The place is the option.
+#[derive(Debug, thiserror::Error)]
+#[error(transparent)]
+struct Usage(Objection);
 
 /// Renders baked scenes, ray-traces truth and compares the two.
 #[derive(Parser)]
@@ -201,10 +210,10 @@ struct Render {
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=64))]
     spokes: Option<u32>,
     /// Cells: largest error of a boundary, radians.
-    #[arg(long, value_name = "RADIANS")]
+    #[arg(long, value_name = "RADIANS", value_parser = parse_at_least_zero, allow_hyphen_values = true)]
     boundary_error: Option<f32>,
     /// Cells: largest error of the lobes in a cell, as a part of all that they carry.
-    #[arg(long, value_name = "PART")]
+    #[arg(long, value_name = "PART", value_parser = parse_at_least_zero, allow_hyphen_values = true)]
     lobe_error: Option<f32>,
     /// Cells: an even partition instead, ROWSxCOLUMNS of polar angle and azimuth.
     #[arg(long, value_parser = parse_size, value_name = "ROWSxCOLUMNS")]
@@ -269,14 +278,14 @@ struct Picture {
     #[arg(long, default_value = "800x600", value_parser = parse_size)]
     size: [u32; 2],
     /// Turn the environment about +Y, degrees counter-clockwise seen from above.
-    #[arg(long, default_value_t = 0.0, allow_hyphen_values = true)]
+    #[arg(long, default_value_t = 0.0, value_parser = parse_finite, allow_hyphen_values = true)]
     rotate: f32,
     /// Scene file whose `lights` to add, up to 128. `truth --kind full` has those of its scene
     /// file anyway.
     #[arg(long, value_name = "SCENE.toml")]
     lights: Option<PathBuf>,
     /// Exposure of a PNG in stops. An EXR is not exposed.
-    #[arg(long, default_value_t = 0.0, allow_hyphen_values = true)]
+    #[arg(long, default_value_t = 0.0, value_parser = parse_finite, allow_hyphen_values = true)]
     exposure: f32,
     /// Image to write: .exr with linear radiance and coverage, .png to look at.
     #[arg(short, long)]
@@ -299,10 +308,10 @@ struct CameraArguments {
     #[arg(long, value_parser = parse_point, allow_hyphen_values = true)]
     up: Option<Point>,
     /// Replaces the field of view: full vertical angle in degrees.
-    #[arg(long, conflicts_with = "fov_x")]
+    #[arg(long, conflicts_with = "fov_x", value_parser = parse_angle, allow_hyphen_values = true)]
     fov_y: Option<f32>,
     /// Replaces the field of view: full horizontal angle in degrees.
-    #[arg(long)]
+    #[arg(long, value_parser = parse_angle, allow_hyphen_values = true)]
     fov_x: Option<f32>,
 }
 
@@ -413,6 +422,7 @@ fn print_plain(report: &Value) {
 }
 
 fn run_render(arguments: &Render) -> anyhow::Result<Value> {
+    display::check_output(&arguments.picture.output)?;
     let scene = read_scene(&arguments.scene)?;
     let Distant {
         lights,
@@ -424,11 +434,9 @@ fn run_render(arguments: &Render) -> anyhow::Result<Value> {
     let reflections = match arguments.reflections {
         ReflectionsName::Auto => prefiltered,
         ReflectionsName::Lobes => None,
-        ReflectionsName::Prefiltered => Some(prefiltered.with_context(|| {
-            format!(
-                "{}: expected an environment with a prefiltered image, found none",
-                arguments.environment.display()
-            )
+        ReflectionsName::Prefiltered => Some(prefiltered.ok_or_else(|| {
+            let expected = "a prefiltered image, as --reflections prefiltered needs";
+            Error::invalid(&arguments.environment, "environment", expected, "none")
         })?),
     };
     let method = match arguments.method {
@@ -545,6 +553,7 @@ fn run_bench(arguments: &Bench, json: bool) -> anyhow::Result<Value> {
 )]
 fn run_truth(arguments: &Truth) -> anyhow::Result<Value> {
     let picture = &arguments.picture;
+    display::check_output(&picture.output)?;
     let mut options = truth::Options {
         samples: arguments.samples,
         filter: match arguments.filter {
@@ -572,10 +581,13 @@ fn run_truth(arguments: &Truth) -> anyhow::Result<Value> {
             if arguments.bounces.is_none() {
                 options = options.of(&scene);
             }
-            let environment = arguments
-                .environment
-                .as_deref()
-                .context("--environment: expected a baked environment, found none")?;
+            let environment = arguments.environment.as_deref().ok_or_else(|| {
+                Usage(Objection::new(
+                    "--environment",
+                    "a baked environment",
+                    "none",
+                ))
+            })?;
             let turn = glam::Mat3::from_rotation_y(rotation);
             let distant = read_environment(environment)?;
             let lights: Vec<_> = (distant.lights.iter())
@@ -622,7 +634,9 @@ fn run_truth(arguments: &Truth) -> anyhow::Result<Value> {
                 .environment
                 .as_ref()
                 .or(loaded.environment.as_ref());
-            let path = path.context("--environment: expected a lat-long image, found none")?;
+            let path = path.ok_or_else(|| {
+                Usage(Objection::new("--environment", "a lat-long image", "none"))
+            })?;
             let environment = hdr::load(path)?;
             if environment.repaired > 0 {
                 eprintln!(
@@ -670,7 +684,9 @@ fn run_truth(arguments: &Truth) -> anyhow::Result<Value> {
 fn run_compare(arguments: &Compare) -> anyhow::Result<Value> {
     let candidate = image_file::read_exr(&arguments.candidate)?;
     let truth = image_file::read_exr(&arguments.truth)?;
-    Ok(serde_json::to_value(compare::compare(&candidate, &truth)?)?)
+    let comparison = compare::compare(&candidate, &truth);
+    let comparison = comparison.with_context(|| arguments.candidate.display().to_string())?;
+    Ok(serde_json::to_value(comparison)?)
 }
 
 /// Progress of stages that follow one another.
@@ -888,8 +904,13 @@ fn read_local_lights(path: Option<&Path>) -> anyhow::Result<Vec<LocalLight>> {
         .collect())
 }
 
+/// The bytes of an asset.
 fn read(path: &Path) -> anyhow::Result<Vec<u8>> {
-    std::fs::read(path).with_context(|| path.display().to_string())
+    let access = Access {
+        max_bytes: Limits::default().max_bytes,
+        ..Access::default()
+    };
+    Ok(Files::new(path, &access)?.read_named(path)?)
 }
 
 /// File, else the scene's own, else one that frames it; then the flags' replacements.
@@ -926,7 +947,7 @@ fn choose_camera(
     if let Some(degrees) = arguments.fov_x {
         chosen.field_of_view = FieldOfView::X(degrees.to_radians());
     }
-    camera::check(&chosen).map_err(|reason| anyhow::anyhow!("camera: {reason}"))?;
+    camera::check(&chosen).map_err(Usage)?;
     Ok(chosen)
 }
 
@@ -941,6 +962,27 @@ fn parse_size(text: &str) -> Result<[u32; 2], String> {
     sides
         .filter(|sides: &[u32; 2]| sides.iter().all(|side| (1..=16384).contains(side)))
         .ok_or_else(|| "expected WIDTHxHEIGHT, each from 1 to 16384".into())
+}
+
+fn parse_number(text: &str, expected: &str, valid: fn(f32) -> bool) -> Result<f32, String> {
+    let number = text.parse().ok().filter(|number| valid(*number));
+    number.ok_or_else(|| format!("expected {expected}"))
+}
+
+fn parse_finite(text: &str) -> Result<f32, String> {
+    parse_number(text, "a finite number", f32::is_finite)
+}
+
+fn parse_at_least_zero(text: &str) -> Result<f32, String> {
+    parse_number(text, "a number of at least 0", |number| {
+        number >= 0.0 && number.is_finite()
+    })
+}
+
+fn parse_angle(text: &str) -> Result<f32, String> {
+    parse_number(text, "degrees above 0 and below 180", |degrees| {
+        degrees > 0.0 && degrees < 180.0
+    })
 }
 
 fn parse_point(text: &str) -> Result<Point, String> {

@@ -77,8 +77,7 @@ pub struct Report {
 
 /// Runs everything and writes the assets and pictures.
 pub fn run(options: &Options, monitor: Monitor) -> anyhow::Result<Report> {
-    std::fs::create_dir_all(&options.folder)
-        .with_context(|| options.folder.display().to_string())?;
+    display::create_folder(&options.folder)?;
     let mut seconds = Vec::new();
     let mut clock = Instant::now();
     let mut lap = |stage| {

@@ -3,6 +3,8 @@
 use std::path::Path;
 
 use glam::Vec3;
+use relight_bake::error;
+use relight_bake::files;
 pub use relight_shading::tonemap::luminance;
 use relight_shading::tonemap::{self, encode_srgb, neutral};
 
@@ -15,16 +17,54 @@ const BACKGROUND: f32 = 0.18;
 /// colour.
 const BRIGHTEST: f32 = 1e6;
 
+/// How a picture is stored.
+#[derive(Clone, Copy)]
+enum Kind {
+    Exr,
+    Png,
+}
+
+/// By the name's ending.
+fn kind(path: &Path) -> Result<Kind, error::Error> {
+    let extension = path.extension().unwrap_or_default();
+    let is = |kind: &str| extension.eq_ignore_ascii_case(kind);
+    if is("exr") {
+        return Ok(Kind::Exr);
+    }
+    if is("png") {
+        return Ok(Kind::Png);
+    }
+    let found = match path.extension() {
+        Some(extension) => format!(".{}", extension.display()),
+        None => "no extension".into(),
+    };
+    Err(error::Error::invalid(
+        path,
+        "file name",
+        ".exr or .png",
+        found,
+    ))
+}
+
+/// Checks, before the work, that [`write_image`] will be able to write a picture.
+pub fn check_output(path: &Path) -> anyhow::Result<()> {
+    kind(path)?;
+    files::check_output(path)?;
+    Ok(())
+}
+
+/// Makes a folder for what `--out` asks for.
+pub fn create_folder(folder: &Path) -> Result<(), error::Error> {
+    std::fs::create_dir_all(folder).map_err(|source| {
+        error::Error::refused(folder, "--out", "a folder that can be written", source)
+    })
+}
+
 /// Writes `image` as EXR, or tone-mapped at `exposure` stops as PNG, by the name's ending.
 pub fn write_image(path: &Path, image: &Image, exposure: f32) -> Result<(), Error> {
-    match path.extension().and_then(|extension| extension.to_str()) {
-        Some(extension) if extension.eq_ignore_ascii_case("exr") => write_exr(path, image),
-        Some(extension) if extension.eq_ignore_ascii_case("png") => {
-            write_png(path, image.width, &pixels(image, exposure))
-        }
-        _ => Err(Error::Extension {
-            path: path.display().to_string(),
-        }),
+    match kind(path)? {
+        Kind::Exr => write_exr(path, image),
+        Kind::Png => write_png(path, image.width, &pixels(image, exposure)),
     }
 }
 

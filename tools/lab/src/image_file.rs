@@ -8,6 +8,9 @@ use exr::prelude::{
     ReadChannels as _, ReadLayers as _, Vec2, WritableImage as _,
 };
 
+use relight_bake::error;
+use relight_bake::files::{Access, Files};
+
 /// Names of the EXR channels that hold the variance of the mean of R, G and B.
 const VARIANCE_CHANNELS: [&str; 3] = ["variance.R", "variance.G", "variance.B"];
 
@@ -27,36 +30,9 @@ pub struct Image {
 /// Why an image could not be read or written.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
-    /// The file could not be read.
-    #[error("{path}: {source}")]
-    Io {
-        /// The file.
-        path: String,
-        /// The system's reason.
-        source: std::io::Error,
-    },
-    /// The file is not a readable OpenEXR image.
-    #[error("{path}: expected an OpenEXR image with channels R, G and B, found {found}")]
-    Exr {
-        /// The file.
-        path: String,
-        /// What is wrong with it.
-        found: String,
-    },
-    /// The image could not be encoded.
-    #[error("{path}: {reason}")]
-    Encode {
-        /// The file.
-        path: String,
-        /// The encoder's reason.
-        reason: String,
-    },
-    /// The name ends in neither `.exr` nor `.png`.
-    #[error("{path}: expected a name that ends in .exr or .png")]
-    Extension {
-        /// The file.
-        path: String,
-    },
+    /// The file cannot be read, or not be what it should be.
+    #[error(transparent)]
+    File(#[from] error::Error),
     /// The file could not be written.
     #[error(transparent)]
     Write(#[from] relight_format::Error),
@@ -94,14 +70,11 @@ impl Image {
 /// Reads the first layer that has channels R, G and B, with A and the variance channels
 /// where it has them. Without A every pixel is covered.
 pub fn read_exr(path: &Path) -> Result<Image, Error> {
-    let error = |found: String| Error::Exr {
-        path: path.display().to_string(),
-        found,
+    let error = |found: String| {
+        let expected = "an OpenEXR image with channels R, G and B";
+        Error::File(error::Error::invalid(path, "file", expected, found))
     };
-    let bytes = std::fs::read(path).map_err(|source| Error::Io {
-        path: path.display().to_string(),
-        source,
-    })?;
+    let bytes = Files::new(path, &Access::default())?.read_named(path)?;
     let file = exr::prelude::read()
         .no_deep_data()
         .largest_resolution_level()
@@ -179,11 +152,12 @@ pub fn write_exr(path: &Path, image: &Image) -> Result<(), Error> {
     exr::prelude::Image::from_layer(layer)
         .write()
         .to_buffered(&mut bytes)
-        .map_err(|reason| Error::Encode {
-            path: path.display().to_string(),
-            reason: reason.to_string(),
-        })?;
+        .map_err(|reason| cannot_encode(path, &reason))?;
     Ok(relight_format::write_file(path, bytes.get_ref())?)
+}
+
+fn cannot_encode(path: &Path, reason: &dyn std::fmt::Display) -> error::Error {
+    error::Error::invalid(path, "image", "one that can be encoded", reason)
 }
 
 /// Writes an 8-bit sRGB PNG of `width` columns.
@@ -198,10 +172,7 @@ pub fn write_png(path: &Path, width: u32, pixels: &[[u8; 3]]) -> Result<(), Erro
             height,
             image::ExtendedColorType::Rgb8,
         )
-        .map_err(|reason| Error::Encode {
-            path: path.display().to_string(),
-            reason: reason.to_string(),
-        })?;
+        .map_err(|reason| cannot_encode(path, &reason))?;
     Ok(relight_format::write_file(path, &bytes)?)
 }
 
@@ -249,13 +220,13 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("image.exr");
         std::fs::write(&path, b"not an image").unwrap();
-        assert!(matches!(read_exr(&path), Err(Error::Exr { .. })));
+        assert!(matches!(read_exr(&path), Err(Error::File(error)) if error.source.is_none()));
         let absent = read_exr(&folder.path().join("absent.exr"));
-        assert!(matches!(absent, Err(Error::Io { .. })));
+        assert!(matches!(absent, Err(Error::File(error)) if error.source.is_some()));
         let other = folder.path().join("image.jpeg");
         assert!(matches!(
             crate::display::write_image(&other, &gradient(false), 0.0),
-            Err(Error::Extension { .. })
+            Err(Error::File(_))
         ));
         assert!(!other.exists());
     }

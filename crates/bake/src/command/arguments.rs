@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use relight_bake::environment::{self, hdr};
+use relight_bake::error::Objection;
 use relight_bake::files::Access;
 use relight_bake::scene;
 use relight_format as format;
@@ -86,27 +87,16 @@ impl Command {
     }
 }
 
-/// The command line is wrong in a way that its syntax does not tell.
+/// The command line is wrong in a way that its syntax does not tell. The place is the option.
 #[derive(Debug, thiserror::Error)]
-#[error("{place}: expected {expected}, found {found}")]
-pub struct Usage {
-    /// The option.
-    pub place: &'static str,
-    /// What would do.
-    pub expected: String,
-    /// What is there.
-    pub found: String,
-}
+#[error(transparent)]
+pub struct Usage(pub Objection);
 
 /// Refuses options that would have no effect.
 fn refuse(options: &[(&'static str, bool)], expected: &str) -> Result<(), Usage> {
     match options.iter().find(|(_, given)| *given) {
         None => Ok(()),
-        Some((place, _)) => Err(Usage {
-            place,
-            expected: expected.to_owned(),
-            found: "it, without effect".to_owned(),
-        }),
+        Some((place, _)) => Err(Usage(Objection::new(place, expected, "it, without effect"))),
     }
 }
 
@@ -263,11 +253,8 @@ impl SceneArguments {
             ("--rank", self.rank.is_some(), ""),
         ] {
             if given && !scene::PAPER {
-                return Err(Usage {
-                    place,
-                    expected: format!("a build with the feature `paper`{what}"),
-                    found: "one without".into(),
-                });
+                let expected = format!("a build with the feature `paper`{what}");
+                return Err(Usage(Objection::new(place, expected, "one without")));
             }
         }
         if global {
@@ -297,11 +284,12 @@ impl SceneArguments {
         options.transfer.bounces = self.bounces.0;
         let (sample, basis) = (options.sample_resolution, options.basis_resolution);
         if basis > sample || !sample.is_multiple_of(basis) {
-            return Err(Usage {
-                place: "--sample-resolution",
-                expected: format!("a multiple of the basis resolution, {basis}"),
-                found: sample.to_string(),
-            });
+            let expected = format!("a multiple of the basis resolution, {basis}");
+            return Err(Usage(Objection::new(
+                "--sample-resolution",
+                expected,
+                sample,
+            )));
         }
         Ok(options)
     }

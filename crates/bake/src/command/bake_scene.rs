@@ -8,7 +8,8 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
-use anyhow::{Context as _, bail};
+use anyhow::bail;
+use relight_bake::error::Error;
 use relight_bake::files::{self, Files};
 use relight_bake::import;
 use relight_bake::monitor::Monitor;
@@ -19,7 +20,7 @@ use relight_bake::scene::{self, load, seam};
 use relight_format as format;
 use serde_json::json;
 
-use crate::command::arguments::{SceneArguments, Shard};
+use crate::command::arguments::{SceneArguments, Shard, Usage};
 use crate::command::lossy;
 use crate::command::show::{self, Summary, is_interruption};
 
@@ -47,8 +48,9 @@ pub fn bake(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Summ
     files::check_output_beside(&path, &files)?;
     warn_of_overruled(arguments, input.refinement.as_ref());
     let read = start.elapsed();
-    let input_name = || arguments.input.display().to_string();
-    let mut bake = scene::Bake::new(input, &options, monitor).with_context(input_name)?;
+    let of_input = |error| blame(error, &arguments.input);
+    let bake = scene::Bake::new(input, &options, monitor);
+    let mut bake = bake.map_err(|error| of_input(error.into()))?;
     if arguments.verify_visibility {
         bake.verify_visibility();
     }
@@ -85,7 +87,7 @@ pub fn bake(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Summ
     let mut parts = parts.into_inner().unwrap_or_else(PoisonError::into_inner);
     result
         .map_err(|error| keep_or_remove(&parts, error))
-        .with_context(input_name)?;
+        .map_err(of_input)?;
     let (head, mut statistics) = bake.finish();
     statistics.stages.insert(0, ("read", read));
     for warning in &head.report.warnings {
@@ -97,8 +99,10 @@ pub fn bake(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Summ
     let mut summary = if arguments.shard.is_some() {
         parts.finish(&head)?;
         files::check_output_beside(&arguments.output, &files)?;
-        std::fs::rename(&path, &arguments.output)
-            .with_context(|| arguments.output.display().to_string())?;
+        std::fs::rename(&path, &arguments.output).map_err(|source| {
+            let expected = "a file that can be written";
+            Error::refused(&arguments.output, "output", expected, source)
+        })?;
         Summary {
             text: format!(
                 "{}: shard {} of {}, {chunks} of {} chunks",
@@ -111,7 +115,7 @@ pub fn bake(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Summ
         }
     } else {
         let assembled = (0..chunks).map(|chunk| Ok(parts.chunk(chunk)?));
-        let scene = scene::assemble::<anyhow::Error>(head, assembled)?;
+        let scene = scene::assemble::<anyhow::Error>(head, assembled).map_err(of_input)?;
         files::check_output_beside(&arguments.output, &files)?;
         let summary = write(&arguments.output, scene)?;
         if let (Some(most), Some(bytes)) = (options.max_bytes, summary.json["bytes"].as_u64())
@@ -122,7 +126,9 @@ pub fn bake(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Summ
             ));
         }
         // While it is locked: another bake of this output may be waiting for it.
-        std::fs::remove_file(&path).with_context(|| path.display().to_string())?;
+        std::fs::remove_file(&path).map_err(|source| {
+            Error::refused(&path, "parts file", "one that can be removed", source)
+        })?;
         drop(parts);
         summary
     };
@@ -157,6 +163,18 @@ pub fn bake(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Summ
     summary.json["processor_seconds"] = stages.collect::<serde_json::Map<_, _>>().into();
     summary.json["peak_resident_bytes"] = json!(peak_resident_bytes());
     Ok(summary)
+}
+
+/// Names what an error is about: an option, as the command line has it, or else the input.
+fn blame(error: anyhow::Error, input: &Path) -> anyhow::Error {
+    match error.downcast_ref() {
+        Some(scene::Error::Options(objection)) => {
+            let mut objection = objection.clone();
+            objection.place = format!("--{}", objection.place.replace('_', "-"));
+            Usage(objection).into()
+        }
+        _ => error.context(input.display().to_string()),
+    }
 }
 
 /// Bounds of the scene file win over those of the command line, which should not go unnoticed.

@@ -10,12 +10,13 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context as _, bail};
+use anyhow::Context as _;
 use clap::Parser as _;
 use relight_bake::environment::{self, hdr};
+use relight_bake::error::{Error, Objection};
 use relight_bake::files::{self, Access, Files, OutputError};
 use relight_bake::import;
-use relight_bake::measured::fit;
+use relight_bake::measured::{self, fit};
 use relight_bake::monitor::{Interrupted, Monitor};
 use relight_bake::scene::load;
 use relight_bake::simd;
@@ -159,12 +160,8 @@ fn start_threads(asked: usize) -> anyhow::Result<()> {
 /// Refuses instructions that this processor has not.
 fn check_instructions() -> anyhow::Result<()> {
     simd::chosen().map(|_| ()).map_err(|found| {
-        let usage = Usage {
-            place: simd::VARIABLE,
-            expected: "plain, or avx2 or avx512 on a processor that has it".into(),
-            found,
-        };
-        usage.into()
+        let expected = "plain, or avx2 or avx512 on a processor that has it";
+        Usage(Objection::new(simd::VARIABLE, expected, found)).into()
     })
 }
 
@@ -192,7 +189,10 @@ impl Outputs {
     ) -> anyhow::Result<Self> {
         let mut paths = vec![asset.to_owned()];
         if let Some(folder) = report {
-            std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+            std::fs::create_dir_all(folder).map_err(|source| {
+                let expected = "a folder that can be written";
+                Error::refused(folder, "--report", expected, source)
+            })?;
             paths.extend(names.iter().map(|name| folder.join(name)));
         }
         let outputs = Self(paths);
@@ -317,6 +317,37 @@ fn sources_json(sources: &[format::Source], light: &[f32]) -> Vec<Value> {
     sources.iter().zip(light).map(object).collect()
 }
 
+/// The lobes of a table, the texture that multiplies them, and their errors.
+fn fit_table(
+    arguments: &MaterialArguments,
+    table: &measured::Table,
+    report: &mut format::MaterialReport,
+) -> anyhow::Result<(format::Material, Vec<format::Texture>)> {
+    let stop =
+        (arguments.lobes).map_or(fit::Stop::default(), |lobes| fit::Stop::Lobes(lobes.into()));
+    let fitted = fit::corrected(table, stop);
+    let (fit, corrected) = (fitted.fit, fitted.relative_l2);
+    if let Some(most) = arguments.max_error
+        && corrected > f64::from(most)
+    {
+        let place = "relative L2 error (--max-error)";
+        let expected = format!("at most {most}");
+        let found = format!("{corrected:.4}");
+        return Err(Error::invalid(&arguments.input, place, expected, found).into());
+    }
+    report.relative_l2 = fit.relative_l2 as f32;
+    report.shaded_relative_l2 = fit.shaded_relative_l2 as f32;
+    report.albedo_error = fit.albedo_error as f32;
+    report.corrected_relative_l2 = corrected as f32;
+    if let Some(folder) = &arguments.report {
+        let picture = measured::report::sphere(table, &fit)?;
+        format::write_file(&folder.join("sphere.png"), &picture)?;
+    }
+    let slot = format::TextureSlot::whole(0);
+    let surface = fit.surface(report.source.clone(), Some(slot));
+    Ok((import::plain_material("", surface), vec![fitted.ratio]))
+}
+
 fn bake_material(arguments: &MaterialArguments, monitor: Monitor) -> anyhow::Result<Summary> {
     let access = arguments.access()?;
     files::check_output(&arguments.output)?;
@@ -325,9 +356,8 @@ fn bake_material(arguments: &MaterialArguments, monitor: Monitor) -> anyhow::Res
     let files = Files::new(&arguments.input, &access)?;
     let name =
         |part: Option<&std::ffi::OsStr>| part.unwrap_or_default().to_string_lossy().into_owned();
-    let source = name(arguments.input.file_name());
     let mut report = format::MaterialReport {
-        source: source.clone(),
+        source: name(arguments.input.file_name()),
         ..format::MaterialReport::default()
     };
     let packed = arguments.packed();
@@ -347,25 +377,7 @@ fn bake_material(arguments: &MaterialArguments, monitor: Monitor) -> anyhow::Res
         let bytes = files.read_named(&arguments.input)?;
         outputs(&files)?;
         let table = load::parse_table(&arguments.input, &bytes)?;
-        let stop =
-            (arguments.lobes).map_or(fit::Stop::default(), |lobes| fit::Stop::Lobes(lobes.into()));
-        let fitted = fit::corrected(&table, stop);
-        let (fit, corrected) = (fitted.fit, fitted.relative_l2);
-        if let Some(most) = arguments.max_error
-            && corrected > f64::from(most)
-        {
-            anyhow::bail!("relative L2 error: expected at most {most}, found {corrected:.4}");
-        }
-        report.relative_l2 = fit.relative_l2 as f32;
-        report.shaded_relative_l2 = fit.shaded_relative_l2 as f32;
-        report.albedo_error = fit.albedo_error as f32;
-        if let Some(folder) = &arguments.report {
-            let picture = relight_bake::measured::report::sphere(&table, &fit)?;
-            format::write_file(&folder.join("sphere.png"), &picture)?;
-        }
-        report.corrected_relative_l2 = corrected as f32;
-        let surface = fit.surface(source, Some(format::TextureSlot::whole(0)));
-        (import::plain_material("", surface), vec![fitted.ratio])
+        fit_table(arguments, &table, &mut report)?
     };
     material.name = name(arguments.input.file_stem());
     let asset = format::MaterialAsset {
@@ -431,10 +443,8 @@ pub(crate) fn write_checked(
     format::write_file(path, bytes)?;
     let read = read(path)?;
     if read != bytes || !same(&read).with_context(|| path.display().to_string())? {
-        bail!(
-            "{}: what was read back is not what was written",
-            path.display()
-        );
+        let found = "other bytes when it was read back";
+        return Err(Error::invalid(path, "output", "what was written", found).into());
     }
     Ok(())
 }

@@ -9,16 +9,16 @@ use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use indicatif::{HumanDuration, ProgressBar, ProgressState, ProgressStyle};
-use relight_bake::environment::{self, hdr};
+use relight_bake::environment;
+use relight_bake::error::{self, Objection};
 use relight_bake::files::OutputError;
-use relight_bake::import;
-use relight_bake::measured;
 use relight_bake::monitor::{Interrupted, Progress};
-use relight_bake::scene::{self, parts};
+use relight_bake::scene;
 use relight_format as format;
 use serde_json::{Map, Value, json};
 
 use super::arguments::Usage;
+use super::lossy;
 
 /// Version of what `--json` prints: fields may be added, but not change or go, while it stays.
 const SCHEMA: u32 = 1;
@@ -189,10 +189,7 @@ impl Show {
                 print(&self.line(fields))
             }
             Err(error) => {
-                say(&format!(
-                    "error: {}",
-                    relight_bake::error::sentence(error.chain())
-                ));
+                say(&format!("error: {}", error::sentence(error.chain())));
                 if self.output == Output::Text {
                     Ok(())
                 } else {
@@ -219,8 +216,8 @@ fn exit_code(error: &anyhow::Error) -> u8 {
             return 130;
         }
         match cause.downcast_ref() {
-            Some(OutputError::Input { .. }) => return 2,
-            Some(OutputError::Io { .. } | OutputError::Irregular { .. }) => return 3,
+            Some(OutputError::Input(_)) => return 2,
+            Some(OutputError::Unwritable(_)) => return 3,
             None => {}
         }
         if cause.is::<Usage>() {
@@ -255,7 +252,7 @@ fn error_object(error: &anyhow::Error) -> Value {
     let mut object = json!({
         "kind": kind,
         "exit_code": code,
-        "message": relight_bake::error::sentence(error.chain()),
+        "message": error::sentence(error.chain()),
     });
     let details = error.chain().find_map(details);
     if let (Value::Object(object), Some(details)) = (&mut object, details) {
@@ -269,100 +266,49 @@ fn error_object(error: &anyhow::Error) -> Value {
 
 /// File, place, expected, found and the format's issue.
 fn details(cause: &(dyn Error + 'static)) -> Option<[Option<String>; 5]> {
-    let path = |path: &std::path::Path| Some(path.display().to_string());
-    let of = |file: Option<String>, place: &str, expected: &str, found: &str| {
-        let some = |text: &str| Some(text.to_owned());
-        Some([file, some(place), some(expected), some(found), None])
+    let of = |file: Option<String>, objection: &Objection| {
+        let Objection {
+            place,
+            expected,
+            found,
+        } = objection.clone();
+        Some([file, Some(place), Some(expected), Some(found), None])
     };
-    let file = |file: Option<String>| Some([file, None, None, None, None]);
-    if let Some(error) = cause.downcast_ref::<import::Error>() {
-        return match error {
-            import::Error::Invalid {
-                file,
-                place,
-                expected,
-                found,
-            } => of(path(file), place, expected, found),
-            import::Error::Read { file: name, .. }
-            | import::Error::Syntax { file: name, .. }
-            | import::Error::UnsupportedExtension { file: name, .. } => file(path(name)),
-        };
+    let of_file = |error: &error::Error| of(Some(lossy(&error.file)), &error.objection);
+    if let Some(error) = cause.downcast_ref() {
+        return of_file(error);
     }
-    if let Some(environment::Error::Image(error)) = cause.downcast_ref() {
-        return Some(image_details(error));
+    if let Some(OutputError::Unwritable(error) | OutputError::Input(error)) = cause.downcast_ref() {
+        return of_file(error);
     }
-    if let Some(error) = cause.downcast_ref::<hdr::Error>() {
-        return Some(image_details(error));
+    if let Some(objection) = cause.downcast_ref() {
+        return of(None, objection);
     }
-    if let Some(error) = cause.downcast_ref::<measured::Error>() {
-        return match error {
-            measured::Error::Io { path, .. } => file(Some(path.clone())),
-            measured::Error::Invalid {
-                place,
-                expected,
-                found,
-            } => of(None, place, expected, found),
-        };
+    if let Some(Usage(objection)) = cause.downcast_ref() {
+        return of(None, objection);
     }
-    if let Some(error) = cause.downcast_ref::<parts::Error>() {
-        return match error {
-            parts::Error::Io { file: name, .. } => file(path(name)),
-            parts::Error::Invalid {
-                file,
-                place,
-                expected,
-                found,
-            } => of(path(file), place, expected, found),
-        };
+    if let Some(scene::Error::Options(objection)) = cause.downcast_ref() {
+        return of(None, objection);
     }
-    if let Some(error) = cause.downcast_ref::<OutputError>() {
-        return match error {
-            OutputError::Io { path: name, .. }
-            | OutputError::Irregular { path: name, .. }
-            | OutputError::Input { path: name, .. } => file(path(name)),
-        };
-    }
-    if let Some(Usage {
-        place,
-        expected,
-        found,
-    }) = cause.downcast_ref()
-    {
-        return of(None, place, expected, found);
-    }
-    if let Some(scene::Error::Options {
-        place,
-        expected,
-        found,
-    }) = cause.downcast_ref()
-    {
-        return of(None, place, expected, found);
+    if let Some(environment::Error::Options(objection)) = cause.downcast_ref() {
+        return of(None, objection);
     }
     match cause.downcast_ref::<format::Error>()? {
-        format::Error::Io { path, .. } => file(Some(path.clone())),
+        format::Error::Io { path, .. } => Some([Some(path.clone()), None, None, None, None]),
         format::Error::Invalid {
             issue,
             place,
             expected,
             found,
         } => {
-            let [file, place, expected, found, _] = of(None, place, expected, found)?;
-            Some([file, place, expected, found, Some(format!("{issue:?}"))])
-        }
-    }
-}
-
-fn image_details(error: &hdr::Error) -> [Option<String>; 5] {
-    match error {
-        hdr::Error::Io { path, .. } => [Some(path.clone()), None, None, None, None],
-        hdr::Error::Invalid {
-            path,
-            place,
-            expected,
-            found,
-        } => {
-            let some = |text: &String| Some(text.clone());
-            [some(path), some(place), some(expected), some(found), None]
+            let issue = format!("{issue:?}");
+            Some([
+                None,
+                Some(place.clone()),
+                Some(expected.clone()),
+                Some(found.clone()),
+                Some(issue),
+            ])
         }
     }
 }

@@ -14,14 +14,15 @@ use std::path::Path;
 
 use exr::prelude::{FlatSamples, MetaData, ReadChannels, ReadLayers};
 use glam::{DMat3, DVec3, Vec3};
-use image::ImageDecoder;
 use image::codecs::hdr::HdrDecoder;
+use image::{ImageDecoder, ImageError};
 
 use super::primaries;
 #[cfg(not(target_family = "wasm"))]
-use crate::files::{Access, Files};
+use crate::error::Error;
+use crate::error::{Objection, first_bytes};
 #[cfg(not(target_family = "wasm"))]
-use crate::import;
+use crate::files::{Access, Files};
 
 /// Most pixels that an image may have whatever is asked for: 32,768 × 16,384, 6 GiB as f32 RGB.
 pub const MAX_PIXELS: u64 = 1 << 29;
@@ -57,48 +58,6 @@ impl Default for Reading {
     }
 }
 
-/// Why an image could not be loaded.
-#[derive(Debug, thiserror::Error)]
-pub enum Error {
-    /// The file could not be read.
-    #[error("{path}: {source}")]
-    Io {
-        /// The file.
-        path: String,
-        /// The system's reason.
-        source: std::io::Error,
-    },
-    /// The file is not an image that can serve as an environment.
-    #[error("{path}: {place}: expected {expected}, found {found}")]
-    Invalid {
-        /// The file.
-        path: String,
-        /// Part of the file.
-        place: String,
-        /// What a usable file has there.
-        expected: String,
-        /// What this file has there.
-        found: String,
-    },
-}
-
-/// What an image has in some place; the path is added by [`load`].
-#[derive(Debug)]
-struct Objection {
-    place: &'static str,
-    expected: String,
-    found: String,
-}
-
-#[expect(clippy::needless_pass_by_value, reason = "callers pass temporaries")]
-fn object(place: &'static str, expected: impl ToString, found: impl ToString) -> Objection {
-    Objection {
-        place,
-        expected: expected.to_string(),
-        found: found.to_string(),
-    }
-}
-
 /// A lat-long image of finite, non-negative radiance over the whole sphere.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LatLong {
@@ -113,52 +72,11 @@ pub struct LatLong {
     pub repaired: u64,
 }
 
-impl Error {
-    #[cfg(not(target_family = "wasm"))]
-    fn of(path: &Path, error: import::Error) -> Self {
-        let path = path.display().to_string();
-        match error {
-            import::Error::Read { source, .. } => Self::Io { path, source },
-            import::Error::Invalid {
-                place,
-                expected,
-                found,
-                ..
-            } => Self::Invalid {
-                path,
-                place,
-                expected,
-                found,
-            },
-            error => Self::Invalid {
-                path,
-                place: "file".into(),
-                expected: "one that may be read".into(),
-                found: error.to_string(),
-            },
-        }
-    }
-
-    fn objected(path: &Path, objection: Objection) -> Self {
-        let Objection {
-            place,
-            expected,
-            found,
-        } = objection;
-        Self::Invalid {
-            path: path.display().to_string(),
-            place: place.into(),
-            expected,
-            found,
-        }
-    }
-}
-
 /// Loads a Radiance `.hdr` or OpenEXR file, told apart by content, and repairs it. See
 /// [`load_from`].
 #[cfg(not(target_family = "wasm"))]
 pub fn load(path: &Path) -> Result<LatLong, Error> {
-    let files = Files::new(path, &Access::default()).map_err(|error| Error::of(path, error))?;
+    let files = Files::new(path, &Access::default())?;
     load_from(&files, path, &Reading::default())
 }
 
@@ -169,63 +87,12 @@ pub fn load(path: &Path) -> Result<LatLong, Error> {
 /// Colours of other primaries (attribute `chromaticities`) become Rec.709.
 #[cfg(not(target_family = "wasm"))]
 pub fn load_from(files: &Files, path: &Path, reading: &Reading) -> Result<LatLong, Error> {
-    let bytes = files
-        .read_named(path)
-        .map_err(|error| Error::of(path, error))?;
-    decode(&bytes, reading).map_err(|objection| Error::objected(path, objection))
+    let bytes = files.read_named(path)?;
+    parse(&bytes, reading).map_err(|objection| objection.in_file(path))
 }
 
 /// Decodes the bytes of an image, which are not trusted.
-pub fn parse(bytes: &[u8], reading: &Reading) -> Result<LatLong, Error> {
-    decode(bytes, reading).map_err(|objection| Error::objected(Path::new("image"), objection))
-}
-
-/// Checks that an opened file begins like an image that [`load`] would take, without its pixels.
-#[cfg(not(target_family = "wasm"))]
-pub(crate) fn check(path: &Path, file: File, reading: &Reading) -> Result<(), Error> {
-    let mut reader = BufReader::new(file);
-    let start = reader.fill_buf().map_err(|source| Error::Io {
-        path: path.display().to_string(),
-        source,
-    })?;
-    let checked = match Kind::of(start) {
-        Ok(Kind::Exr) => exr_metadata(reader)
-            .and_then(|metadata| check_exr(&metadata, u64::MAX, reading).map(|_| ())),
-        Ok(Kind::Radiance { strict }) => radiance_decoder(reader, strict, reading).map(|_| ()),
-        Err(objection) => Err(objection),
-    };
-    checked.map_err(|objection| Error::objected(path, objection))
-}
-
-/// What the first bytes tell.
-enum Kind {
-    Exr,
-    /// Other programs sign with their own name (`#?RGBE`), which strict mode refuses.
-    Radiance {
-        strict: bool,
-    },
-}
-
-impl Kind {
-    fn of(bytes: &[u8]) -> Result<Self, Objection> {
-        match bytes {
-            [0x76, 0x2f, 0x31, 0x01, ..] => Ok(Self::Exr),
-            [b'#', b'?', ..] => Ok(Self::Radiance {
-                strict: bytes.starts_with(image::codecs::hdr::SIGNATURE),
-            }),
-            _ => {
-                let start = &bytes[..bytes.len().min(4)];
-                Err(object(
-                    "first bytes",
-                    "#? of Radiance HDR or 76 2f 31 01 of OpenEXR",
-                    format_args!("{start:02x?}"),
-                ))
-            }
-        }
-    }
-}
-
-fn decode(bytes: &[u8], reading: &Reading) -> Result<LatLong, Objection> {
+pub fn parse(bytes: &[u8], reading: &Reading) -> Result<LatLong, Objection> {
     let (width, height, mut pixels) = match Kind::of(bytes)? {
         Kind::Exr => decode_exr(bytes, reading)?,
         Kind::Radiance { strict } => decode_radiance(bytes, strict, reading)?,
@@ -245,13 +112,54 @@ fn decode(bytes: &[u8], reading: &Reading) -> Result<LatLong, Objection> {
     Ok(LatLong::repair(width, height, pixels))
 }
 
+/// Checks that an opened file begins like an image that [`load`] would take, without its pixels.
+#[cfg(not(target_family = "wasm"))]
+pub(crate) fn check(path: &Path, file: File, reading: &Reading) -> Result<(), Error> {
+    let mut reader = BufReader::new(file);
+    let start = reader
+        .fill_buf()
+        .map_err(|source| Error::read(path, source))?;
+    let checked = match Kind::of(start) {
+        Ok(Kind::Exr) => exr_metadata(reader)
+            .and_then(|metadata| check_exr(&metadata, u64::MAX, reading).map(|_| ())),
+        Ok(Kind::Radiance { strict }) => radiance_decoder(reader, strict, reading).map(|_| ()),
+        Err(objection) => Err(objection),
+    };
+    checked.map_err(|objection| objection.in_file(path))
+}
+
+/// What the first bytes tell.
+enum Kind {
+    Exr,
+    /// Other programs sign with their own name (`#?RGBE`), which strict mode refuses.
+    Radiance {
+        strict: bool,
+    },
+}
+
+impl Kind {
+    fn of(bytes: &[u8]) -> Result<Self, Objection> {
+        match bytes {
+            [0x76, 0x2f, 0x31, 0x01, ..] => Ok(Self::Exr),
+            [b'#', b'?', ..] => Ok(Self::Radiance {
+                strict: bytes.starts_with(image::codecs::hdr::SIGNATURE),
+            }),
+            _ => Err(Objection::new(
+                "first bytes",
+                "\"#?\" of Radiance HDR or \"v/1\\x01\" of OpenEXR",
+                first_bytes(bytes),
+            )),
+        }
+    }
+}
+
 /// Checks a size read from a header before anything of that size is allocated.
 fn check_size(width: u64, height: u64, reading: &Reading) -> Result<(u32, u32), Objection> {
     let most = reading.max_pixels.min(MAX_PIXELS);
     let valid = width > 0 && height > 0 && width.saturating_mul(height) <= most;
     match (u32::try_from(width), u32::try_from(height)) {
         (Ok(width), Ok(height)) if valid => Ok((width, height)),
-        _ => Err(object(
+        _ => Err(Objection::new(
             "image size",
             format_args!("1 to {most} pixels (--limit-pixels)"),
             format_args!("{width} x {height}"),
@@ -283,7 +191,7 @@ fn check_shape(width: u32, height: u32, reading: &Reading) -> Result<(), Objecti
     } else {
         ""
     };
-    Err(object(
+    Err(Objection::new(
         "image size",
         "a lat-long map, twice as wide as high (convert it, or take it as one with --any-shape; \
          --flip and --mirror turn maps that are upside down or seen from outside)",
@@ -298,7 +206,7 @@ fn radiance_decoder<R: BufRead>(
     strict: bool,
     reading: &Reading,
 ) -> Result<HdrDecoder<R>, Objection> {
-    let header = |error| object("header", "Radiance HDR, 32-bit_rle_rgbe, -Y +X", error);
+    let header = |error| Objection::new("header", "Radiance HDR, 32-bit_rle_rgbe, -Y +X", error);
     let decoder = HdrDecoder::with_strictness(reader, strict).map_err(header)?;
     let metadata = decoder.metadata();
     let (width, height) = check_size(metadata.width.into(), metadata.height.into(), reading)?;
@@ -317,7 +225,7 @@ fn decode_radiance(bytes: &[u8], strict: bool, reading: &Reading) -> Result<Pixe
         .iter()
         .all(|divisor| divisor.is_normal() && *divisor > 0.0)
     {
-        return Err(object(
+        return Err(Objection::new(
             "header EXPOSURE and COLORCORR",
             "numbers > 0",
             format_args!("{divisors:?}"),
@@ -326,7 +234,13 @@ fn decode_radiance(bytes: &[u8], strict: bool, reading: &Reading) -> Result<Pixe
     let mut pixels = vec![[0f32; 3]; width as usize * height as usize];
     decoder
         .read_image(bytemuck::cast_slice_mut(&mut pixels))
-        .map_err(|error| object("pixels", format_args!("{width} x {height} pixels"), error))?;
+        .map_err(|error| {
+            let found = match error {
+                ImageError::IoError(_) => "the end of the file".into(),
+                error => error.to_string(),
+            };
+            Objection::new("pixels", format_args!("{width} x {height} pixels"), found)
+        })?;
     for pixel in &mut pixels {
         for (channel, divisor) in pixel.iter_mut().zip(divisors) {
             *channel /= divisor;
@@ -336,7 +250,7 @@ fn decode_radiance(bytes: &[u8], strict: bool, reading: &Reading) -> Result<Pixe
 }
 
 fn exr_metadata(reader: impl Read) -> Result<MetaData, Objection> {
-    let header = |error| object("header", "a flat OpenEXR image", error);
+    let header = |error| Objection::new("header", "a flat OpenEXR image", error);
     MetaData::read_from_buffered(reader, false).map_err(header)
 }
 
@@ -352,18 +266,18 @@ fn check_exr(metadata: &MetaData, bytes: u64, reading: &Reading) -> Result<(u32,
         samples =
             samples.saturating_add(width as u64 * height as u64 * layer.channels.list.len() as u64);
         if layer.deep {
-            return Err(object("header", "a flat image", "deep data"));
+            return Err(Objection::new("header", "a flat image", "deep data"));
         }
         if layer.own_attributes.environment_map == Some(exr::meta::attribute::EnvironmentMap::Cube)
         {
-            return Err(object("attribute envmap", "latlong", "cube"));
+            return Err(Objection::new("attribute envmap", "latlong", "cube"));
         }
     }
     // So that a small file cannot ask for much memory. Deflate packs at best 1,032:1, and
     // no other OpenEXR compression packs as much; a sample has at least two bytes.
     let packed = bytes.saturating_mul(1032) / 2;
     if samples > packed {
-        return Err(object(
+        return Err(Objection::new(
             "header",
             format_args!("at most {packed} samples in {bytes} bytes"),
             samples,
@@ -371,7 +285,7 @@ fn check_exr(metadata: &MetaData, bytes: u64, reading: &Reading) -> Result<(u32,
     }
     let most = MAX_SAMPLES_PER_PIXEL * reading.max_pixels.min(MAX_PIXELS);
     if samples > most {
-        return Err(object(
+        return Err(Objection::new(
             "header",
             format_args!("at most {most} samples in all channels and layers (--limit-pixels)"),
             samples,
@@ -379,7 +293,7 @@ fn check_exr(metadata: &MetaData, bytes: u64, reading: &Reading) -> Result<(u32,
     }
     let window = match metadata.headers.first() {
         Some(header) => header.shared_attributes.display_window,
-        None => return Err(object("header", "at least one layer", "none")),
+        None => return Err(Objection::new("header", "at least one layer", "none")),
     };
     let (width, height) = (window.size.width() as u64, window.size.height() as u64);
     let (width, height) = check_size(width, height, reading)?;
@@ -392,7 +306,7 @@ fn decode_exr(bytes: &[u8], reading: &Reading) -> Result<Pixels, Objection> {
     let (width, height) = check_exr(&metadata, bytes.len() as u64, reading)?;
     let to_rec709 = match metadata.headers[0].shared_attributes.chromaticities {
         Some(chromaticities) => primaries::to_rec709(&chromaticities).ok_or_else(|| {
-            object(
+            Objection::new(
                 "attribute chromaticities",
                 "three primaries that span a triangle about a white",
                 format_args!("{chromaticities:?}"),
@@ -410,7 +324,7 @@ fn decode_exr(bytes: &[u8], reading: &Reading) -> Result<Pixels, Objection> {
         .all_attributes()
         .non_parallel()
         .from_buffered(Cursor::new(bytes))
-        .map_err(|error| object("pixels", "a complete OpenEXR image", error))?;
+        .map_err(|error| Objection::new("pixels", "a complete OpenEXR image", error))?;
 
     let names = |layer: &exr::image::Layer<exr::image::AnyChannels<FlatSamples>>| -> Vec<String> {
         layer
@@ -426,7 +340,7 @@ fn decode_exr(bytes: &[u8], reading: &Reading) -> Result<Pixels, Objection> {
         .find_map(|layer| Some((layer, rgb_channels(&names(layer))?)))
         .ok_or_else(|| {
             let found: Vec<String> = image.layer_data.iter().flat_map(names).collect();
-            object(
+            Objection::new(
                 "channels",
                 "red, green and blue, or luminance",
                 found.join(", "),
@@ -435,7 +349,7 @@ fn decode_exr(bytes: &[u8], reading: &Reading) -> Result<Pixels, Objection> {
     let channels = channels.map(|index| &layer.channel_data.list[index]);
     for channel in channels {
         if (channel.sampling.x(), channel.sampling.y()) != (1, 1) {
-            return Err(object(
+            return Err(Objection::new(
                 "channel sampling",
                 "1 x 1",
                 format_args!("{:?}", channel.sampling),
@@ -447,7 +361,7 @@ fn decode_exr(bytes: &[u8], reading: &Reading) -> Result<Pixels, Objection> {
     let (data_width, data_height) = (layer.size.width(), layer.size.height());
     let most = 16 * data_width as u64 * data_height as u64;
     if width as u64 * height as u64 > most {
-        return Err(object(
+        return Err(Objection::new(
             "display window",
             format_args!("at most {most} pixels, 16 times the data window"),
             format_args!("{width} x {height}"),
@@ -729,7 +643,7 @@ mod tests {
             any_shape: true,
             ..Reading::default()
         };
-        decode(bytes, &reading)
+        parse(bytes, &reading)
     }
 
     fn message(result: Result<LatLong, Objection>) -> String {
@@ -898,7 +812,7 @@ mod tests {
     #[test]
     fn broken_files_give_an_error_that_names_the_place() {
         assert!(message(decode_any(b"")).starts_with("first bytes"));
-        assert!(message(decode_any(b"\x89PNG")).contains("[89, 50, 4e, 47]"));
+        assert!(message(decode_any(b"\x89PNG")).contains(r#""\x89PNG""#));
         let huge = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 60000 +X 60000\n";
         assert!(message(decode_any(huge)).starts_with("image size"));
         let empty = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 0 +X 8\n";

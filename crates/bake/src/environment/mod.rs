@@ -22,6 +22,7 @@ use std::path::Path;
 pub use relight_format::MAX_SOURCES;
 use relight_format::{Environment, EnvironmentReport, Lobe};
 
+use crate::error::Objection;
 use crate::monitor::{Interrupted, Monitor};
 use hdr::LatLong;
 use lobe::Shape;
@@ -58,25 +59,9 @@ impl Default for FitOptions {
 /// Why there is no fit.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
-    /// The image could not be loaded.
+    /// An option is out of range, or asks for more than was reached.
     #[error(transparent)]
-    Image(#[from] hdr::Error),
-    /// The number of lobes is out of range.
-    #[error("lobes: expected 1 to {MAX_LOBES}, found {0}")]
-    Lobes(usize),
-    /// The error to reach is out of range.
-    #[error("relative L2 error: expected more than 0, found {0}")]
-    MaxError(f32),
-    /// The error was not reached.
-    #[error("relative L2 error: expected at most {expected}, found {found} with {lobes} lobes")]
-    NotReached {
-        /// What was asked for.
-        expected: f32,
-        /// The best found.
-        found: f32,
-        /// Number of lobes asked for.
-        lobes: usize,
-    },
+    Options(Objection),
     /// Someone asked to stop.
     #[error(transparent)]
     Interrupted(#[from] Interrupted),
@@ -128,12 +113,21 @@ pub fn bake(
 /// A black image has no lobes.
 pub fn fit(image: &LatLong, options: &FitOptions, monitor: Monitor) -> Result<Fitted, Error> {
     if !(1..=MAX_LOBES).contains(&options.lobes) {
-        return Err(Error::Lobes(options.lobes));
+        let expected = format!("1 to {MAX_LOBES}");
+        return Err(Error::Options(Objection::new(
+            "lobes",
+            expected,
+            options.lobes,
+        )));
     }
     if let Some(error) = options.max_error
         && (error.is_nan() || error <= 0.0)
     {
-        return Err(Error::MaxError(error));
+        return Err(Error::Options(Objection::new(
+            "max_error",
+            "more than 0",
+            error,
+        )));
     }
     let split = sources::split(image, options.sources);
     let curve = match Problem::new(&split.rest) {
@@ -147,11 +141,10 @@ pub fn fit(image: &LatLong, options: &FitOptions, monitor: Monitor) -> Result<Fi
     if let Some(expected) = options.max_error
         && relative_l2 > expected
     {
-        return Err(Error::NotReached {
-            expected,
-            found: relative_l2,
-            lobes: options.lobes,
-        });
+        let place = "relative L2 error (--max-error)";
+        let found = format!("{relative_l2} with {} lobes", options.lobes);
+        let objection = Objection::new(place, format_args!("at most {expected}"), found);
+        return Err(Error::Options(objection));
     }
     let report = EnvironmentReport {
         source: String::new(),
@@ -606,7 +599,7 @@ mod tests {
                 },
                 SILENT
             ),
-            Err(Error::Lobes(0))
+            Err(Error::Options(_))
         ));
     }
 }

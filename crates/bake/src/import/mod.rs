@@ -57,20 +57,20 @@ pub fn plain_material(name: &str, surface: format::Surface) -> format::Material 
     }
 }
 
-/// Reads a texture, to be added to `others`.
+/// Decodes a texture, to be added to `others`.
 pub(crate) fn texture(
     files: &Files,
     path: &Path,
+    bytes: &[u8],
     encoding: format::TextureEncoding,
     others: &[format::Texture],
 ) -> Result<format::Texture, Error> {
-    let bytes = files.read(path)?;
     let mut texels = others
         .iter()
         .map(|other| u64::from(other.width) * u64::from(other.height))
         .sum();
     let most = files.access().max_texels;
-    image::decode(path, "file", &bytes, encoding, &mut texels, most)
+    image::decode(path, "file", bytes, encoding, &mut texels, most)
 }
 
 /// Imports a `.gltf`, `.glb` or `.obj` file that the command line names, and what it refers to
@@ -87,18 +87,29 @@ pub fn mesh_of(
     options: &Options,
     read: impl FnOnce() -> Result<Vec<u8>, Error>,
 ) -> Result<Mesh, Error> {
+    match ending(path) {
+        Ok(Ending::Gltf) => gltf::import(files, path, options, &read()?),
+        Ok(Ending::Obj) => obj::import(files, path, options, &read()?),
+        Err(found) => Err(Error::invalid(path, "file name", ENDINGS, found)),
+    }
+}
+
+/// How names of meshes end, for messages.
+pub(crate) const ENDINGS: &str = ".gltf, .glb or .obj";
+
+/// How the name of a mesh ends.
+pub(crate) enum Ending {
+    Gltf,
+    Obj,
+}
+
+/// How a name ends; or, where that is not as a mesh's, what it has in its place.
+pub(crate) fn ending(path: &Path) -> Result<Ending, String> {
     let extension = path.extension().and_then(|extension| extension.to_str());
     match extension.map(str::to_ascii_lowercase).as_deref() {
-        Some("gltf" | "glb") => gltf::import(files, path, options, &read()?),
-        Some("obj") => obj::import(files, path, options, &read()?),
-        other => Err(Error::invalid(
-            path,
-            "file name",
-            ".gltf, .glb or .obj",
-            other.map_or_else(
-                || "no extension".into(),
-                |extension| format!(".{extension}"),
-            ),
-        )),
+        Some("gltf" | "glb") => Ok(Ending::Gltf),
+        Some("obj") => Ok(Ending::Obj),
+        Some(other) => Err(format!(".{other}")),
+        None => Err("no extension".into()),
     }
 }

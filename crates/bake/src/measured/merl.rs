@@ -12,7 +12,7 @@ use glam::{Vec2, Vec3};
 use relight_shading::reference;
 use relight_shading::surface::{Appearance, Model, Reflection};
 
-use super::{Error, invalid};
+use crate::error::{Objection, first_bytes};
 
 /// Steps of θ of the half vector, θ and φ of the difference vector.
 const DIMENSIONS: [usize; 3] = [90, 90, 180];
@@ -29,11 +29,13 @@ pub struct Merl {
 
 impl Merl {
     /// Decodes the bytes of a `.binary` file, which are not trusted.
-    pub fn parse(bytes: &[u8]) -> Result<Self, Error> {
+    pub fn parse(bytes: &[u8]) -> Result<Self, Objection> {
         let length = HEADER + 3 * ENTRIES * 8;
+        let expected =
+            "\"tensor_file\" of a .bsdf, the numbers 90, 90, 180 of a .binary, or the ending .toml";
         let Some((header, values)) = bytes.split_at_checked(HEADER) else {
-            let found = format!("{} bytes", bytes.len());
-            return Err(invalid("header", "three dimensions", found));
+            let found = first_bytes(bytes);
+            return Err(Objection::new("first bytes", expected, found));
         };
         let dimensions: Vec<i32> = header
             .as_chunks::<4>()
@@ -42,12 +44,16 @@ impl Merl {
             .map(|bytes| i32::from_le_bytes(*bytes))
             .collect();
         if dimensions != DIMENSIONS.map(|extent| extent as i32) {
-            let expected = format!("tensor_file, or dimensions {DIMENSIONS:?}");
-            return Err(invalid("header", expected, format_args!("{dimensions:?}")));
+            let found = first_bytes(header);
+            return Err(Objection::new("first bytes", expected, found));
         }
         if bytes.len() != length {
             let found = format!("{} bytes", bytes.len());
-            return Err(invalid("file", format_args!("{length} bytes"), found));
+            return Err(Objection::new(
+                "file",
+                format_args!("{length} bytes"),
+                found,
+            ));
         }
         let mut table = vec![[0.0; 3]; ENTRIES];
         let (numbers, _) = values.as_chunks::<8>();
@@ -56,7 +62,7 @@ impl Merl {
                 let value = (f64::from_le_bytes(*bytes) * scale) as f32;
                 if !value.is_finite() {
                     let place = format!("value {index} of channel {channel}");
-                    return Err(invalid(place, "a finite number", value));
+                    return Err(Objection::new(place, "a finite number", value));
                 }
                 // Unmeasured entries are negative.
                 entry[channel] = value.max(0.0);
@@ -183,13 +189,13 @@ mod tests {
     fn broken_files_are_errors_that_name_the_place() {
         let message = |bytes: &[u8]| Merl::parse(bytes).err().expect("broken").to_string();
         let good = file();
-        assert!(message(&good[..11]).starts_with("header"));
+        assert!(message(&good[..11]).starts_with("first bytes"));
         assert!(message(&good[..good.len() - 1]).starts_with("file"));
         assert!(message(&[&good[..], &[0]].concat()).starts_with("file"));
         for (position, value) in [(0, 91), (4, 0), (11, 0x80), (2, 0xff)] {
             let mut bytes = good.clone();
             bytes[position] = value;
-            assert!(message(&bytes).starts_with("header"), "{position}");
+            assert!(message(&bytes).starts_with("first bytes"), "{position}");
         }
         let mut bytes = good.clone();
         bytes[HEADER + 8 * (ENTRIES + 5)..][..8].copy_from_slice(&f64::NAN.to_le_bytes());

@@ -14,44 +14,13 @@ use std::path::Path;
 use glam::{Vec2, Vec3};
 
 #[cfg(not(target_family = "wasm"))]
-use crate::files::{Access, Files};
+use crate::error::Error;
+use crate::error::Objection;
 #[cfg(not(target_family = "wasm"))]
-use crate::import;
+use crate::files::{Access, Files};
 
 pub use merl::Merl;
 pub use rgl::Rgl;
-
-/// Why a measured BRDF could not be loaded.
-#[derive(Debug, thiserror::Error)]
-pub enum Error {
-    /// The file could not be read.
-    #[error("{path}: {source}")]
-    Io {
-        /// The file.
-        path: String,
-        /// The system's reason.
-        source: std::io::Error,
-    },
-    /// The bytes are not an isotropic RGB table.
-    #[error("{place} of the measured BRDF: expected {expected}, found {found}")]
-    Invalid {
-        /// Header or field.
-        place: String,
-        /// What a valid file has there.
-        expected: String,
-        /// What this file has there.
-        found: String,
-    },
-}
-
-#[expect(clippy::needless_pass_by_value, reason = "callers pass temporaries")]
-fn invalid(place: impl ToString, expected: impl ToString, found: impl ToString) -> Error {
-    Error::Invalid {
-        place: place.to_string(),
-        expected: expected.to_string(),
-        found: found.to_string(),
-    }
-}
 
 /// An isotropic RGB table of either database.
 pub enum Table {
@@ -65,19 +34,12 @@ impl Table {
     /// Loads a file of either kind; its first bytes tell which.
     #[cfg(not(target_family = "wasm"))]
     pub fn load(path: &Path) -> Result<Self, Error> {
-        let bytes = Files::new(path, &Access::default()).and_then(|files| files.read_named(path));
-        let bytes = bytes.map_err(|error| match error {
-            import::Error::Read { source, .. } => Error::Io {
-                path: path.display().to_string(),
-                source,
-            },
-            error => invalid("file", "one that may be read", error),
-        })?;
-        Self::parse(&bytes)
+        let bytes = Files::new(path, &Access::default())?.read_named(path)?;
+        Self::parse(&bytes).map_err(|objection| objection.in_file(path))
     }
 
     /// Decodes the bytes of a file, which are not trusted.
-    pub fn parse(bytes: &[u8]) -> Result<Self, Error> {
+    pub fn parse(bytes: &[u8]) -> Result<Self, Objection> {
         let table = if bytes.starts_with(rgl::MAGIC) {
             Self::Rgl(Box::new(Rgl::parse(bytes)?))
         } else {
@@ -89,7 +51,7 @@ impl Table {
         };
         if black {
             let found = "none: the table is black, or holds no valid measurement";
-            return Err(invalid("values", "some that are above 0", found));
+            return Err(Objection::new("values", "some that are above 0", found));
         }
         Ok(table)
     }

@@ -14,7 +14,7 @@ use std::f32::consts::{FRAC_PI_2, PI, TAU};
 
 use glam::{Vec2, Vec3};
 
-use super::{Error, invalid};
+use crate::error::{Objection, first_bytes};
 
 /// First twelve bytes of a tensor file.
 pub(super) const MAGIC: &[u8; 12] = b"tensor_file\0";
@@ -64,10 +64,10 @@ impl Rgl {
     }
 
     /// Decodes the bytes of a `.bsdf` file, which are not trusted.
-    pub fn parse(bytes: &[u8]) -> Result<Self, Error> {
+    pub fn parse(bytes: &[u8]) -> Result<Self, Objection> {
         let fields = fields(bytes)?;
         if fields.contains_key("wavelengths") {
-            return Err(invalid(
+            return Err(Objection::new(
                 "header",
                 "an RGB table (field rgb)",
                 "a spectral one",
@@ -77,28 +77,28 @@ impl Rgl {
         let azimuths = floats(&fields, "phi_i", &[None])?.1;
         if azimuths.len() != 1 {
             let found = format!("{} azimuths: an anisotropic table", azimuths.len());
-            return Err(invalid(
+            return Err(Objection::new(
                 "field phi_i",
                 "one azimuth, as isotropic tables have",
                 found,
             ));
         }
         if elevations.is_empty() || !elevations.is_sorted_by(|a, b| a < b) {
-            return Err(invalid(
+            return Err(Objection::new(
                 "field theta_i",
                 "ascending elevations",
                 format!("{elevations:?}"),
             ));
         }
         let count = Some(elevations.len());
-        let table = |name: &str, shape: &[Option<usize>]| -> Result<Slices, Error> {
+        let table = |name: &str, shape: &[Option<usize>]| -> Result<Slices, Objection> {
             let (shape, values) = floats(&fields, name, shape)?;
             let [.., height, width] = shape[..] else {
                 unreachable!("two dimensions or more")
             };
             if width < 2 || height < 2 {
                 let place = format!("field {name}");
-                return Err(invalid(
+                return Err(Objection::new(
                     place,
                     "at least 2x2 values",
                     format!("{width}x{height}"),
@@ -129,7 +129,7 @@ impl Rgl {
             .map(|field| (field.kind, field.bytes))
         {
             Some((UINT8, &[flag])) => flag != 0,
-            _ => return Err(invalid("field jacobian", "one byte", "none")),
+            _ => return Err(Objection::new("field jacobian", "one byte", "none")),
         };
         Ok(Self {
             normals: table("ndf", &[None, None])?,
@@ -462,10 +462,10 @@ struct Field<'a> {
 struct Reader<'a>(&'a [u8]);
 
 impl<'a> Reader<'a> {
-    fn take(&mut self, length: usize) -> Result<&'a [u8], Error> {
+    fn take(&mut self, length: usize) -> Result<&'a [u8], Objection> {
         let (head, tail) = self.0.split_at_checked(length).ok_or_else(|| {
             let found = format!("{} bytes", self.0.len());
-            invalid(
+            Objection::new(
                 "header",
                 format_args!("at least {length} more bytes"),
                 found,
@@ -475,34 +475,30 @@ impl<'a> Reader<'a> {
         Ok(head)
     }
 
-    fn integer(&mut self, length: usize) -> Result<usize, Error> {
+    fn integer(&mut self, length: usize) -> Result<usize, Objection> {
         let bytes = self.take(length)?;
         let value = bytes
             .iter()
             .rev()
             .fold(0u64, |value, &byte| value << 8 | u64::from(byte));
-        usize::try_from(value).map_err(|_| invalid("header", "a size in memory", value))
+        usize::try_from(value).map_err(|_| Objection::new("header", "a size in memory", value))
     }
 }
 
 /// The fields of a tensor file: magic, version 1.0, field count, then per field its name,
 /// number of dimensions, element type, offset and shape.
-fn fields(bytes: &[u8]) -> Result<BTreeMap<String, Field<'_>>, Error> {
+fn fields(bytes: &[u8]) -> Result<BTreeMap<String, Field<'_>>, Objection> {
     let mut reader = Reader(bytes);
     let magic = reader.take(MAGIC.len())?;
     if magic != MAGIC {
-        return Err(invalid(
-            "header",
-            "tensor_file",
-            format_args!("{magic:02x?}"),
-        ));
+        return Err(Objection::new("header", "tensor_file", first_bytes(magic)));
     }
     let version = reader.take(2)?;
     if version != [1, 0] {
-        return Err(invalid(
+        return Err(Objection::new(
             "header",
             "version 1.0",
-            format_args!("{version:?}"),
+            format_args!("version {}.{}", version[0], version[1]),
         ));
     }
     let count = reader.integer(4)?;
@@ -515,7 +511,11 @@ fn fields(bytes: &[u8]) -> Result<BTreeMap<String, Field<'_>>, Error> {
         let offset = reader.integer(8)?;
         if dimensions > MAX_DIMENSIONS {
             let expected = format_args!("at most {MAX_DIMENSIONS} dimensions");
-            return Err(invalid(format_args!("field {name}"), expected, dimensions));
+            return Err(Objection::new(
+                format_args!("field {name}"),
+                expected,
+                dimensions,
+            ));
         }
         let shape = (0..dimensions)
             .map(|_| reader.integer(8))
@@ -533,7 +533,7 @@ fn fields(bytes: &[u8]) -> Result<BTreeMap<String, Field<'_>>, Error> {
             .ok_or_else(|| {
                 let found = format!("{shape:?} elements at offset {offset}");
                 let expected = format_args!("data inside the {} bytes of the file", bytes.len());
-                invalid(format_args!("field {name}"), expected, found)
+                Objection::new(format_args!("field {name}"), expected, found)
             })?;
         fields.insert(
             name,
@@ -552,11 +552,11 @@ fn floats(
     fields: &BTreeMap<String, Field>,
     name: &str,
     shape: &[Option<usize>],
-) -> Result<(Vec<usize>, Vec<f32>), Error> {
+) -> Result<(Vec<usize>, Vec<f32>), Objection> {
     let place = format!("field {name}");
     let field = fields
         .get(name)
-        .ok_or_else(|| invalid(&place, "to be present", "nothing"))?;
+        .ok_or_else(|| Objection::new(&place, "to be present", "nothing"))?;
     let fits = field.shape.len() == shape.len()
         && field
             .shape
@@ -566,7 +566,7 @@ fn floats(
     if field.kind != FLOAT32 || !fits {
         let expected = format!("32-bit floats of shape {shape:?}");
         let found = format!("type {} of shape {:?}", field.kind, field.shape);
-        return Err(invalid(place, expected, found));
+        return Err(Objection::new(place, expected, found));
     }
     let values: Vec<f32> = field
         .bytes
@@ -574,7 +574,7 @@ fn floats(
         .map(|bytes| f32::from_le_bytes(bytes.try_into().expect("four bytes")))
         .collect();
     match values.iter().find(|value| !value.is_finite()) {
-        Some(value) => Err(invalid(place, "finite numbers", value)),
+        Some(value) => Err(Objection::new(place, "finite numbers", value)),
         None => Ok((field.shape.clone(), values)),
     }
 }

@@ -5,6 +5,7 @@ use relight_format as format;
 use super::error::Error;
 use super::surface::ErrorSums;
 use crate::compress::Compressed;
+use crate::error::Objection;
 use crate::transfer::compress::ClusterTransfer;
 
 /// Errors on the surface above this, radians, are warned of: pictures of such bakes are off by
@@ -66,20 +67,18 @@ pub fn assemble<E: From<Error>>(
 
 /// Lays out a cluster behind the others.
 fn append(scene: &mut format::Scene, cluster: Cluster) -> Result<(), Error> {
+    let too_many = |place: &str, most: u64, what: &str| {
+        let expected = format!("at most {most} {what}");
+        let found = "more; allow a larger error or fewer vertices";
+        Error::Options(Objection::new(place, expected, found))
+    };
     let number = u16::try_from(scene.clusters.len())
         .ok()
         .filter(|number| *number < u16::MAX)
-        .ok_or_else(|| Error::Options {
-            place: "max_error",
-            expected: format!("at most {} clusters", u16::MAX),
-            found: "more; allow a larger error or fewer vertices".into(),
-        })?;
+        .ok_or_else(|| too_many("max_error", u16::MAX.into(), "clusters"))?;
     let index = |count: usize| {
-        u32::try_from(count).map_err(|_| Error::Options {
-            place: "max_vertices",
-            expected: format!("at most {} vertices and coefficients", u32::MAX),
-            found: "more; allow a larger error or fewer vertices".into(),
-        })
+        let what = "vertices and coefficients";
+        u32::try_from(count).map_err(|_| too_many("max_vertices", u32::MAX.into(), what))
     };
     let first_vertex = index(scene.vertices.len())?;
     // That indices within the cluster do not overflow either.

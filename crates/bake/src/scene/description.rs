@@ -17,6 +17,7 @@ use relight_shading::local_light::{LocalLight, Spot};
 use serde::{Deserialize, Serialize};
 
 pub use crate::error::Error;
+use crate::error::of_parser;
 use crate::mesh::ground;
 
 use check::Checker;
@@ -402,7 +403,7 @@ pub fn load(path: &Path) -> Result<SceneFile, Error> {
 
 /// Parses and checks the bytes of a scene file; `path` is for messages.
 pub fn parse(path: &Path, bytes: &[u8]) -> Result<SceneFile, Error> {
-    let scene: SceneFile = parse_toml(path, bytes)?;
+    let scene: SceneFile = parse_toml(path, bytes, "a scene as in SCENE.md")?;
     let checked = Checker { path };
     checked.transform(&scene.transform)?;
     for (name, material) in &scene.materials {
@@ -450,18 +451,28 @@ pub fn parse(path: &Path, bytes: &[u8]) -> Result<SceneFile, Error> {
     Ok(scene)
 }
 
-fn parse_toml<T: serde::de::DeserializeOwned>(path: &Path, bytes: &[u8]) -> Result<T, Error> {
-    let syntax = |message: String| Error::Syntax {
-        file: path.into(),
-        message,
-    };
-    let text = std::str::from_utf8(bytes).map_err(|error| syntax(error.to_string()))?;
-    toml::from_str(text).map_err(|error| syntax(error.to_string()))
+/// Parses a TOML file as what `expected` says; errors name line and column.
+pub fn parse_toml<T: serde::de::DeserializeOwned>(
+    path: &Path,
+    bytes: &[u8],
+    expected: &str,
+) -> Result<T, Error> {
+    let text = std::str::from_utf8(bytes).map_err(|error| {
+        let place = format!("byte {}", error.valid_up_to());
+        Error::invalid(path, place, "text in UTF-8", "other bytes")
+    })?;
+    toml::from_str(text).map_err(|error| {
+        let start = error.span().map_or(0, |span| span.start);
+        let before = &text[..text.floor_char_boundary(start)];
+        let line = 1 + before.matches('\n').count();
+        let column = 1 + before.chars().rev().take_while(|&c| c != '\n').count();
+        of_parser([line, column], expected, error.message()).in_file(path)
+    })
 }
 
 /// Parses and checks the bytes of a file of one material, written as under `[materials]`.
 pub fn parse_material(path: &Path, bytes: &[u8]) -> Result<MaterialOverride, Error> {
-    let material = parse_toml(path, bytes)?;
+    let material = parse_toml(path, bytes, "a material as in SCENE.md")?;
     Checker { path }.material("material", &material)?;
     Ok(material)
 }

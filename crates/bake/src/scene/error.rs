@@ -2,6 +2,7 @@
 
 use relight_format as format;
 
+use crate::error::Objection;
 use crate::monitor::Interrupted;
 
 /// Why a scene could not be baked.
@@ -14,15 +15,8 @@ pub enum Error {
     #[error(transparent)]
     Format(#[from] format::Error),
     /// The options contradict each other or the scene.
-    #[error("{place}: expected {expected}, found {found}")]
-    Options {
-        /// The option.
-        place: &'static str,
-        /// What would do.
-        expected: String,
-        /// What was given.
-        found: String,
-    },
+    #[error(transparent)]
+    Options(Objection),
     /// Contours and rays disagree.
     #[error(
         "visibility: expected the texels that one ray each gives, found {texels} others at \

@@ -1,8 +1,6 @@
 //! A scene file, or a bare mesh, to everything that baking and rendering need.
 
 use relight_format::math;
-use std::collections::BTreeMap;
-use std::collections::btree_map::Entry;
 use std::path::{Path, PathBuf};
 
 use glam::{Quat, Vec3};
@@ -12,9 +10,11 @@ use relight_shading::local_light::LocalLight;
 use crate::environment::hdr;
 use crate::files::{Access, Files};
 use crate::import::{self, Error};
-use crate::measured::{self, Table, fit};
 use crate::mesh::{self, MAX_COORDINATE, Mesh, ground};
-use crate::scene::description::{self, BlendName, LayerFile, MaterialOverride, SceneFile};
+use crate::scene::description::{self, MaterialOverride, SceneFile};
+use crate::scene::material::{Keys, make, override_materials};
+
+pub use crate::scene::material::{load_material, parse_table};
 
 /// A scene, ready to bake.
 #[derive(Clone, Debug)]
@@ -65,6 +65,10 @@ pub fn load_with(
         .to_string_lossy()
         .into_owned();
     if !is_scene {
+        import::ending(path).map_err(|found| {
+            let expected = format!(".toml, {}", import::ENDINGS);
+            Error::invalid(path, "file name", expected, found)
+        })?;
         let mesh = import::mesh_of(files, path, options, || files.read_named(path))?;
         return Ok(SceneInput {
             name,
@@ -81,11 +85,18 @@ pub fn load_with(
     let file = description::parse(path, &files.read_named(path)?)?;
     let folder = path.parent().unwrap_or(Path::new(""));
     let mesh_path = folder.join(&file.mesh);
+    import::ending(&mesh_path).map_err(|found| {
+        let expected = format!("a name that ends in {}", import::ENDINGS);
+        Error::invalid(path, "mesh", expected, found)
+    })?;
     let options = import::Options {
         cutoffs: file.cutout.clone(),
         crease_degrees: file.crease_degrees.or(options.crease_degrees),
     };
-    let mut mesh = import::mesh_of(files, &mesh_path, &options, || files.read(&mesh_path))?;
+    let mut mesh = import::mesh_of(files, &mesh_path, &options, || {
+        let bytes = files.read(&mesh_path);
+        bytes.map_err(|error| error.referred_to(path, "mesh"))
+    })?;
     place(&mut mesh, &file.transform);
     let mut positions = mesh.vertices.iter().map(|vertex| vertex.position);
     if let Some(position) = mesh::distant_position(&mut positions) {
@@ -104,12 +115,12 @@ pub fn load_with(
         let default = MaterialOverride::Diffuse {
             diffuse: description::Color::Grey(0.5),
         };
-        let made = make(
+        let keys = Keys {
             files,
-            material.unwrap_or(&default),
-            folder,
-            &mut mesh.textures,
-        )?;
+            path,
+            place: "ground.material".into(),
+        };
+        let made = make(&keys, material.unwrap_or(&default), &mut mesh.textures)?;
         measured.extend(made.table.map(|table| (mesh.materials.len(), table)));
         ground::append(&mut mesh, &options.extent(), made.material)
             .map_err(|(place, expected, found)| Error::invalid(path, place, expected, found))?;
@@ -123,7 +134,7 @@ pub fn load_with(
     // when hours have passed.
     let environment = file.environment.map(|environment| folder.join(environment));
     if let Some(environment) = &environment {
-        check_environment(files, environment)?;
+        check_environment(files, path, environment)?;
     }
     Ok(SceneInput {
         name,
@@ -146,20 +157,14 @@ pub fn load_with(
 }
 
 /// Checks the beginning of a scene's lat-long image.
-fn check_environment(files: &Files, path: &Path) -> Result<(), Error> {
+fn check_environment(files: &Files, scene: &Path, path: &Path) -> Result<(), Error> {
     let reading = hdr::Reading {
         max_pixels: hdr::MAX_PIXELS,
         ..hdr::Reading::default()
     };
-    hdr::check(path, files.open(path)?, &reading).map_err(|error| match error {
-        hdr::Error::Io { source, .. } => Error::read(path, source),
-        hdr::Error::Invalid {
-            place,
-            expected,
-            found,
-            ..
-        } => Error::invalid(path, place, expected, found),
-    })
+    let opened = files.open(path);
+    let file = opened.map_err(|error| error.referred_to(scene, "environment"))?;
+    hdr::check(path, file, &reading)
 }
 
 /// Gives materials the emission that the scene file has for them.
@@ -208,293 +213,6 @@ fn place(mesh: &mut Mesh, transform: &description::Transform) {
         vertex.normal = rotation * vertex.normal;
         vertex.tangent = rotation * vertex.tangent;
     }
-}
-
-fn override_materials(
-    files: &Files,
-    path: &Path,
-    file: &SceneFile,
-    mesh: &mut Mesh,
-    measured: &mut Vec<(usize, PathBuf)>,
-) -> Result<(), Error> {
-    let folder = path.parent().unwrap_or(Path::new(""));
-    for name in file.materials.keys().filter(|name| *name != "default") {
-        if mesh.materials.iter().all(|material| material.name != *name) {
-            let names: Vec<_> = mesh
-                .materials
-                .iter()
-                .map(|m| format!("{:?}", m.name))
-                .collect();
-            return Err(Error::invalid(
-                path,
-                format_args!("materials.{name}"),
-                format_args!("default or a material of the mesh: {}", names.join(", ")),
-                format_args!("{name:?}"),
-            ));
-        }
-    }
-    // Made once, however many materials each replaces: fits take seconds.
-    let mut made = BTreeMap::new();
-    for (index, material) in mesh.materials.iter_mut().enumerate() {
-        let replacement = file
-            .materials
-            .get_key_value(&material.name)
-            .or_else(|| file.materials.get_key_value("default"));
-        let Some((key, replacement)) = replacement else {
-            continue;
-        };
-        let made = match made.entry(key) {
-            Entry::Occupied(entry) => entry.into_mut(),
-            Entry::Vacant(entry) => {
-                entry.insert(make(files, replacement, folder, &mut mesh.textures)?)
-            }
-        };
-        measured.extend(made.table.clone().map(|table| (index, table)));
-        let name = std::mem::take(&mut material.name);
-        *material = format::Material {
-            name,
-            ..made.material.clone()
-        };
-    }
-    mesh.drop_unused_textures();
-    Ok(())
-}
-
-/// A replacement, read and fitted.
-struct Made {
-    material: format::Material,
-    /// The measured table behind it, relative to the working directory.
-    table: Option<PathBuf>,
-}
-
-/// Makes the material that a replacement describes; its textures are appended.
-fn make(
-    files: &Files,
-    replacement: &MaterialOverride,
-    folder: &Path,
-    textures: &mut Vec<format::Texture>,
-) -> Result<Made, Error> {
-    match replacement {
-        MaterialOverride::Measured { file, original } => {
-            let path = folder.join(file);
-            let original = original.as_ref().map(|original| folder.join(original));
-            if let Some(original) = &original {
-                files.open(original)?;
-            }
-            if path.extension().is_none_or(|e| e != "relight") {
-                return Ok(Made {
-                    material: import::plain_material(
-                        "",
-                        surface(files, replacement, folder, textures)?,
-                    ),
-                    table: Some(path),
-                });
-            }
-            let bytes = files.read(&path)?;
-            let asset = format::read_material(&bytes, &format::Limits::default())
-                .map_err(|error| Error::invalid(&path, "file", "a baked material", error))?;
-            Ok(Made {
-                material: appended(asset, textures),
-                table: original,
-            })
-        }
-        MaterialOverride::Layers {
-            layers,
-            normal_texture,
-            normal_scale,
-            anisotropy_texture,
-        } => Ok(Made {
-            material: layered_material(
-                layers,
-                [normal_texture, anisotropy_texture],
-                *normal_scale,
-                files,
-                folder,
-                textures,
-            )?,
-            table: None,
-        }),
-        _ => Ok(Made {
-            material: import::plain_material("", surface(files, replacement, folder, textures)?),
-            table: None,
-        }),
-    }
-}
-
-/// Reads a file of one material, written as in a scene file, with its textures.
-pub fn load_material(
-    files: &Files,
-    path: &Path,
-) -> Result<(format::Material, Vec<format::Texture>), Error> {
-    let replacement = description::parse_material(path, &files.read_named(path)?)?;
-    let folder = path.parent().unwrap_or(Path::new(""));
-    let mut textures = Vec::new();
-    let made = make(files, &replacement, folder, &mut textures)?;
-    Ok((made.material, textures))
-}
-
-fn layered_material(
-    layers: &[LayerFile],
-    [normal_texture, anisotropy_texture]: [&Option<PathBuf>; 2],
-    normal_scale: f32,
-    files: &Files,
-    folder: &Path,
-    textures: &mut Vec<format::Texture>,
-) -> Result<format::Material, Error> {
-    use format::TextureEncoding::{Linear, Srgb};
-    let slot =
-        |file: &Option<PathBuf>, encoding, invert: bool, textures: &mut Vec<format::Texture>| {
-            let Some(file) = file else { return Ok(None) };
-            let mut texture = import::texture(files, &folder.join(file), encoding, textures)?;
-            if invert {
-                for texel in texture.texels.as_chunks_mut::<4>().0 {
-                    for channel in &mut texel[..3] {
-                        *channel = 255 - *channel;
-                    }
-                }
-            }
-            textures.push(texture);
-            Ok(Some(format::TextureSlot::whole(textures.len() as u32 - 1)))
-        };
-    let layers = layers
-        .iter()
-        .map(|layer| -> Result<format::Layer, Error> {
-            let format::Surface::DiffuseSpecular { diffuse, specular } =
-                surface(files, &layer.material, folder, textures)?
-            else {
-                unreachable!("checked when the file was read")
-            };
-            let reflections = specular.reflections();
-            if layer.blend == BlendName::Coat && reflections != 1 {
-                let expected = "one reflection of a coat";
-                return Err(Error::invalid(folder, "layers", expected, reflections));
-            }
-            let roughness = slot(&layer.roughness_texture, Linear, false, textures)?;
-            Ok(format::Layer {
-                diffuse,
-                specular,
-                weight: layer.weight,
-                blend: match layer.blend {
-                    BlendName::Over => format::Blend::Over,
-                    BlendName::Coat => format::Blend::Coat,
-                },
-                diffuse_texture: slot(&layer.diffuse_texture, Srgb, false, textures)?,
-                specular_texture: slot(&layer.specular_texture, Srgb, false, textures)?,
-                roughness_texture: match roughness {
-                    None => slot(&layer.glossiness_texture, Linear, true, textures)?,
-                    some => some,
-                },
-                weight_texture: slot(&layer.weight_texture, Linear, false, textures)?,
-            })
-        })
-        .collect::<Result<Vec<_>, _>>()?;
-    let reflections: usize = layers
-        .iter()
-        .map(|layer| layer.specular.reflections())
-        .sum();
-    if reflections > format::MAX_REFLECTIONS {
-        return Err(Error::invalid(
-            folder,
-            "layers",
-            format_args!(
-                "at most {} reflections, those of fitted lobes among them",
-                format::MAX_REFLECTIONS
-            ),
-            reflections,
-        ));
-    }
-    Ok(format::Material {
-        normal_texture: slot(normal_texture, Linear, false, textures)?,
-        anisotropy_texture: slot(anisotropy_texture, Linear, false, textures)?,
-        normal_scale,
-        ..import::plain_material("", format::Surface::Layers { layers })
-    })
-}
-
-/// The surface that a replacement without textures of its own describes; what measured ones come
-/// with is appended to `textures`. Its values were checked when it was read.
-fn surface(
-    files: &Files,
-    material: &MaterialOverride,
-    folder: &Path,
-    textures: &mut Vec<format::Texture>,
-) -> Result<format::Surface, Error> {
-    use MaterialOverride as M;
-    if let Some((diffuse, specular)) = material.reflection() {
-        let diffuse = diffuse.rgb();
-        return Ok(format::Surface::DiffuseSpecular { diffuse, specular });
-    }
-    Ok(match *material {
-        M::MetallicRoughness {
-            base_color,
-            metallic,
-            roughness,
-            anisotropy_strength,
-            anisotropy_rotation_degrees,
-        } => format::Surface::MetallicRoughness {
-            base_color: base_color.rgb(),
-            metallic,
-            roughness,
-            anisotropy_strength,
-            anisotropy_rotation: anisotropy_rotation_degrees.to_radians(),
-        },
-        M::Measured { ref file, .. } => measured_surface(files, file, folder, textures)?,
-        _ => unreachable!("layers do not nest"),
-    })
-}
-
-/// The lobes of a baked material, or those that are fitted to a table; their textures are appended.
-fn measured_surface(
-    files: &Files,
-    file: &Path,
-    folder: &Path,
-    textures: &mut Vec<format::Texture>,
-) -> Result<format::Surface, Error> {
-    let path = folder.join(file);
-    if path.extension().is_some_and(|e| e == "relight") {
-        let bytes = files.read(&path)?;
-        let asset = format::read_material(&bytes, &format::Limits::default())
-            .map_err(|error| Error::invalid(&path, "file", "a baked material", error))?;
-        let material = appended(asset, textures);
-        return match material.surface {
-            surface @ format::Surface::DiffuseSpecular { .. } => Ok(surface),
-            _ => Err(Error::invalid(
-                &path,
-                "file",
-                "lobes fitted to a table",
-                "layers, which do not nest",
-            )),
-        };
-    }
-    let table = parse_table(&path, &files.read(&path)?)?;
-    let fitted = fit::corrected(&table, fit::Stop::default());
-    textures.push(fitted.ratio);
-    let slot = format::TextureSlot::whole(textures.len() as u32 - 1);
-    Ok(fitted
-        .fit
-        .surface(file.to_string_lossy().into_owned(), Some(slot)))
-}
-
-/// An asset's material; its textures are appended.
-fn appended(asset: format::MaterialAsset, textures: &mut Vec<format::Texture>) -> format::Material {
-    let mut material = asset.material;
-    for slot in material.slots_mut() {
-        slot.texture += textures.len() as u32;
-    }
-    textures.extend(asset.textures);
-    material
-}
-
-/// Decodes a table; errors name the file.
-pub fn parse_table(path: &Path, bytes: &[u8]) -> Result<Table, Error> {
-    Table::parse(bytes).map_err(|error| match error {
-        measured::Error::Io { source, .. } => Error::read(path, source),
-        measured::Error::Invalid {
-            place,
-            expected,
-            found,
-        } => Error::invalid(path, place, expected, found),
-    })
 }
 
 #[cfg(test)]

@@ -13,6 +13,7 @@ mod error;
 pub mod fingerprint;
 mod layout;
 pub mod load;
+mod material;
 mod options;
 pub mod parts;
 mod plan;

@@ -4,6 +4,7 @@ use relight_format::{CHANNELS_PER_TILE, MAX_TILES_PER_CLUSTER, Representation};
 use serde::Serialize;
 
 use super::error::Error;
+use crate::error::Objection;
 use crate::transfer;
 
 /// Whether this build can represent a scene by one basis, to compare with the paper.
@@ -107,16 +108,12 @@ impl Options {
             basis_resolution: basis,
             ..
         } = *self;
-        let wrong = |place, expected: String, found: String| {
-            Err(Error::Options {
-                place,
-                expected,
-                found,
-            })
+        let wrong = |place: &str, expected: String, found: String| {
+            Err(Error::Options(Objection::new(place, expected, found)))
         };
         if !(8..=512).contains(&basis) || !(basis..=256).contains(&sample) || sample % basis != 0 {
             return wrong(
-                "resolution",
+                "sample_resolution",
                 "a basis resolution in 8..=512 that divides a sample resolution up to 256".into(),
                 format!("{basis} and {sample}"),
             );

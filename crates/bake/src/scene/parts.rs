@@ -30,8 +30,8 @@ use bytemuck::{AnyBitPattern, NoUninit};
 use relight_format::{self as format, CHANNELS_PER_TILE, MAX_TILES_PER_CLUSTER};
 
 use crate::compress::Compressed;
+use crate::error::{Error, first_bytes};
 use crate::files;
-use crate::import;
 use crate::scene::Cluster;
 use crate::transfer::compress::{ClusterTransfer, Group};
 
@@ -64,31 +64,6 @@ impl Identity {
     pub fn chunks(&self) -> impl ExactSizeIterator<Item = usize> + use<> {
         (self.shard as usize - 1..self.chunks as usize).step_by(self.shards as usize)
     }
-}
-
-/// Why a parts file cannot be used.
-#[derive(Debug, thiserror::Error)]
-pub enum Error {
-    /// The file could not be read or written.
-    #[error("{}: {source}", file.display())]
-    Io {
-        /// The file.
-        file: PathBuf,
-        /// The system's reason.
-        source: std::io::Error,
-    },
-    /// The file is not what it should be.
-    #[error("{}: {place}: expected {expected}, found {found}", file.display())]
-    Invalid {
-        /// The file.
-        file: PathBuf,
-        /// Which part of it.
-        place: String,
-        /// What would do.
-        expected: String,
-        /// What is there.
-        found: String,
-    },
 }
 
 /// An open parts file.
@@ -130,12 +105,12 @@ impl Parts {
             .read_to_end(&mut start)
             .map_err(io(path))?;
         if !MAGIC.starts_with(&start) {
-            return Err(Error::Invalid {
-                file: path.to_owned(),
-                place: "file".into(),
-                expected: "a parts file or nothing".into(),
-                found: "another file, which is not replaced".into(),
-            });
+            return Err(Error::invalid(
+                path,
+                "file",
+                "a parts file or nothing",
+                "another file, which is not replaced",
+            ));
         }
         let mut header = Vec::with_capacity(HEADER_BYTES);
         header.extend(MAGIC);
@@ -252,15 +227,7 @@ impl Parts {
     ///
     /// A chunk or the head is missing, or damaged.
     pub fn open(path: &Path) -> Result<Self, Error> {
-        let file = files::open_named(path).map_err(|error| match error {
-            import::Error::Read { source, .. } => io(path)(source),
-            error => Error::Invalid {
-                file: path.to_owned(),
-                place: "file".into(),
-                expected: "a regular file".into(),
-                found: error.to_string(),
-            },
-        })?;
+        let file = files::open_named(path)?;
         let parts = Self::scan(path, file)?;
         let length = (parts.file.metadata()).map_err(io(path))?.len();
         let (whole, there) = (parts.identity.chunks().len(), parts.finished());
@@ -279,20 +246,17 @@ impl Parts {
         let length = file.metadata().map_err(io(path))?.len();
         let mut reader = BufReader::with_capacity(1 << 20, file);
         let mut header = [0; HEADER_BYTES];
-        let invalid = |expected: &str, found: String| Error::Invalid {
-            file: path.to_owned(),
-            place: "header".into(),
-            expected: expected.into(),
-            found,
-        };
+        let invalid =
+            |expected: &str, found: String| Error::invalid(path, "header", expected, found);
         if length < HEADER_BYTES as u64 {
-            return Err(invalid("at least 48 bytes", format!("{length}")));
+            let expected = "at least 48 bytes, as `bake scene --shard` writes them";
+            return Err(invalid(expected, format!("{length} bytes")));
         }
         reader.read_exact(&mut header).map_err(io(path))?;
         let mut fields: &[u8] = &header;
         let magic: [u8; 8] = take(&mut fields).expect("inside the header");
         if magic != MAGIC {
-            return Err(invalid("a parts file", format!("{magic:02x?}")));
+            return Err(invalid("a parts file", first_bytes(&magic)));
         }
         let [version, reserved]: [u32; 2] = take(&mut fields).expect("inside the header");
         if (version, reserved) != (VERSION, 0) {
@@ -465,12 +429,7 @@ impl Parts {
     }
 
     fn invalid(&self, place: &str, expected: impl Display, found: impl Display) -> Error {
-        Error::Invalid {
-            file: self.path.clone(),
-            place: place.to_owned(),
-            expected: expected.to_string(),
-            found: found.to_string(),
-        }
+        Error::invalid(&self.path, place, expected, found)
     }
 }
 
@@ -538,12 +497,7 @@ fn describe(identity: &Identity) -> String {
 fn lock(path: &Path) -> Result<File, Error> {
     /// Another bake may remove the file between opening and locking.
     const TRIES: usize = 8;
-    let refused = |expected: &str, found: &str| Error::Invalid {
-        file: path.to_owned(),
-        place: "lock".into(),
-        expected: expected.into(),
-        found: found.into(),
-    };
+    let refused = |expected: &str, found: &str| Error::invalid(path, "lock", expected, found);
     let running = || {
         refused(
             "no other bake of the same output",
@@ -576,9 +530,13 @@ fn lock(path: &Path) -> Result<File, Error> {
 }
 
 fn io(path: &Path) -> impl FnOnce(std::io::Error) -> Error {
-    |source| Error::Io {
-        file: path.to_owned(),
-        source,
+    |source| {
+        Error::refused(
+            path,
+            "parts file",
+            "one that can be read and written",
+            source,
+        )
     }
 }
 

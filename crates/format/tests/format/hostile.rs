@@ -392,7 +392,7 @@ fn messages_name_place_expectation_and_finding_in_brief() {
     let error = inspect(&bytes, &Limits::default()).unwrap_err();
     assert_eq!(
         error.to_string(),
-        "UnknownVersion in header: expected version 4, found version 9"
+        "header: expected version 4, found version 9 (it was written for another version of the format)"
     );
     let mut scene = full_scene();
     scene.materials[0].name = "é".repeat(1 << 20);

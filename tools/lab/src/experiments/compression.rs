@@ -134,8 +134,7 @@ pub fn run(
     lights: &[SphericalGaussian],
     monitor: Monitor,
 ) -> anyhow::Result<Vec<Row>> {
-    std::fs::create_dir_all(&settings.folder)
-        .with_context(|| settings.folder.display().to_string())?;
+    crate::display::create_folder(&settings.folder)?;
     let mut renderer = Renderer::open(settings.device)?;
     let mut rows = Vec::new();
     for path in &settings.scenes {

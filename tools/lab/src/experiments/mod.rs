@@ -293,7 +293,7 @@ fn markdown(digest: &[Section]) -> String {
 }
 
 fn create(folder: &Path) -> anyhow::Result<()> {
-    std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())
+    Ok(display::create_folder(folder)?)
 }
 
 /// Versions, machine and random numbers.

@@ -5,7 +5,8 @@ use std::f32::consts::PI;
 
 use glam::{Mat3, Vec3};
 use relight_bake::environment::hdr::LatLong;
-use relight_bake::measured::{self, Table};
+use relight_bake::error::Error;
+use relight_bake::measured::Table;
 use relight_bake::scene::load::SceneInput;
 use relight_format::{BakeReport, Representation, Scene, Triangle, VisibilityParameters};
 use relight_shading::gpu;
@@ -51,7 +52,7 @@ pub fn unbaked(input: &SceneInput) -> Scene {
 }
 
 /// The measured tables of an input file, by material.
-pub fn tables(input: &SceneInput) -> Result<Vec<Option<Table>>, measured::Error> {
+pub fn tables(input: &SceneInput) -> Result<Vec<Option<Table>>, Error> {
     let mut tables: Vec<_> = input.mesh.materials.iter().map(|_| None).collect();
     for (material, path) in &input.measured {
         tables[*material] = Some(Table::load(path)?);

@@ -412,11 +412,7 @@ impl<'a> Materials<'a> {
         // Its index is then out of range.
         let none = document_lacks(self.document, texture.source);
         if none && extension(others, BASISU).is_some() {
-            return Err(Error::UnsupportedExtension {
-                file: self.document.file.into(),
-                extension: BASISU.to_owned(),
-                hint: super::conversion(BASISU),
-            });
+            return Err(super::unsupported(self.document.file, place, BASISU));
         }
         Ok(texture.source)
     }

@@ -20,6 +20,7 @@ use serde::Deserialize;
 use self::materials::Materials;
 use super::build::Builder;
 use super::{Error, Options};
+use crate::error::{Objection, first_bytes, of_parser};
 use crate::files::Files;
 use crate::mesh::Mesh;
 
@@ -50,10 +51,7 @@ pub(super) fn import(
     bytes: &[u8],
 ) -> Result<Mesh, Error> {
     let (json, blob) = split_glb(file, bytes)?;
-    let syntax = |error: serde_json::Error| Error::Syntax {
-        file: file.into(),
-        message: error.to_string(),
-    };
+    let syntax = |error: serde_json::Error| of_json(&error, json).in_file(file);
     let header: Header = serde_json::from_slice(json).map_err(syntax)?;
     let AssetHeader {
         version,
@@ -81,11 +79,7 @@ pub(super) fn import(
         .into_iter()
         .find(|name| !known(name))
     {
-        return Err(Error::UnsupportedExtension {
-            file: file.into(),
-            hint: conversion(&extension),
-            extension,
-        });
+        return Err(unsupported(file, "extensionsRequired", &extension));
     }
     let root: Root = serde_json::from_slice(json).map_err(syntax)?;
     let buffers = load_buffers(files, file, &root, blob)?;
@@ -113,17 +107,41 @@ pub(super) fn import(
     builder.finish(&descriptions, &materials.textures)
 }
 
+fn unsupported(file: &Path, place: &str, extension: &str) -> Error {
+    let expected = format!("extensions that are supported{}", conversion(extension));
+    Error::invalid(file, place, expected, extension)
+}
+
 /// How to do without an extension: commands of the glTF-Transform project.
 fn conversion(extension: &str) -> &'static str {
     match extension {
         "KHR_draco_mesh_compression" | "EXT_meshopt_compression" => {
-            "; `gltf-transform copy IN.glb OUT.glb` writes the mesh without compression"
+            " (`gltf-transform copy IN.glb OUT.glb` writes the mesh without compression)"
         }
         materials::BASISU => {
-            "; `gltf-transform ktxdecompress IN.glb OUT.glb` writes its textures as PNG"
+            " (`gltf-transform ktxdecompress IN.glb OUT.glb` writes its textures as PNG)"
         }
         _ => "",
     }
+}
+
+/// What `serde_json` objects to. It says what it expected or what it found, or both.
+fn of_json(error: &serde_json::Error, json: &[u8]) -> Objection {
+    let at = [error.line(), error.column()];
+    let message = error.to_string();
+    let message = (message.rsplit_once(" at line ")).map_or(message.as_str(), |(text, _)| text);
+    let mut objection = of_parser(at, "glTF 2.0", message);
+    if error.is_eof() {
+        objection.found = "the end of the file".into();
+    } else if let Some(expected) = message.strip_prefix("expected ") {
+        let line = json
+            .split(|&byte| byte == b'\n')
+            .nth(at[0].saturating_sub(1));
+        let rest = line.and_then(|line| line.get(at[1].saturating_sub(1)..));
+        objection.found = first_bytes(rest.unwrap_or_default());
+        expected.clone_into(&mut objection.expected);
+    }
+    objection
 }
 
 /// What must be known before the rest can be parsed.
@@ -142,45 +160,59 @@ struct AssetHeader {
     min_version: Option<String>,
 }
 
-/// The JSON chunk and the binary chunk of a `.glb`; a `.gltf` is all JSON.
+/// The JSON chunk and the binary chunk of a `.glb`; a `.gltf` is all JSON, by whatever name.
 fn split_glb<'a>(file: &Path, bytes: &'a [u8]) -> Result<(&'a [u8], Option<&'a [u8]>), Error> {
-    if !bytes.starts_with(b"glTF") {
-        return Ok((bytes, None));
+    const HEADER: &str = "GLB header";
+    const MAGIC: &[u8] = b"glTF";
+    if !bytes.starts_with(MAGIC) {
+        if bytes.trim_ascii_start().starts_with(b"{") {
+            return Ok((bytes, None));
+        }
+        let expected = "\"glTF\" of a .glb or \"{\" of a .gltf";
+        let found = first_bytes(bytes);
+        return Err(Error::invalid(file, "first bytes", expected, found));
     }
     let word = |offset: usize| {
         let word = bytes.get(offset..offset.checked_add(4)?)?;
         Some(u32::from_le_bytes(word.try_into().ok()?))
     };
-    if word(4) != Some(2) {
-        let found = word(4).map_or("the end of the file".into(), |version| version.to_string());
-        return Err(Error::invalid(file, "GLB header", "version 2", found));
+    let (Some(version), Some(length)) = (word(4), word(8)) else {
+        let found = format!("{} bytes", bytes.len());
+        return Err(Error::invalid(file, HEADER, "12 bytes", found));
+    };
+    if version != 2 {
+        let found = format!("version {version}");
+        return Err(Error::invalid(file, HEADER, "version 2", found));
     }
+    let cut_off = bytes.len() < length as usize;
     let chunk = |offset: usize, kind: &[u8; 4]| {
         let length = word(offset)? as usize;
         let start = offset.checked_add(8)?;
         (bytes.get(offset + 4..start)? == kind).then_some(())?;
         bytes.get(start..start.checked_add(length)?)
     };
-    let Some(json) = chunk(12, b"JSON") else {
-        return Err(Error::invalid(
-            file,
-            "GLB, byte 12",
-            "a whole JSON chunk",
-            format_args!("a file of {} bytes without it", bytes.len()),
-        ));
+    let missing = |offset: usize, name: &str| {
+        if cut_off {
+            let expected = format!("{length} bytes, as the header has it");
+            return Error::invalid(file, "GLB", expected, format!("{} bytes", bytes.len()));
+        }
+        let found = match (word(offset), bytes.get(offset + 4..offset + 8)) {
+            (Some(length), Some(kind)) => format!(
+                "{length} bytes of chunk {}, {} bytes before the end of the file",
+                first_bytes(kind),
+                bytes.len() - offset - 8
+            ),
+            _ => "the end of the file".into(),
+        };
+        let place = format!("GLB, byte {offset}");
+        Error::invalid(file, place, format_args!("a whole {name} chunk"), found)
     };
+    let json = chunk(12, b"JSON").ok_or_else(|| missing(12, "JSON"))?;
     let next = 20 + json.len();
     if bytes.len() <= next {
         return Ok((json, None));
     }
-    let Some(blob) = chunk(next, b"BIN\0") else {
-        return Err(Error::invalid(
-            file,
-            format_args!("GLB, byte {next}"),
-            "a whole BIN chunk",
-            format_args!("a file of {} bytes without it", bytes.len()),
-        ));
-    };
+    let blob = chunk(next, b"BIN\0").ok_or_else(|| missing(next, "BIN"))?;
     Ok((json, Some(blob)))
 }
 
@@ -237,7 +269,8 @@ fn resolve(files: &Files, file: &Path, place: &str, uri: &str) -> Result<Vec<u8>
     let decoded = decoded.filter(|path| !path.contains(':') && !path.is_empty());
     let path = decoded.ok_or_else(|| wrong(&format!("{uri:?}")))?;
     let path = file.parent().unwrap_or(Path::new("")).join(&*path);
-    files.read(&path)
+    let bytes = files.read(&path);
+    bytes.map_err(|error| error.referred_to(file, place))
 }
 
 fn decode_base64(text: &str) -> Option<Vec<u8>> {

@@ -79,7 +79,7 @@ fn every_model_of_the_format_is_written_and_read_again() {
 fn what_is_wrong_is_named() {
     let cases = [
         ("", "mesh"),
-        ("mesh = 1", "mesh"),
+        ("mesh = 1", "line 1, column 8: expected path string"),
         ("mesh = 'a'\nmehs = 'b'", "mehs"),
         ("mesh = 'a'\n[transform]\nsize = 1", "size"),
         ("mesh = 'a'\n[transform]\nscale = 0", "transform.scale"),

@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use libtest_mimic::Trial;
 use relight_bake::files::{Access, Files};
 use relight_bake::import;
-use relight_bake::mesh::{Mesh, Vertex, refine, tangent};
+use relight_bake::internals::mesh::{refine, set_mikktspace};
+use relight_bake::mesh::{Mesh, Vertex};
 use relight_bake::scene::load;
 use relight_format::{FieldOfView, Specular, Surface};
 use serde_json::Value;
@@ -232,7 +233,7 @@ const BROKEN: [(&str, &str); 16] = [
     ("tinyobj/line-prim.obj", "no triangle"),
     ("tinyobj/points-prim.obj", "no triangle"),
     ("tinyobj/test-nan.obj", "line 12"),
-    ("tinyobj/no such file.obj", "cannot read"),
+    ("tinyobj/no such file.obj", "expected a readable file"),
 ];
 
 fn broken_files(data: &Path) -> Outcome {
@@ -404,7 +405,7 @@ fn mikktspace(data: &Path) -> Outcome {
             .map(|triangle| triangle.vertices)
             .collect();
         let (mut vertices, mut triangles) = (mesh.vertices.clone(), given.clone());
-        tangent::set_mikktspace(&mut vertices, &mut triangles);
+        set_mikktspace(&mut vertices, &mut triangles);
         let mut agreeing = 0;
         for (old, new) in given.iter().flatten().zip(triangles.iter().flatten()) {
             let (old, new) = (&mesh.vertices[*old as usize], &vertices[*new as usize]);
@@ -428,7 +429,7 @@ fn refined_figures(data: &Path) -> Outcome {
         let mesh = import::mesh(&data.join("meshes").join(file))?;
         let before = open_edges(&mesh);
         let (old_vertices, old_triangles) = (mesh.vertices.len(), mesh.triangles.len());
-        let refined = refine::refine(mesh, max_edge, usize::MAX);
+        let refined = refine(mesh, max_edge, usize::MAX);
         println!(
             "{file}: {old_vertices} to {} vertices, {old_triangles} to {} triangles",
             refined.vertices.len(),

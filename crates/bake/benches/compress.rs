@@ -5,10 +5,10 @@
 mod common;
 
 use nalgebra::DMatrix;
-use relight_bake::compress::{self, Samples, Weighting};
-use relight_bake::ssdf::DistanceTransform;
-use relight_bake::visibility::ray::RayCaster;
-use relight_bake::visibility::{self, Crossings, Directions};
+use relight_bake::internals::DistanceTransform;
+use relight_bake::internals::compress::{self, Samples, Weighting};
+use relight_bake::internals::visibility::RayCaster;
+use relight_bake::internals::visibility::{self, Crossings, Directions};
 
 const RESOLUTION: u32 = 64;
 /// Images of the largest default cluster.

@@ -5,9 +5,9 @@
 
 mod common;
 
-use relight_bake::ssdf::DistanceTransform;
-use relight_bake::visibility::Directions;
-use relight_bake::visibility::contour::{ContourMesh, GROUP};
+use relight_bake::internals::DistanceTransform;
+use relight_bake::internals::visibility::Directions;
+use relight_bake::internals::visibility::{ContourMesh, GROUP};
 
 fn main() {
     let vertices = common::number("--vertices", 100);

@@ -18,9 +18,9 @@ use std::time::Instant;
 use common::Subject;
 use glam::Vec3;
 use rayon::prelude::*;
-use relight_bake::ssdf::DistanceTransform;
-use relight_bake::visibility::contour::{ContourMesh, GROUP};
-use relight_bake::visibility::{self, Bitmap, Directions};
+use relight_bake::internals::DistanceTransform;
+use relight_bake::internals::visibility::{self, Bitmap, Directions};
+use relight_bake::internals::visibility::{ContourMesh, GROUP};
 use serde_json::{Value, json};
 
 const RESOLUTION: u32 = 128;

@@ -86,7 +86,7 @@ pub struct Error {
 
 impl Error {
     /// The system refuses to read a file.
-    pub fn read(file: &Path, source: std::io::Error) -> Self {
+    pub(crate) fn read(file: &Path, source: std::io::Error) -> Self {
         Self::refused(file, "file", "a readable file", source)
     }
 

@@ -156,17 +156,17 @@ impl Files {
     }
 
     /// The bounds.
-    pub fn access(&self) -> &Access {
+    pub(crate) fn access(&self) -> &Access {
         &self.access
     }
 
     /// Most vertices and triangles of a mesh.
-    pub fn max_vertices(&self) -> usize {
+    pub(crate) fn max_vertices(&self) -> usize {
         self.access.max_vertices.min(MAX_VERTICES)
     }
 
     /// Whether this is one of the files that were read; gives its path as it was read.
-    pub fn find(&self, identity: &Identity) -> Option<PathBuf> {
+    pub(crate) fn find(&self, identity: &Identity) -> Option<PathBuf> {
         let read = self.read.borrow();
         let found = read.files.iter().find(|(_, known)| known == identity);
         found.map(|(path, _)| path.clone())
@@ -200,12 +200,12 @@ impl Files {
     }
 
     /// Whether [`Files::read`] would find a file.
-    pub fn exists(&self, path: &Path) -> bool {
+    pub(crate) fn exists(&self, path: &Path) -> bool {
         self.memory.contains_key(path) || self.open(path).is_ok()
     }
 
     /// Opens a file that an input names, as [`Files::read`] does.
-    pub fn open(&self, path: &Path) -> Result<File, Error> {
+    pub(crate) fn open(&self, path: &Path) -> Result<File, Error> {
         let Some((root, root_path)) = &self.root else {
             return Err(Error::read(path, ErrorKind::NotFound.into()));
         };
@@ -308,7 +308,7 @@ fn no_root(root: &Path, source: std::io::Error) -> Error {
 const NEVER_WAIT: i32 = rustix::fs::OFlags::NONBLOCK.bits() as i32;
 
 /// Opens a file that the command line names, if it is a regular one. Links are followed.
-pub fn open_named(path: &Path) -> Result<File, Error> {
+pub(crate) fn open_named(path: &Path) -> Result<File, Error> {
     let failed = |source| Error::read(path, source);
     if !std::fs::metadata(path).map_err(failed)?.is_file() {
         return Err(irregular(path));
@@ -418,7 +418,7 @@ pub fn check_output_among(path: &Path, inputs: &[PathBuf]) -> Result<(), OutputE
 }
 
 /// Whether an open file is the one that a path leads to.
-pub fn is_at(file: &File, path: &Path) -> bool {
+pub(crate) fn is_at(file: &File, path: &Path) -> bool {
     let identity = |metadata: std::io::Result<Metadata>| Some(Identity::of(path, &metadata.ok()?));
     let there = identity(std::fs::symlink_metadata(path));
     there.is_some() && identity(file.metadata()) == there

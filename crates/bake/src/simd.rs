@@ -2,7 +2,7 @@
 //!
 //! Every processor gives the same bytes: sums are formed in one order whatever the width,
 //! and a product that is added is either always fused ([`pulp::Simd::mul_add_f32s`],
-//! `f32::mul_add`) or never. Products of matrices that fill registers go through [`product`],
+//! `f32::mul_add`) or never. Products of matrices that fill registers go through `product`,
 //! as those of `nalgebra` round as the processor's widest instructions do.
 //!
 //! `RELIGHT_SIMD` chooses other instructions than the widest there are, for tests: `plain`,
@@ -17,7 +17,7 @@ use pulp::{Arch, Simd, WithSimd};
 pub const VARIABLE: &str = "RELIGHT_SIMD";
 
 /// What this process uses.
-pub fn arch() -> Arch {
+pub(crate) fn arch() -> Arch {
     static ARCH: OnceLock<Arch> = OnceLock::new();
     *ARCH.get_or_init(|| chosen().unwrap_or_default())
 }
@@ -44,7 +44,7 @@ pub fn by_name(name: &str) -> Option<Arch> {
     }
 }
 
-/// Numbers of [`product`].
+/// Numbers of `product`.
 pub trait Number: nalgebra::Scalar + Copy + num::Number {}
 impl Number for f32 {}
 impl Number for f64 {}
@@ -55,7 +55,7 @@ impl Number for f64 {}
 /// # Panics
 ///
 /// If the columns of the first are not as many as the rows of the second.
-pub fn product<T: Number>(a: &DMatrix<T>, b: &DMatrix<T>) -> DMatrix<T> {
+pub(crate) fn product<T: Number>(a: &DMatrix<T>, b: &DMatrix<T>) -> DMatrix<T> {
     product_by(arch(), a, b)
 }
 

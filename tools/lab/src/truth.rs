@@ -21,7 +21,7 @@ use std::sync::Arc;
 
 use glam::Vec3;
 use rayon::prelude::*;
-use relight_bake::visibility::ray::RayCaster;
+use relight_bake::internals::visibility::RayCaster;
 use relight_format::Scene;
 use relight_shading::camera::View;
 use relight_shading::surface::{SurfacePoint, emission, surface_seen};

@@ -6,11 +6,12 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use glam::Vec3;
-use relight_bake::compress::Normal;
-use relight_bake::visibility::contour::GROUP;
-use relight_bake::visibility::places::Places;
-use relight_bake::visibility::ray::RayCaster;
-use relight_bake::{import, visibility};
+use relight_bake::import;
+use relight_bake::internals::compress::Normal;
+use relight_bake::internals::visibility;
+use relight_bake::internals::visibility::GROUP;
+use relight_bake::internals::visibility::Places;
+use relight_bake::internals::visibility::RayCaster;
 
 /// Meshes that are measured unless others are named, below the data folder.
 const MESHES: [&str; 5] = [

@@ -35,7 +35,7 @@ pub struct Compressed {
     pub basis: Vec<i8>,
     /// Sum over vertices of the squares of what stored minus exact distances cost, radians²:
     /// a wall whose edge is off by an angle costs its square.
-    pub squared_error: f64,
+    pub(crate) squared_error: f64,
 }
 
 impl Compressed {
@@ -48,7 +48,7 @@ impl Compressed {
 
     /// The same of vertices in another order, in which some may come several times.
     #[must_use]
-    pub fn reordered(self, order: &[usize]) -> Self {
+    pub(crate) fn reordered(self, order: &[usize]) -> Self {
         let channels = self.tiles as usize * CHANNELS_PER_TILE;
         let rows = order
             .iter()
@@ -60,7 +60,7 @@ impl Compressed {
     }
 
     /// The stored SSDF of a vertex, radians, at every texel.
-    pub fn decode(&self, vertex: usize) -> Vec<f32> {
+    pub(crate) fn decode(&self, vertex: usize) -> Vec<f32> {
         let channels = self.tiles as usize * CHANNELS_PER_TILE;
         let coefficients = &self.coefficients[vertex * channels..][..channels];
         decode(coefficients, &self.basis, self.coefficient_scale)
@@ -69,7 +69,7 @@ impl Compressed {
 
 /// Σ of coefficients times images, radians per texel; as many tiles of images as there are
 /// coefficients for.
-pub fn decode(coefficients: &[i16], basis: &[i8], coefficient_scale: f32) -> Vec<f32> {
+pub(crate) fn decode(coefficients: &[i16], basis: &[i8], coefficient_scale: f32) -> Vec<f32> {
     let coefficients = coefficients.chunks_exact(CHANNELS_PER_TILE);
     let tile_bytes = basis.len() / coefficients.len();
     let mut ssdf = vec![0.0; tile_bytes / CHANNELS_PER_TILE];
@@ -85,7 +85,7 @@ pub fn decode(coefficients: &[i16], basis: &[i8], coefficient_scale: f32) -> Vec
 }
 
 /// Quantises images and fits coefficients to them. Rounding takes its part of `max_error`,
-/// the root mean square that [`Compressed::error`] may have, radians.
+/// the root mean square that `Compressed::error` may have, radians.
 pub fn encode(fitted: &Fitted, images: &Images, max_error: f32) -> Compressed {
     let Samples { ssdfs, weights } = fitted.samples;
     let (texels, vertices) = ssdfs.shape();

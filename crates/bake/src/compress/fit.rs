@@ -99,7 +99,7 @@ pub fn reweight(
 /// Alternating least squares from coefficients, which takes the error to a fraction of that
 /// of principal components in a few rounds: of images, then, before the next round, of
 /// coefficients.
-pub fn alternate(
+pub(crate) fn alternate(
     fitted: &Fitted,
     mut coefficients: DMatrix<f32>,
     rounds: usize,

@@ -14,10 +14,12 @@ mod error;
 mod fit;
 mod samples;
 
-pub use encode::{Compressed, decode, encode};
+pub use encode::encode;
+pub(crate) use encode::{Compressed, decode};
 pub use error::{Normal, Weighting};
-pub use fit::{FittedBasis, Images, alternate, analyse, reweight};
-pub use samples::{Fitted, Samples};
+pub(crate) use fit::alternate;
+pub use fit::{analyse, reweight};
+pub use samples::Samples;
 
 #[cfg(test)]
 mod tests {
@@ -106,7 +108,7 @@ mod tests {
         let ssdfs = drifting_caps(60);
         for channels in [2, 4] {
             let basis = analyse(&ssdfs, channels - 1);
-            let error = |images: &Images| {
+            let error = |images: &fit::Images| {
                 let compressed = encode(&ssdfs.fitted(), images, 1e-4);
                 compressed.error()
             };

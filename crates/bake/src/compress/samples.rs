@@ -47,7 +47,7 @@ impl Samples {
 
     /// Those of some vertices.
     #[must_use]
-    pub fn select(&self, columns: &[usize]) -> Self {
+    pub(crate) fn select(&self, columns: &[usize]) -> Self {
         Self {
             ssdfs: self.ssdfs.select_columns(columns),
             weights: self.weights.select_columns(columns),
@@ -57,7 +57,7 @@ impl Samples {
     /// One texel of four, which stands for them all: enough to tell what compression would
     /// give.
     #[must_use]
-    pub fn thinned(&self) -> Self {
+    pub(crate) fn thinned(&self) -> Self {
         let side = self.ssdfs.nrows().isqrt();
         let step = THINNED.min(side);
         let texels: Vec<usize> = (0..side * side)

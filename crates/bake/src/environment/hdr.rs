@@ -506,7 +506,7 @@ impl LatLong {
     }
 
     /// Direction of a pixel's centre; unit.
-    pub fn direction(&self, column: u32, row: u32) -> Vec3 {
+    pub(crate) fn direction(&self, column: u32, row: u32) -> Vec3 {
         Self::direction_at(
             (column as f64 + 0.5) / self.width as f64,
             (row as f64 + 0.5) / self.height as f64,
@@ -523,7 +523,7 @@ impl LatLong {
     }
 
     /// The pixel at a column and row.
-    pub fn pixel(&self, column: u32, row: u32) -> Vec3 {
+    pub(crate) fn pixel(&self, column: u32, row: u32) -> Vec3 {
         self.pixels[row as usize * self.width as usize + column as usize].into()
     }
 

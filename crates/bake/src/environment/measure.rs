@@ -128,7 +128,7 @@ fn render_source(source: &Source, texels: &[[f32; 3]], image: &mut LatLong) {
 
 /// Solid-angle-weighted ‖fit − image‖₂ / ‖image‖₂ over all channels, at the image's own
 /// pixel centres; 0 for no lobes and a black image.
-pub fn relative_l2(image: &LatLong, lobes: &[Lobe]) -> f32 {
+pub(crate) fn relative_l2(image: &LatLong, lobes: &[Lobe]) -> f32 {
     let fit = render(lobes, image.width, image.height);
     let (mut error, mut power) = (0.0, 0.0);
     let width = image.width as usize;
@@ -152,7 +152,7 @@ pub fn relative_l2(image: &LatLong, lobes: &[Lobe]) -> f32 {
 
 /// Per channel (energy of lobes − energy of image) / energy of image, the lobes' energy in
 /// closed form; 0 where the image has none.
-pub fn energy_error(image: &LatLong, lobes: &[Lobe]) -> [f32; 3] {
+pub(crate) fn energy_error(image: &LatLong, lobes: &[Lobe]) -> [f32; 3] {
     let power = image.total_power();
     std::array::from_fn(|channel| {
         let fit: f64 = lobes
@@ -169,7 +169,7 @@ pub fn energy_error(image: &LatLong, lobes: &[Lobe]) -> [f32; 3] {
 
 /// Relative root mean square error of irradiance over 1,000 even directions and all
 /// channels; 0 for a black image.
-pub fn irradiance_error(image: &LatLong, lobes: &[Lobe]) -> f32 {
+pub(crate) fn irradiance_error(image: &LatLong, lobes: &[Lobe]) -> f32 {
     const DIRECTIONS: usize = 1000;
     // Irradiance is so smooth that cells of a degree and a half are exact to 1e-4.
     let level = Level::from_image(image, 128);

@@ -26,8 +26,9 @@ use crate::error::Objection;
 use crate::monitor::{Interrupted, Monitor};
 use hdr::LatLong;
 use lobe::Shape;
-pub use measure::{energy_error, irradiance_error, relative_l2, render, render_all};
-pub use prefilter::prefilter;
+pub(crate) use measure::{energy_error, irradiance_error, relative_l2};
+pub use measure::{render, render_all};
+use prefilter::prefilter;
 use solve::{Fit, GLOSS_WEIGHT, Problem, Resolution};
 
 /// Most lobes that can be asked for: the time grows with the cube.
@@ -78,7 +79,7 @@ pub struct Rung {
     pub relative_l2: f32,
     /// As in [`EnvironmentReport`].
     pub energy_error: [f32; 3],
-    /// See [`irradiance_error`].
+    /// See `irradiance_error`.
     pub irradiance_error: f32,
 }
 

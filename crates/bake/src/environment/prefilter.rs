@@ -20,7 +20,7 @@ const CELLS_PER_WIDTH: f64 = 4.0;
 const LEAST_VARIANCE: f64 = 0.3;
 
 /// Prefilters an image. The sharpest level has no more texels than the image has pixels.
-pub fn prefilter(image: &LatLong) -> Prefiltered {
+pub(crate) fn prefilter(image: &LatLong) -> Prefiltered {
     let pixels = f64::from(image.width) * f64::from(image.height);
     let levels = ((0.5 * math::log2(pixels)) as u32).clamp(1, MAX_LEVELS);
     let mut cells = Level::from_image(image, image.height as usize);

@@ -51,7 +51,7 @@ pub struct Split {
 }
 
 /// Takes the sources out of an image, at most `most`; there may be none.
-pub fn split(image: &LatLong, most: usize) -> Split {
+pub(crate) fn split(image: &LatLong, most: usize) -> Split {
     let mut split = Split {
         sources: Vec::new(),
         texels: Vec::new(),

@@ -19,11 +19,11 @@ pub(super) struct Part {
     /// Index into the materials given to [`Builder::finish`].
     pub material: usize,
     pub tangents: Tangents,
-    pub double_sided: bool,
+    pub(crate) double_sided: bool,
     /// What the material's alpha cuts away.
     pub cutout: Option<Cutout>,
     /// Whether colours of vertices can be shown: by a texture, in place of the material's.
-    pub takes_colors: bool,
+    pub(crate) takes_colors: bool,
 }
 
 /// A part that waits for the size of the mesh and for its textures.
@@ -84,7 +84,7 @@ pub(super) struct Builder<'a> {
 }
 
 impl<'a> Builder<'a> {
-    pub fn new(file: &'a Path, options: &'a Options, max_vertices: usize) -> Self {
+    pub(super) fn new(file: &'a Path, options: &'a Options, max_vertices: usize) -> Self {
         Self {
             file,
             options,
@@ -104,7 +104,7 @@ impl<'a> Builder<'a> {
     }
 
     /// Adds a warning unless the same was given before.
-    pub fn warn(&mut self, warning: String) {
+    pub(super) fn warn(&mut self, warning: String) {
         if !self.warnings.contains(&warning) {
             self.warnings.push(warning);
         }
@@ -112,7 +112,7 @@ impl<'a> Builder<'a> {
 
     /// Cleans, completes and appends a part. Its indices must be in range and its numbers
     /// finite.
-    pub fn push(&mut self, mut part: Part) -> Result<(), Error> {
+    pub(super) fn push(&mut self, mut part: Part) -> Result<(), Error> {
         self.parts += 1;
         let positions = part.vertices.iter().map(|vertex| vertex.position);
         if let Some(position) = mesh::distant_position(positions) {
@@ -402,7 +402,11 @@ impl<'a> Builder<'a> {
     }
 
     /// The mesh, with the materials and textures that it uses.
-    pub fn finish(mut self, materials: &[Material], textures: &[Texture]) -> Result<Mesh, Error> {
+    pub(super) fn finish(
+        mut self,
+        materials: &[Material],
+        textures: &[Texture],
+    ) -> Result<Mesh, Error> {
         for name in self.options.cutoffs.keys() {
             if materials.iter().all(|material| material.name != *name) {
                 let names: Vec<_> = materials.iter().map(|m| format!("{:?}", m.name)).collect();

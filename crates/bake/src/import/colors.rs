@@ -57,7 +57,7 @@ pub(super) struct Palette {
 impl Palette {
     /// Gives vertices of these colours their places, in texels; copies those that triangles need
     /// at several. `None`, with nothing changed, if the texture has no room.
-    pub fn paint(
+    pub(super) fn paint(
         &mut self,
         vertices: &mut Vec<Vertex>,
         triangles: &mut [[u32; 3]],
@@ -125,12 +125,12 @@ impl Palette {
         Vec2::new((number % COLUMNS) as f32, (number / COLUMNS) as f32) * 2.0
     }
 
-    pub fn is_empty(&self) -> bool {
+    pub(super) fn is_empty(&self) -> bool {
         self.cells.is_empty()
     }
 
     /// The texture. Its sides are those that places are to be divided by.
-    pub fn texture(&self) -> Texture {
+    pub(super) fn texture(&self) -> Texture {
         let rows = (self.cells.len() as u32).div_ceil(COLUMNS).max(1);
         let (width, height) = (2 * COLUMNS, 2 * rows);
         let mut texels = vec![u8::MAX; (width * height * 4) as usize];

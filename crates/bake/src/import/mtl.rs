@@ -21,19 +21,19 @@ pub(super) struct MtlMaterial {
     /// `Pm`.
     pub metallic: Option<f32>,
     /// `illum`.
-    pub illumination: Option<u32>,
+    pub(crate) illumination: Option<u32>,
     /// `map_Kd`.
-    pub diffuse_map: Option<Map>,
+    pub(crate) diffuse_map: Option<Map>,
     /// `norm`.
-    pub normal_map: Option<Map>,
+    pub(crate) normal_map: Option<Map>,
     /// `map_bump` or `bump`: a height map, or often a normal map.
-    pub bump_map: Option<Map>,
+    pub(crate) bump_map: Option<Map>,
     /// `d`, or 1 less `Tr`.
     pub opacity: Option<f32>,
     /// `map_d`: opacity.
-    pub opacity_map: Option<Map>,
+    pub(crate) opacity_map: Option<Map>,
     /// Keys of maps that are left out.
-    pub ignored_maps: Vec<String>,
+    pub(crate) ignored_maps: Vec<String>,
 }
 
 /// A texture reference.

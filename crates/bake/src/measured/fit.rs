@@ -74,7 +74,7 @@ impl Fit {
     }
 
     /// As what the reference models evaluate.
-    pub fn appearance(&self) -> Appearance<'static> {
+    pub(crate) fn appearance(&self) -> Appearance<'static> {
         let reflections: Vec<_> = self.lobes.iter().map(fitted_reflection).collect();
         Appearance::new(Vec3::from(self.diffuse), &reflections)
     }
@@ -176,7 +176,7 @@ impl<'a> Measure<'a> {
 pub struct Corrected {
     /// The lobes.
     pub fit: Fit,
-    /// The ratio between the table and them, [`ratio::texture`].
+    /// The ratio between the table and them, `ratio::texture`.
     pub ratio: Texture,
     /// Relative L2 error of both together, cosine included.
     pub relative_l2: f64,

@@ -29,7 +29,7 @@ pub struct Merl {
 
 impl Merl {
     /// Decodes the bytes of a `.binary` file, which are not trusted.
-    pub fn parse(bytes: &[u8]) -> Result<Self, Objection> {
+    pub(crate) fn parse(bytes: &[u8]) -> Result<Self, Objection> {
         let length = HEADER + 3 * ENTRIES * 8;
         let expected =
             "\"tensor_file\" of a .bsdf, the numbers 90, 90, 180 of a .binary, or the ending .toml";
@@ -79,7 +79,7 @@ impl Merl {
     /// BRDF in 1/sr (linear Rec.709, cosine not included) for unit vectors towards the
     /// light and the eye; zero where either is below the surface. The nearest entry, as in
     /// the database's own code.
-    pub fn evaluate(&self, light: Vec3, view: Vec3) -> Vec3 {
+    pub(crate) fn evaluate(&self, light: Vec3, view: Vec3) -> Vec3 {
         if light.z <= 0.0 || view.z <= 0.0 {
             return Vec3::ZERO;
         }

@@ -23,7 +23,7 @@ const MOST: f32 = 1e4;
 const LEAST: f32 = 1e-9;
 
 /// The ratio as a texture, for a base of `appearance`'s albedo and its reflections.
-pub fn texture(table: &Table, appearance: &Appearance) -> Texture {
+pub(crate) fn texture(table: &Table, appearance: &Appearance) -> Texture {
     let [width, rows, planes] = RATIO_NODES;
     let base = appearance.diffuse * std::f32::consts::FRAC_1_PI;
     let mut ratios: Vec<Option<Vec3>> = (0..width * rows * planes)

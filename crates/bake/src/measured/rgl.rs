@@ -64,7 +64,7 @@ impl Rgl {
     }
 
     /// Decodes the bytes of a `.bsdf` file, which are not trusted.
-    pub fn parse(bytes: &[u8]) -> Result<Self, Objection> {
+    pub(crate) fn parse(bytes: &[u8]) -> Result<Self, Objection> {
         let fields = fields(bytes)?;
         if fields.contains_key("wavelengths") {
             return Err(Objection::new(
@@ -145,7 +145,7 @@ impl Rgl {
     /// BRDF in 1/sr (linear Rec.709, cosine not included) for unit vectors towards the
     /// light and the eye; zero where either is below the surface. Measurements may be
     /// slightly negative.
-    pub fn evaluate(&self, light: Vec3, view: Vec3) -> Vec3 {
+    pub(crate) fn evaluate(&self, light: Vec3, view: Vec3) -> Vec3 {
         if light.z <= 0.0 || view.z <= 0.0 {
             return Vec3::ZERO;
         }
@@ -159,7 +159,7 @@ impl Rgl {
         Vec3::from(reflectance) * self.scale(&lookup, view) / light.z
     }
 
-    /// A direction towards the light, distributed as [`Self::pdf`], from two uniform
+    /// A direction towards the light, distributed as `Self::pdf`, from two uniform
     /// numbers in [0, 1); `None` where the half vector reflects below the surface.
     pub fn sample(&self, view: Vec3, uniform: Vec2) -> Option<Vec3> {
         if view.z <= 0.0 {
@@ -180,7 +180,7 @@ impl Rgl {
     }
 
     /// Density of [`Self::sample`] in 1/sr.
-    pub fn pdf(&self, light: Vec3, view: Vec3) -> f32 {
+    pub(crate) fn pdf(&self, light: Vec3, view: Vec3) -> f32 {
         if light.z <= 0.0 || view.z <= 0.0 {
             return 0.0;
         }

@@ -14,7 +14,11 @@ const SCATTERED: f32 = 1.03;
 /// Vertices of similar normals see more alike. But on bumpy surfaces groups of similar normals
 /// are scattered: each has neighbours of another everywhere, whose vertices both store. There
 /// place alone counts.
-pub fn partition(positions: &[Vec3], triangles: &[[u32; 3]], max_vertices: usize) -> Vec<Vec<u32>> {
+pub(crate) fn partition(
+    positions: &[Vec3],
+    triangles: &[[u32; 3]],
+    max_vertices: usize,
+) -> Vec<Vec<u32>> {
     let with = |normal_weight: f32| {
         let features = features(positions, triangles, normal_weight);
         let mut groups = Vec::new();
@@ -98,7 +102,7 @@ fn widest_axis(group: &[u32], features: &[Feature]) -> usize {
 }
 
 /// The vertices that the triangles use, ascending.
-pub fn vertices_of(group: &[u32], triangles: &[[u32; 3]]) -> Vec<u32> {
+pub(crate) fn vertices_of(group: &[u32], triangles: &[[u32; 3]]) -> Vec<u32> {
     let mut vertices: Vec<u32> = group
         .iter()
         .flat_map(|&triangle| triangles[triangle as usize])

@@ -1,17 +1,17 @@
 //! The triangles between import and sampling: tangents, an optional ground, vertices where
 //! shadows need them, and the clusters that visibility is compressed by.
 
-pub mod cluster;
+pub(crate) mod cluster;
 pub mod ground;
-pub mod orient;
-pub mod refine;
-pub mod tangent;
+pub(crate) mod orient;
+pub(crate) mod refine;
+pub(crate) mod tangent;
 
 use glam::{Vec2, Vec3};
 use relight_format as format;
 
 /// Largest absolute coordinate, so that products of three coordinates fit an f32.
-pub const MAX_COORDINATE: f32 = 1e12;
+pub(crate) const MAX_COORDINATE: f32 = 1e12;
 
 /// A vertex with its frame.
 #[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
@@ -77,7 +77,7 @@ impl Mesh {
     }
 
     /// Corners of a triangle, metres.
-    pub fn corners(&self, triangle: &Triangle) -> [Vec3; 3] {
+    pub(crate) fn corners(&self, triangle: &Triangle) -> [Vec3; 3] {
         (triangle.vertices).map(|vertex| self.vertices[vertex as usize].position)
     }
 

@@ -58,7 +58,7 @@ impl Piece {
 
 /// Turns pieces about that would be black: closed ones whose fronts look inwards, if nothing lies in
 /// them that could be seen there, and those that wind against their own normals. Returns warnings.
-pub fn mend(mesh: &mut Mesh) -> Vec<String> {
+pub(crate) fn mend(mesh: &mut Mesh) -> Vec<String> {
     let (of, pieces) = pieces(mesh);
     let mut turn: Vec<bool> = pieces.iter().map(Piece::winds_against_normals).collect();
     let against = turn.iter().filter(|turn| **turn).count();
@@ -142,7 +142,7 @@ pub fn mend(mesh: &mut Mesh) -> Vec<String> {
 }
 
 /// Whether a triangle's corners run clockwise as all of its normals see them.
-pub fn winds_against_normals(mesh: &Mesh, triangle: &Triangle) -> bool {
+pub(crate) fn winds_against_normals(mesh: &Mesh, triangle: &Triangle) -> bool {
     let [a, b, c] = mesh.corners(triangle).map(Vec3::as_dvec3);
     let face = (b - a).cross(c - a);
     let away = |vertex: u32| face.dot(mesh.vertices[vertex as usize].normal.as_dvec3()) < 0.0;

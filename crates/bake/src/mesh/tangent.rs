@@ -9,27 +9,19 @@ use glam::Vec3;
 use super::Vertex;
 
 /// The part of `tangent` orthogonal to the unit `normal`, normalised; `None` if there is none.
-pub fn orthogonal(normal: Vec3, tangent: Vec3) -> Option<Vec3> {
+pub(crate) fn orthogonal(normal: Vec3, tangent: Vec3) -> Option<Vec3> {
     (tangent - normal * normal.dot(tangent)).try_normalize()
 }
 
 /// A tangent that runs around the vertical axis, as the grooves of a turned part do; smooth
 /// everywhere except at the poles.
-pub fn around_axis(normal: Vec3) -> Vec3 {
+pub(crate) fn around_axis(normal: Vec3) -> Vec3 {
     let around = Vec3::Y.cross(normal).try_normalize().unwrap_or(Vec3::X);
     orthogonal(normal, around).unwrap_or_else(|| normal.any_orthonormal_vector())
 }
 
-/// Sets every tangent to [`around_axis`].
-pub fn set_around_axis(vertices: &mut [Vertex]) {
-    for vertex in vertices {
-        vertex.tangent = around_axis(vertex.normal);
-        vertex.bitangent_sign = 1.0;
-    }
-}
-
 /// Sets every tangent to the area-weighted mean of ∂p/∂u over the vertex's triangles.
-pub fn set_from_uv(vertices: &mut [Vertex], triangles: &[[u32; 3]]) {
+pub(crate) fn set_from_uv(vertices: &mut [Vertex], triangles: &[[u32; 3]]) {
     let mut along_u = vec![Vec3::ZERO; vertices.len()];
     let mut against_v = vec![Vec3::ZERO; vertices.len()];
     for triangle in triangles {
@@ -204,7 +196,9 @@ mod tests {
         let around = Vec3::new(2.0, 0.0, -1.0).normalize();
         for method in 0..3 {
             match method {
-                0 => set_around_axis(&mut vertices),
+                0 => vertices
+                    .iter_mut()
+                    .for_each(|vertex| vertex.tangent = around_axis(vertex.normal)),
                 1 => set_from_uv(&mut vertices, &triangles),
                 _ => set_mikktspace(&mut vertices, &mut triangles),
             }

@@ -1,4 +1,4 @@
 //! Pictures and plots for reports.
 
 pub(crate) mod picture;
-pub mod plot;
+pub(crate) mod plot;

@@ -79,9 +79,9 @@ pub struct Transform {
     /// Uniform scale, greater than 0. Default 1.
     pub scale: f32,
     /// Rotation axis, not zero. Default +Y.
-    pub rotation_axis: [f32; 3],
+    pub(crate) rotation_axis: [f32; 3],
     /// Rotation about the axis, degrees counter-clockwise seen from its tip. Default 0.
-    pub rotation_degrees: f32,
+    pub(crate) rotation_degrees: f32,
     /// Translation, metres. Default zero.
     pub translation: [f32; 3],
 }
@@ -109,7 +109,7 @@ pub enum Color {
 
 impl Color {
     /// The three channels.
-    pub fn rgb(self) -> [f32; 3] {
+    pub(crate) fn rgb(self) -> [f32; 3] {
         match self {
             Self::Grey(value) => [value; 3],
             Self::Rgb(rgb) => rgb,
@@ -471,7 +471,7 @@ pub fn parse_toml<T: serde::de::DeserializeOwned>(
 }
 
 /// Parses and checks the bytes of a file of one material, written as under `[materials]`.
-pub fn parse_material(path: &Path, bytes: &[u8]) -> Result<MaterialOverride, Error> {
+pub(crate) fn parse_material(path: &Path, bytes: &[u8]) -> Result<MaterialOverride, Error> {
     let material = parse_toml(path, bytes, "a material as in SCENE.md")?;
     Checker { path }.material("material", &material)?;
     Ok(material)

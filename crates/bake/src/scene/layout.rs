@@ -15,7 +15,7 @@ const UV_STEP: f32 = 1.0 / (1 << 16) as f32;
 
 /// A vertex as stored. Positions stay as they are: rounded to 2⁻¹⁸ of the diagonal, which saves
 /// two bytes in a hundred, they no longer lie in the planes that rays were cast against.
-pub fn rounded(vertex: format::Vertex) -> format::Vertex {
+pub(super) fn rounded(vertex: format::Vertex) -> format::Vertex {
     // Plus zero, for −0 is not a multiple like others.
     let round = |number: f32, step: f32| (number / step).round() * step + 0.0;
     format::Vertex {
@@ -28,7 +28,7 @@ pub fn rounded(vertex: format::Vertex) -> format::Vertex {
 
 /// Orders triangles and vertices. Returns triangles, with their corners renumbered, and the
 /// former number of every vertex.
-pub fn walk(
+pub(super) fn walk(
     triangles: &[format::Triangle],
     vertices: usize,
 ) -> (Vec<format::Triangle>, Vec<usize>) {

@@ -29,3 +29,5 @@ pub use error::Error;
 pub use options::{Options, PAPER};
 pub use statistics::Statistics;
 pub use surface::ErrorSums;
+
+pub use crate::transfer::Options as TransferOptions;

@@ -41,10 +41,10 @@ pub struct Options {
     pub max_edge: f32,
     /// Where the mesh is finer than this, as a fraction of the same diagonal, visibility and bounced light
     /// are found at places so far apart, and interpolated at those between
-    /// ([`crate::visibility::sparse`]). 0: they are found everywhere.
+    /// (`crate::visibility::sparse`). 0: they are found everywhere.
     pub sample_spacing: f32,
     /// Edges are cut further where interpolated visibility is off by more than this, radians
-    /// ([`crate::mesh::refine::Bound::error`], at a length of 0.02 of the diagonal); infinite
+    /// (`crate::mesh::refine::Bound::error`, at a length of 0.02 of the diagonal); infinite
     /// for nowhere. A scene file may set its own.
     pub refine_error: f32,
     /// Refinement stops here.

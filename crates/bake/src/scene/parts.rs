@@ -226,7 +226,7 @@ impl Parts {
     /// # Errors
     ///
     /// A chunk or the head is missing, or damaged.
-    pub fn open(path: &Path) -> Result<Self, Error> {
+    pub(crate) fn open(path: &Path) -> Result<Self, Error> {
         let file = files::open_named(path)?;
         let parts = Self::scan(path, file)?;
         let length = (parts.file.metadata()).map_err(io(path))?.len();

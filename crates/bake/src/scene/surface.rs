@@ -87,7 +87,7 @@ impl ErrorSums {
     }
 
     /// Adds another set's sums.
-    pub fn add(&mut self, other: &Self) {
+    pub(crate) fn add(&mut self, other: &Self) {
         self.surface += other.surface;
         self.interpolation += other.interpolation;
         self.resolution += other.resolution;
@@ -97,7 +97,7 @@ impl ErrorSums {
     }
 
     /// Root mean squares.
-    pub fn errors(&self) -> VisibilityErrors {
+    pub(crate) fn errors(&self) -> VisibilityErrors {
         let mean = |sum: f64, count: f64| (sum / count.max(f64::MIN_POSITIVE)).sqrt() as f32;
         VisibilityErrors {
             surface: mean(self.surface, self.area),

@@ -36,7 +36,7 @@ const CHUNK: usize = 8;
 /// Chunks that are chosen from at once.
 const WORD: usize = u64::BITS as usize;
 /// Most samples per texel and side.
-pub const MAX_SPAN: u32 = 16;
+pub(crate) const MAX_SPAN: u32 = 16;
 /// A coordinate of points that are nearest to nothing.
 const FAR: f32 = 1e3;
 /// Projections onto every point's equation, and how far each goes. More sweeps gain 3 % each
@@ -125,7 +125,7 @@ struct Boundary {
 impl DistanceTransform {
     /// Tables from bitmaps of the resolution of `samples` to distances at `resolution`
     /// squared texels. `resolution` must divide that of the samples, and be at least a
-    /// [`MAX_SPAN`]th of it.
+    /// `MAX_SPAN`th of it.
     pub fn new(samples: &Directions, resolution: u32) -> Self {
         let n = samples.resolution();
         assert!(
@@ -156,7 +156,12 @@ impl DistanceTransform {
     }
 
     /// Mean square of what distances are where they should vanish, interpolated: radians².
-    pub fn squared_error(&self, visible: &Bitmap, crossings: &Crossings, distances: &[f32]) -> f32 {
+    pub(crate) fn squared_error(
+        &self,
+        visible: &Bitmap,
+        crossings: &Crossings,
+        distances: &[f32],
+    ) -> f32 {
         let places = self.places(visible, crossings);
         let squares = places
             .iter()

@@ -33,7 +33,7 @@ pub(crate) struct Sampler {
 
 impl Sampler {
     /// For visibility of `samples` and SSDFs of `resolution` texels per side.
-    pub fn new(samples: u32, resolution: u32, clamp: f32) -> Self {
+    pub(crate) fn new(samples: u32, resolution: u32, clamp: f32) -> Self {
         let directions = Directions::new(samples);
         Self {
             transform: DistanceTransform::new(&directions, resolution),
@@ -46,28 +46,28 @@ impl Sampler {
     }
 
     /// Of the bitmaps' texels.
-    pub fn directions(&self) -> &Directions {
+    pub(crate) fn directions(&self) -> &Directions {
         &self.directions
     }
 
     /// From bitmaps to SSDFs.
-    pub fn transform(&self) -> &DistanceTransform {
+    pub(crate) fn transform(&self) -> &DistanceTransform {
         &self.transform
     }
 
     /// Rays cast.
-    pub fn rays(&self) -> u64 {
+    pub(crate) fn rays(&self) -> u64 {
         self.rays.load(Ordering::Relaxed)
     }
 
     /// Processor time of visibility and of its transform.
-    pub fn times(&self) -> [Duration; 2] {
+    pub(crate) fn times(&self) -> [Duration; 2] {
         [&self.visibility_nanoseconds, &self.ssdf_nanoseconds]
             .map(|counter| Duration::from_nanos(counter.load(Ordering::Relaxed)))
     }
 
     /// Forgets rays and times.
-    pub fn reset(&mut self) {
+    pub(crate) fn reset(&mut self) {
         self.rays = AtomicU64::default();
         self.visibility_nanoseconds = AtomicU64::default();
         self.ssdf_nanoseconds = AtomicU64::default();
@@ -76,7 +76,7 @@ impl Sampler {
     /// Samples points, those close together one after the other, and hands over for each what
     /// is seen from there, from many threads and in no particular order. Stops at the first
     /// error.
-    pub fn sample<T: Send, E: Send>(
+    pub(crate) fn sample<T: Send, E: Send>(
         &self,
         contours: &ContourMesh,
         points: Vec<(Vec3, T)>,

@@ -42,14 +42,14 @@ pub struct Group {
     /// As [`relight_format::Transfer::basis`].
     pub basis: Vec<i8>,
     /// Sum over vertices of the squared error of what is stored.
-    pub squared_error: f64,
+    pub(crate) squared_error: f64,
     /// Sum over vertices of the squared bounced light.
     pub squared: f64,
 }
 
 /// A chunk's rows and its vertices' weights.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Compressed {
+pub(crate) struct Compressed {
     /// The rows.
     pub group: Group,
     /// Vertex after vertex, one per component.
@@ -58,7 +58,7 @@ pub struct Compressed {
 
 impl Compressed {
     /// The weights of a vertex.
-    pub fn weights_of(&self, vertex: usize) -> &[i8] {
+    pub(crate) fn weights_of(&self, vertex: usize) -> &[i8] {
         let rank = self.group.rank as usize;
         &self.weights[vertex * rank..][..rank]
     }
@@ -74,7 +74,7 @@ pub struct ClusterTransfer {
 }
 
 /// Compresses the outputs of vertices, each of `outputs` blocks of equal length.
-pub fn compress(vertices: &[Vec<f32>], outputs: usize) -> Compressed {
+pub(crate) fn compress(vertices: &[Vec<f32>], outputs: usize) -> Compressed {
     let length = vertices.first().map_or(0, Vec::len);
     let block = length / outputs.max(1);
     let factor = |row: usize| {

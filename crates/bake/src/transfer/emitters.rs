@@ -16,7 +16,7 @@ const NORMAL_EXTENT: f32 = 0.25;
 
 /// A triangle that emits.
 #[derive(Clone, Copy, Debug)]
-pub struct Emitter {
+pub(crate) struct Emitter {
     /// Of the mesh.
     pub triangle: u32,
     /// Corners, world space, metres.
@@ -46,7 +46,7 @@ impl Emitter {
 
 /// All triangles that emit.
 #[derive(Debug, Default)]
-pub struct Emitters {
+pub(crate) struct Emitters {
     /// Group after group.
     members: Vec<Emitter>,
     /// Running sums of the powers within each one's group.
@@ -72,13 +72,13 @@ struct Group {
 
 /// What the groups may give a place, as running sums of probabilities.
 #[derive(Debug)]
-pub struct Choice {
+pub(crate) struct Choice {
     sums: Vec<f32>,
 }
 
 /// A point of an emitter.
 #[derive(Clone, Copy, Debug)]
-pub struct Drawn {
+pub(crate) struct Drawn {
     /// Triangle of the mesh.
     pub triangle: usize,
     /// In it.
@@ -91,7 +91,7 @@ pub struct Drawn {
 
 impl Emitters {
     /// Puts the triangles that emit, of a mesh of so many, into groups.
-    pub fn new(mut emitters: Vec<Emitter>, triangles: usize) -> Self {
+    pub(crate) fn new(mut emitters: Vec<Emitter>, triangles: usize) -> Self {
         emitters.retain(|emitter| emitter.power() > 0.0);
         let centres = || emitters.iter().map(Emitter::centre);
         let low = centres().fold(Vec3::INFINITY, Vec3::min);
@@ -122,12 +122,12 @@ impl Emitters {
     }
 
     /// Whether there are none.
-    pub fn is_empty(&self) -> bool {
+    pub(crate) fn is_empty(&self) -> bool {
         self.members.is_empty()
     }
 
     /// How to draw for a place on a surface with a normal; `None` where nothing that emits is above it.
-    pub fn seen_from(&self, position: Vec3, normal: Vec3) -> Option<Choice> {
+    pub(crate) fn seen_from(&self, position: Vec3, normal: Vec3) -> Option<Choice> {
         let mut sum = 0.0;
         let mut sums: Vec<f32> = (self.groups.iter())
             .map(|group| {
@@ -145,7 +145,7 @@ impl Emitters {
     }
 
     /// A point, from three uniform numbers in [0, 1).
-    pub fn draw(&self, choice: &Choice, [which, u, v]: [f32; 3]) -> Drawn {
+    pub(crate) fn draw(&self, choice: &Choice, [which, u, v]: [f32; 3]) -> Drawn {
         let last = self.groups.len() - 1;
         let group = (choice.sums.partition_point(|sum| *sum <= which)).min(last);
         let [before, part] = choice.part(group);
@@ -167,7 +167,7 @@ impl Emitters {
     }
 
     /// Density of drawing a point of a triangle whose material has such a sum of radiances, 1/m².
-    pub fn density(&self, choice: &Choice, triangle: usize, radiance: f32) -> f32 {
+    pub(crate) fn density(&self, choice: &Choice, triangle: usize, radiance: f32) -> f32 {
         let group = usize::from(self.group_of[triangle]);
         match self.groups.get(group) {
             Some(found) => choice.part(group)[1] * radiance / found.power,

@@ -15,7 +15,7 @@ const SLOPE_PULL: f32 = 0.05;
 
 /// A vertex to gather for.
 #[derive(Clone, Copy, Debug)]
-pub struct Receiver {
+pub(crate) struct Receiver {
     /// Where rays begin.
     pub origin: Vec3,
     /// Shading normal, unit length.
@@ -26,7 +26,7 @@ impl Radiosity {
     /// The outputs of a vertex as [`relight_format::Transfer`] has them, one after the other: per
     /// output and channel `columns` numbers; without radiance if there is to be `irradiance`
     /// alone. Depends on the receiver alone.
-    pub fn gather(
+    pub(crate) fn gather(
         &self,
         caster: &RayCaster,
         receiver: &Receiver,

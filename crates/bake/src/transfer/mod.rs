@@ -10,13 +10,13 @@
 //! Surfaces send on light evenly in all directions, as much as their albedo is, mirrors' among
 //! it; as in D3DX's `ComputeBounce` each bounce is one pass over all points.
 
-pub mod compress;
-pub mod emitters;
-pub mod gather;
+pub(crate) mod compress;
+pub(crate) mod emitters;
+pub(crate) mod gather;
 mod lamps;
-pub mod points;
-pub mod radiosity;
-pub mod surfaces;
+pub(crate) mod points;
+pub(crate) mod radiosity;
+pub(crate) mod surfaces;
 
 /// How to gather bounced light. Every field has its default in [`Options::standard`].
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
@@ -29,9 +29,9 @@ pub struct Options {
     /// Points between which light bounces.
     pub points: usize,
     /// Rays per point.
-    pub point_rays: u32,
+    pub(crate) point_rays: u32,
     /// Rays per vertex.
-    pub vertex_rays: u32,
+    pub(crate) vertex_rays: u32,
 }
 
 impl Options {

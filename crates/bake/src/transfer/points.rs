@@ -6,7 +6,7 @@ use super::surfaces::Surfaces;
 
 /// A point with a side.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Point {
+pub(crate) struct Point {
     /// On the surface, world space, metres.
     pub position: Vec3,
     /// Geometric normal of the side.
@@ -28,7 +28,7 @@ const HASHES: usize = 16;
 const LEAST_ALONG: f32 = 0.07;
 
 /// Points and a tree of them over position and normal.
-pub struct Points {
+pub(crate) struct Points {
     /// The points, in the order of the tree.
     all: Vec<Point>,
     /// Mean distance of neighbours, metres.
@@ -49,7 +49,7 @@ pub struct Points {
 impl Points {
     /// About `count` points in proportion to area, on fronts, and on backs too if `both` sides
     /// are asked for.
-    pub fn new(surfaces: &Surfaces, count: usize, both: bool) -> Self {
+    pub(crate) fn new(surfaces: &Surfaces, count: usize, both: bool) -> Self {
         let triangles: Vec<usize> = in_z_order(surfaces);
         let areas: Vec<f64> = (triangles.iter())
             .map(|&triangle| {
@@ -136,12 +136,12 @@ impl Points {
     }
 
     /// The points.
-    pub fn as_slice(&self) -> &[Point] {
+    pub(crate) fn as_slice(&self) -> &[Point] {
         &self.all
     }
 
     /// Mean distance of neighbours, metres.
-    pub fn spacing(&self) -> f32 {
+    pub(crate) fn spacing(&self) -> f32 {
         self.spacing
     }
 
@@ -173,7 +173,7 @@ impl Points {
 
     /// The point nearest to a position on a side with the given normal; `None` only where
     /// there are no points.
-    pub fn nearest(&self, position: Vec3, normal: Vec3) -> Option<usize> {
+    pub(crate) fn nearest(&self, position: Vec3, normal: Vec3) -> Option<usize> {
         let scaled = normal * (NORMAL_DISTANCE * self.spacing);
         let key = [
             position.x, position.y, position.z, scaled.x, scaled.y, scaled.z,

@@ -44,7 +44,7 @@ const ABOVE: f32 = 0.1;
 const TURNS: usize = 256;
 
 /// Light of the scene after all bounces.
-pub struct Radiosity {
+pub(crate) struct Radiosity {
     pub(super) surfaces: Surfaces,
     pub(super) points: Points,
     harmonics: Harmonics,
@@ -70,7 +70,7 @@ pub struct Radiosity {
 }
 
 /// What a ray meets, and what it sends on.
-pub struct Sender {
+pub(crate) struct Sender {
     pub(super) end: End,
     /// Albedos up to there, times what its light counts here.
     weight: Vec3,
@@ -99,7 +99,7 @@ type First = (Vec<f32>, Vec<Vec<Link>>);
 impl Radiosity {
     /// Follows bounces until they end. Nothing where options ask for none or the scene has no
     /// surface.
-    pub fn new(
+    pub(crate) fn new(
         surfaces: Surfaces,
         caster: &RayCaster,
         options: &Options,
@@ -429,12 +429,12 @@ impl Radiosity {
     }
 
     /// Numbers per channel.
-    pub fn columns(&self) -> usize {
+    pub(crate) fn columns(&self) -> usize {
         self.columns
     }
 
     /// Of the asset, before any chunk is in it.
-    pub fn head(&self, order: u32) -> relight_format::Transfer {
+    pub(crate) fn head(&self, order: u32) -> relight_format::Transfer {
         relight_format::Transfer {
             order,
             emitted: self.surfaces.emit(),
@@ -445,12 +445,12 @@ impl Radiosity {
     }
 
     /// Processor time that they took.
-    pub fn time(&self) -> Duration {
+    pub(crate) fn time(&self) -> Duration {
         self.time
     }
 
     /// Rays cast between points.
-    pub fn rays(&self) -> u64 {
+    pub(crate) fn rays(&self) -> u64 {
         self.rays
     }
 }
@@ -506,7 +506,7 @@ pub(super) mod tests {
     use relight_format::{Specular, Surface};
 
     /// Squares by corner and two edges, front towards their cross product.
-    pub fn squares(squares: &[[Vec3; 3]], albedo: f32, emission: f32) -> Mesh {
+    pub(crate) fn squares(squares: &[[Vec3; 3]], albedo: f32, emission: f32) -> Mesh {
         let mut mesh = Mesh::default();
         for [corner, u, v] in squares {
             let normal = u.cross(*v).normalize();

@@ -9,7 +9,7 @@ use super::emitters::{Emitter, Emitters};
 use crate::mesh::Mesh;
 
 /// The imported mesh with its materials and textures.
-pub struct Surfaces {
+pub(crate) struct Surfaces {
     scene: format::Scene,
     /// By material: albedo, where it is the same everywhere and from all sides.
     plain: Vec<Option<Vec3>>,
@@ -18,7 +18,7 @@ pub struct Surfaces {
 
 /// A point of a surface that a ray meets, from the side that it comes from.
 #[derive(Clone, Copy, Debug)]
-pub struct Met {
+pub(crate) struct Met {
     /// Of the mesh.
     pub triangle: usize,
     /// World space, metres.
@@ -35,7 +35,7 @@ pub struct Met {
 
 impl Surfaces {
     /// Copies what shading reads.
-    pub fn new(mesh: &Mesh) -> Self {
+    pub(crate) fn new(mesh: &Mesh) -> Self {
         let scene = bare_scene(mesh);
         let mut surfaces = Self {
             plain: vec![None; scene.materials.len()],
@@ -65,40 +65,40 @@ impl Surfaces {
     }
 
     /// Sum over channels of what a triangle's material emits, textures aside.
-    pub fn radiance(&self, triangle: usize) -> f32 {
+    pub(crate) fn radiance(&self, triangle: usize) -> f32 {
         let material = usize::from(self.scene.triangles[triangle].material);
         Vec3::from(self.scene.materials[material].emission).element_sum()
     }
 
     /// What a point of a triangle's front emits.
-    pub fn emission(&self, triangle: usize, barycentrics: Vec3) -> Vec3 {
+    pub(crate) fn emission(&self, triangle: usize, barycentrics: Vec3) -> Vec3 {
         emission(&self.scene, triangle, barycentrics, None)
     }
 
     /// What emits.
-    pub fn emitters(&self) -> &Emitters {
+    pub(crate) fn emitters(&self) -> &Emitters {
         &self.emitters
     }
 
     /// Whether any surface emits light.
-    pub fn emit(&self) -> bool {
+    pub(crate) fn emit(&self) -> bool {
         !self.emitters.is_empty()
     }
 
     /// Triangles.
-    pub fn triangle_count(&self) -> usize {
+    pub(crate) fn triangle_count(&self) -> usize {
         self.scene.triangles.len()
     }
 
     /// Corners of a triangle.
-    pub fn corners(&self, triangle: usize) -> [Vec3; 3] {
+    pub(crate) fn corners(&self, triangle: usize) -> [Vec3; 3] {
         self.scene.triangles[triangle]
             .vertices
             .map(|vertex| self.scene.vertices[vertex as usize].position.into())
     }
 
     /// Shading normal of a triangle at some barycentrics.
-    pub fn normal(&self, triangle: usize, barycentrics: Vec3) -> Vec3 {
+    pub(crate) fn normal(&self, triangle: usize, barycentrics: Vec3) -> Vec3 {
         let [a, b, c] = self.scene.triangles[triangle]
             .vertices
             .map(|vertex| Vec3::from(self.scene.vertices[vertex as usize].normal));
@@ -107,20 +107,20 @@ impl Surfaces {
     }
 
     /// Of a triangle's front.
-    pub fn geometric_normal(&self, triangle: usize) -> Vec3 {
+    pub(crate) fn geometric_normal(&self, triangle: usize) -> Vec3 {
         let [a, b, c] = self.corners(triangle);
         (b - a).cross(c - a).normalize_or(Vec3::Y)
     }
 
     /// Part of diffuse light that a point of a triangle sends on towards `eye`.
-    pub fn albedo(&self, triangle: usize, barycentrics: Vec3, eye: Vec3) -> Vec3 {
+    pub(crate) fn albedo(&self, triangle: usize, barycentrics: Vec3, eye: Vec3) -> Vec3 {
         let material = usize::from(self.scene.triangles[triangle].material);
         self.plain[material]
             .unwrap_or_else(|| albedo(&surface_point(&self.scene, triangle, barycentrics, eye)))
     }
 
     /// What a ray from `origin` meets at a point of a triangle.
-    pub fn meet(&self, triangle: usize, barycentrics: Vec3, origin: Vec3) -> Met {
+    pub(crate) fn meet(&self, triangle: usize, barycentrics: Vec3, origin: Vec3) -> Met {
         let [a, b, c] = self.corners(triangle);
         let position = a * barycentrics.x + b * barycentrics.y + c * barycentrics.z;
         let normal = self.geometric_normal(triangle);
@@ -167,7 +167,7 @@ fn is_plain(material: &format::Material) -> bool {
 }
 
 /// A mesh as the runtime would see it, without visibility.
-pub fn bare_scene(mesh: &Mesh) -> format::Scene {
+pub(crate) fn bare_scene(mesh: &Mesh) -> format::Scene {
     format::Scene {
         name: String::new(),
         visibility: format::VisibilityParameters {

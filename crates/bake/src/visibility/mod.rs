@@ -1,10 +1,10 @@
 //! Visibility of the sphere of directions from a point: one bit per octahedral texel.
 
 mod arrange;
-pub mod contour;
-pub mod places;
-pub mod ray;
-pub mod sparse;
+pub(crate) mod contour;
+pub(crate) mod places;
+pub(crate) mod ray;
+pub(crate) mod sparse;
 
 use glam::Vec3;
 use relight_shading::octahedral;
@@ -32,7 +32,7 @@ impl Directions {
     }
 
     /// Texels per side.
-    pub fn resolution(&self) -> u32 {
+    pub(crate) fn resolution(&self) -> u32 {
         self.resolution
     }
 
@@ -50,7 +50,7 @@ pub struct Bitmap {
 
 impl Bitmap {
     /// A bitmap of `texels` texels, set where `visible` says so.
-    pub fn from_fn(texels: usize, mut visible: impl FnMut(usize) -> bool) -> Self {
+    pub(crate) fn from_fn(texels: usize, mut visible: impl FnMut(usize) -> bool) -> Self {
         let words = (0..texels.div_ceil(64))
             .map(|word| {
                 let bits = 64.min(texels - word * 64);

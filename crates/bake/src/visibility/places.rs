@@ -52,7 +52,7 @@ pub struct Places {
     /// The place of every corner of every triangle.
     pub corners: Vec<[u32; 3]>,
     /// Corners that are sampled elsewhere since they lie on or behind other surfaces.
-    pub moved_corners: usize,
+    pub(crate) moved_corners: usize,
 }
 
 impl Places {
@@ -145,7 +145,7 @@ impl Places {
 
 /// The side of every corner of every triangle: corners at one position have the same number if
 /// their triangles lie around the same air.
-pub fn sides(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<[u32; 3]> {
+pub(crate) fn sides(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<[u32; 3]> {
     let welded = weld(positions, triangles);
     let (_, sides) = umbrellas(positions, triangles, &welded);
     sides.as_chunks::<3>().0.to_vec()
@@ -153,7 +153,7 @@ pub fn sides(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<[u32; 3]> {
 
 /// A mesh whose vertices are each at one place.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Divided {
+pub(crate) struct Divided {
     /// Corners of triangles; vertices from the former number on are copies.
     pub triangles: Vec<[u32; 3]>,
     /// What each copy is a copy of.
@@ -164,7 +164,7 @@ pub struct Divided {
 
 impl Divided {
     /// Copies vertices that triangles use at several places, or on several sides.
-    pub fn new(triangles: &[[u32; 3]], vertices: usize, corners: &[[u32; 3]]) -> Self {
+    pub(crate) fn new(triangles: &[[u32; 3]], vertices: usize, corners: &[[u32; 3]]) -> Self {
         let mut divided = Self {
             triangles: triangles.to_vec(),
             copied: Vec::new(),

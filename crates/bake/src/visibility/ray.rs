@@ -32,7 +32,7 @@ pub struct RayCaster {
 
 /// Where a ray passes through the scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Crossing {
+pub(crate) struct Crossing {
     /// Ray parameter, in lengths of the direction.
     pub distance: f32,
     /// Of the triangle: unit length, on the side from which its vertices run counter-clockwise.
@@ -97,7 +97,7 @@ impl RayCaster {
     }
 
     /// Whether anything lies between two points.
-    pub fn blocked(&self, from: Vec3, to: Vec3) -> bool {
+    pub(crate) fn blocked(&self, from: Vec3, to: Vec3) -> bool {
         if self.triangles.is_empty() {
             return false;
         }
@@ -108,7 +108,7 @@ impl RayCaster {
     }
 
     /// Everything on the ray up to `length`, in no particular order.
-    pub fn crossings(&self, origin: Vec3, direction: Vec3, length: f32) -> Vec<Crossing> {
+    pub(crate) fn crossings(&self, origin: Vec3, direction: Vec3, length: f32) -> Vec<Crossing> {
         let mut crossings = Vec::new();
         if self.triangles.is_empty() {
             return crossings;

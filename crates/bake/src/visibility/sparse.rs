@@ -20,7 +20,7 @@ const LEAST_WEIGHT: f64 = -0.15;
 
 /// For every place those that are sampled for it.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Sparse {
+pub(crate) struct Sparse {
     /// Where each place's begin in `sources`; one more than there are places.
     first: Vec<u32>,
     sources: Vec<(u32, f32)>,
@@ -28,7 +28,7 @@ pub struct Sparse {
 
 /// How far apart, and over what.
 #[derive(Clone, Copy, Debug)]
-pub struct Spacing {
+pub(crate) struct Spacing {
     /// Metres.
     pub distance: f32,
     /// Cosine between the normals of a place and of what stands for it, and between those of triangles that
@@ -38,7 +38,7 @@ pub struct Spacing {
 
 impl Sparse {
     /// Every place is sampled.
-    pub fn all(places: usize) -> Self {
+    pub(crate) fn all(places: usize) -> Self {
         Self {
             first: (0..=places as u32).collect(),
             sources: (0..places as u32).map(|place| (place, 1.0)).collect(),
@@ -47,7 +47,7 @@ impl Sparse {
 
     /// Sampled places are at most about `spacing`, in metres, apart. `triangles` have places for corners; `kept`
     /// says which are sampled in any case.
-    pub fn new(
+    pub(crate) fn new(
         origins: &[Vec3],
         triangles: &[[u32; 3]],
         spacing: Spacing,
@@ -94,13 +94,13 @@ impl Sparse {
     }
 
     /// What stands for a place; itself where it is sampled. Weights add up to 1.
-    pub fn sources(&self, place: u32) -> &[(u32, f32)] {
+    pub(crate) fn sources(&self, place: u32) -> &[(u32, f32)] {
         let [first, end] = [0, 1].map(|next| self.first[place as usize + next] as usize);
         &self.sources[first..end]
     }
 
     /// Those that stand for some places, ascending.
-    pub fn sources_of(&self, places: impl Iterator<Item = u32>) -> Vec<u32> {
+    pub(crate) fn sources_of(&self, places: impl Iterator<Item = u32>) -> Vec<u32> {
         let mut sources: Vec<u32> = places
             .flat_map(|place| self.sources(place).iter().map(|(source, _)| *source))
             .collect();

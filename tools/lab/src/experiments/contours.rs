@@ -4,9 +4,9 @@
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use relight_bake::import;
-use relight_bake::ssdf::DistanceTransform;
-use relight_bake::visibility::contour::ContourMesh;
-use relight_bake::visibility::{Bitmap, Crossings, Directions};
+use relight_bake::internals::DistanceTransform;
+use relight_bake::internals::visibility::ContourMesh;
+use relight_bake::internals::visibility::{Bitmap, Crossings, Directions};
 use relight_shading::octahedral::Footprint;
 
 use super::Laboratory;

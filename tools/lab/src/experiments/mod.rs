@@ -617,10 +617,10 @@ impl<'a> Laboratory<'a> {
         name: &str,
         caption: &str,
         axes: [&str; 2],
-        curves: &[relight_bake::report::plot::Curve],
+        curves: &[relight_bake::internals::plot::Curve],
     ) -> anyhow::Result<()> {
         let file = format!("{name}.svg");
-        let svg = relight_bake::report::plot::svg(caption, axes, curves)
+        let svg = relight_bake::internals::plot::svg(caption, axes, curves)
             .with_context(|| format!("{file}: nothing to plot"))?;
         format::write_file(&self.folder.join(&file), svg.as_bytes())?;
         section.figures.push(Figure {

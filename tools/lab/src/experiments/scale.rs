@@ -3,8 +3,8 @@
 use std::collections::HashMap;
 
 use glam::Vec3;
+use relight_bake::internals::plot::Curve;
 use relight_bake::mesh::{Mesh, Triangle, Vertex};
-use relight_bake::report::plot::Curve;
 use relight_bake::scene;
 use relight_format::Scene;
 use relight_runtime::{Frame, twin};

@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use relight_bake::report::plot::Curve;
+use relight_bake::internals::plot::Curve;
 use relight_format::Scene;
 use relight_runtime::{CellsOptions, Frame, Method, PolarOptions};
 use relight_shading::shade::Lighting;

@@ -53,7 +53,7 @@ pub(in crate::import) struct Mask {
 impl Mask {
     /// A mask of `size` texels, of which `value` tells how far above the threshold they are, and
     /// what lies beyond them.
-    pub fn new(size: [u32; 2], wrap: [Wrap; 2], value: impl Fn(u32, u32) -> f32) -> Self {
+    pub(super) fn new(size: [u32; 2], wrap: [Wrap; 2], value: impl Fn(u32, u32) -> f32) -> Self {
         let axes = [0, 1].map(|axis| {
             let size = size[axis] as usize;
             let (count, repeats) = match wrap[axis] {
@@ -74,7 +74,7 @@ impl Mask {
     }
 
     /// Whether every texel is kept, or none.
-    pub fn uniform(&self) -> Option<bool> {
+    pub(super) fn uniform(&self) -> Option<bool> {
         let kept = self.values.iter().filter(|value| **value >= 0.0).count();
         match kept {
             0 => Some(false),
@@ -96,7 +96,7 @@ impl Mask {
     }
 
     /// How far above the threshold a point is.
-    pub fn at(&self, point: DVec2) -> f64 {
+    pub(super) fn at(&self, point: DVec2) -> f64 {
         let cell = [0, 1].map(|axis| {
             let Axis { count, period, .. } = self.axes[axis];
             let x = match period {
@@ -226,7 +226,7 @@ impl Mask {
 
     /// Contours that are off by at most `tolerance` texels, but for their enclosed areas, which
     /// are kept; those that enclose less than its square are left out. `None` if there are too many.
-    pub fn contours(&self, tolerance: f64) -> Option<Contours<'_>> {
+    pub(super) fn contours(&self, tolerance: f64) -> Option<Contours<'_>> {
         let mut pairs = self.crossings()?;
         pairs.sort_unstable_by_key(|[(from, _), _]| *from);
         let mut entered: Vec<usize> = pairs.iter().map(|[_, (to, _)]| *to).collect();
@@ -298,12 +298,12 @@ impl<'a> Contours<'a> {
     }
 
     /// A point, in a tile.
-    pub fn point(&self, point: u32, tile: [i32; 2]) -> DVec2 {
+    pub(super) fn point(&self, point: u32, tile: [i32; 2]) -> DVec2 {
         self.points[point as usize] + self.mask.period(tile)
     }
 
     /// How many tiles to move a point by to bring it near the first one.
-    pub fn tile(&self, point: DVec2) -> [i32; 2] {
+    pub(super) fn tile(&self, point: DVec2) -> [i32; 2] {
         [0, 1].map(|axis| {
             let period: Option<f64> = self.mask.axes[axis].period;
             period.map_or(0, |period| (point[axis] / period).floor() as i32)
@@ -311,7 +311,7 @@ impl<'a> Contours<'a> {
     }
 
     /// A point as it is in another tile.
-    pub fn moved(&self, point: DVec2, tile: [i32; 2]) -> DVec2 {
+    pub(super) fn moved(&self, point: DVec2, tile: [i32; 2]) -> DVec2 {
         point + self.mask.period(tile)
     }
 
@@ -345,14 +345,19 @@ impl<'a> Contours<'a> {
     }
 
     /// How many squares a box touches.
-    pub fn count(&self, low: DVec2, high: DVec2) -> f64 {
+    pub(super) fn count(&self, low: DVec2, high: DVec2) -> f64 {
         let [x, y] = [0, 1].map(|axis| self.range(axis, low[axis], high[axis]));
         ((x[1] - x[0]) as f64 + 1.0) * ((y[1] - y[0]) as f64 + 1.0)
     }
 
     /// Pieces that may touch a box, each with its tile, once each and in order; `None` if more
     /// than about `most`.
-    pub fn near(&self, low: DVec2, high: DVec2, most: usize) -> Option<Vec<(u32, [i32; 2])>> {
+    pub(super) fn near(
+        &self,
+        low: DVec2,
+        high: DVec2,
+        most: usize,
+    ) -> Option<Vec<(u32, [i32; 2])>> {
         let mut found = Vec::new();
         self.squares(low, high, |square, [x, y]| {
             if found.len() <= most {

@@ -52,7 +52,7 @@ pub(super) struct Cutout {
     /// Multiplies what the texture holds.
     pub factor: f32,
     /// Smaller alpha is cut away.
-    pub cutoff: f32,
+    pub(crate) cutoff: f32,
 }
 
 /// Why triangles cannot be cut.

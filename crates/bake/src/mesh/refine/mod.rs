@@ -9,7 +9,7 @@ use glam::Vec3;
 
 use super::{Mesh, Triangle, Vertex};
 
-pub use wrong::{Bound, refine as refine_wrong};
+pub(crate) use wrong::{Bound, refine as refine_wrong};
 
 /// Both ends of an edge, bit by bit, the lesser first.
 type Key = [[u32; 3]; 2];

@@ -28,7 +28,7 @@ const MAX_ROUNDS: usize = 12;
 
 /// What is wrong, and how far to go.
 #[derive(Clone, Copy, Debug)]
-pub struct Bound {
+pub(crate) struct Bound {
     /// Edges are cut whose middle is more wrong than this: the angle by which a wall's edge
     /// would have to be off for the same effect, radians. That holds at the length `edge`.
     /// What is wrong shows on an area that shrinks with the square of the length, and so do
@@ -37,7 +37,7 @@ pub struct Bound {
     /// Metres.
     pub edge: f32,
     /// Edges up to this length are left alone, metres.
-    pub min_edge: f32,
+    pub(crate) min_edge: f32,
     /// Cuts stop before the mesh has more vertices.
     pub max_vertices: usize,
     /// Distance of visibility samples from the surface, metres.
@@ -79,7 +79,7 @@ struct Comparison<'a> {
 /// Cuts edges, most wrong first, until none is more wrong than the bound allows. As with
 /// [`super::refine`], triangles that meet at an edge cut it alike. `contours` are of the same
 /// surface, however it is divided.
-pub fn refine(
+pub(crate) fn refine(
     mut mesh: Mesh,
     contours: &ContourMesh,
     bound: Bound,

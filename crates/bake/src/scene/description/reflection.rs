@@ -37,7 +37,7 @@ impl AlongAxes {
 
 impl MaterialOverride {
     /// The base and the reflection, if the material is a model over a base. Values are not checked.
-    pub fn reflection(&self) -> Option<(Color, Specular)> {
+    pub(crate) fn reflection(&self) -> Option<(Color, Specular)> {
         use MaterialOverride as M;
         let layered = |diffuse, specular| Some((diffuse, specular));
         let pair = self.roughness_along_axes();

@@ -1,0 +1,28 @@
+//! Parts of stages, for those who measure them one by one: the benches, the experiments of `lab`, tests
+//! that cross crates. Nothing that bakes needs them, and they change whenever the bake does.
+
+pub use crate::ssdf::DistanceTransform;
+
+/// Compression of a cluster's SSDFs.
+pub mod compress {
+    pub use crate::compress::{Normal, Samples, Weighting, analyse, encode, reweight};
+}
+
+/// What is done to meshes.
+pub mod mesh {
+    pub use crate::mesh::refine::refine;
+    pub use crate::mesh::tangent::set_mikktspace;
+}
+
+/// Plots of reports.
+pub mod plot {
+    pub use crate::report::plot::{Curve, svg};
+}
+
+/// Visibility from a point.
+pub mod visibility {
+    pub use crate::visibility::contour::{ContourMesh, GROUP};
+    pub use crate::visibility::places::Places;
+    pub use crate::visibility::ray::RayCaster;
+    pub use crate::visibility::{Bitmap, Crossings, Directions, arrange, sample};
+}

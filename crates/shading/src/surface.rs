@@ -8,8 +8,8 @@ use glam::{Vec2, Vec3, Vec4, Vec4Swizzles as _};
 pub use relight_format::MAX_REFLECTIONS;
 use relight_format::math;
 use relight_format::{
-    Blend, FittedLobe, Layer, Material, RATIO_NODES, RATIO_SHAPE, Scene, Specular, Surface,
-    Texture, TextureSlot, Vertex,
+    Blend, FittedLobe, Layer, Material, ModelParameters, RATIO_NODES, RATIO_SHAPE,
+    REFLECTION_MODELS, ReflectionModel, Scene, Specular, Surface, Texture, TextureSlot, Vertex,
 };
 
 use crate::textures::{self, Filter, Footprint, RGBE_BIAS, decode_rgbe};
@@ -56,6 +56,32 @@ impl Model {
         Self::Ggx,
         Self::AshikhminShirley,
     ];
+
+    /// Its entry in the format; `None` reflects nothing and has none.
+    pub fn entry(self) -> Option<&'static ReflectionModel> {
+        let index = Self::ALL.iter().position(|model| *model == self)?;
+        REFLECTION_MODELS.get(index)
+    }
+
+    /// Of an entry of the format.
+    fn of(entry: &ReflectionModel) -> Self {
+        let same = |model: &&Self| model.entry().is_some_and(|other| other.key == entry.key);
+        Self::ALL.iter().find(same).copied().unwrap_or(Self::None)
+    }
+
+    /// Whether a [`Reflection`] of it holds an exponent in place of a roughness.
+    pub fn has_exponent(self) -> bool {
+        self == Self::BlinnPhong
+    }
+
+    /// What a [`Reflection`] of it holds for a roughness.
+    pub fn from_alpha(self, alpha: f32) -> f32 {
+        if self.has_exponent() {
+            2.0 / (alpha * alpha)
+        } else {
+            alpha
+        }
+    }
 }
 
 /// One specular reflection, textures applied and parameters clamped to what is shaded.
@@ -108,10 +134,7 @@ impl Reflection<'_> {
 
     /// Whether the model's colour changes towards grazing incidence.
     pub(crate) fn has_fresnel(&self) -> bool {
-        matches!(
-            self.model,
-            Model::CookTorrance | Model::Ggx | Model::AshikhminShirley
-        )
+        self.model.entry().is_some_and(|entry| entry.fresnel)
     }
 
     fn scale(&mut self, by: Vec3) {
@@ -121,7 +144,7 @@ impl Reflection<'_> {
 
     /// The reflection with its roughness within what is shaded.
     fn clamped(self) -> Self {
-        let (low, high) = if self.model == Model::BlinnPhong {
+        let (low, high) = if self.model.has_exponent() {
             (1.0, MAX_EXPONENT)
         } else {
             (MIN_ALPHA, 1.0)
@@ -305,21 +328,17 @@ pub fn fitted_reflection(lobe: &FittedLobe) -> Reflection<'static> {
 
 /// The reflection of a model that has but one, not clamped.
 fn single_reflection(specular: &Specular) -> Reflection<'static> {
-    let (model, color, alpha) = match specular {
-        Specular::None | Specular::Lobes { .. } => return Reflection::NONE,
-        Specular::BlinnPhong { specular, exponent } => {
-            (Model::BlinnPhong, specular, [*exponent; 2])
-        }
-        Specular::Ward { specular, alpha } => (Model::Ward, specular, *alpha),
-        Specular::CookTorrance { f0, roughness } => (Model::CookTorrance, f0, [*roughness; 2]),
-        Specular::Ggx { f0, alpha } => (Model::Ggx, f0, *alpha),
-        Specular::AshikhminShirley { f0, exponents } => (
-            Model::AshikhminShirley,
-            f0,
-            exponents.map(|exponent| (2.0 / exponent).sqrt()),
-        ),
+    let Some((entry, parameters)) = specular.model() else {
+        return Reflection::NONE;
     };
-    Reflection::new(model, Vec3::from(*color), alpha.into())
+    let model = Model::of(entry);
+    let ModelParameters { color, roughness } = parameters;
+    let alpha = if model.has_exponent() {
+        roughness
+    } else {
+        roughness.map(|value| entry.roughness.to_alpha(value))
+    };
+    Reflection::new(model, color.into(), alpha.into())
 }
 
 /// A point of a surface and how it reflects towards the eye.
@@ -491,10 +510,13 @@ pub fn surface_seen<'a>(
             });
             reflection.specular *= factor(layer.specular_texture).xyz();
             let roughness = factor(layer.roughness_texture).xy();
-            match reflection.model {
-                Model::BlinnPhong => reflection.alpha /= (roughness.x * roughness.x).max(1e-12),
-                Model::CookTorrance => reflection.alpha *= roughness.x,
-                _ => reflection.alpha *= roughness,
+            let model = reflection.model;
+            if model.has_exponent() {
+                reflection.alpha /= (roughness.x * roughness.x).max(1e-12);
+            } else if model.entry().is_some_and(|entry| !entry.anisotropic) {
+                reflection.alpha *= roughness.x;
+            } else {
+                reflection.alpha *= roughness;
             }
             let below = match layer.join {
                 Join::Add => Vec3::ONE,
@@ -669,6 +691,17 @@ pub fn local_point(appearance: Appearance, view: Vec3) -> SurfacePoint {
 
 #[cfg(test)]
 mod tests {
+    #[test]
+    fn models_are_in_the_order_of_the_formats_entries() {
+        assert_eq!(Model::ALL.len(), REFLECTION_MODELS.len());
+        for (model, entry) in Model::ALL.into_iter().zip(REFLECTION_MODELS) {
+            let name = format!("{model:?}").to_ascii_lowercase();
+            assert_eq!(name, entry.key.replace('-', ""));
+            assert_eq!(Model::of(entry), model);
+        }
+        assert!(Model::None.entry().is_none());
+    }
+
     use super::*;
     use relight_format::{
         BakeReport, Cluster, Representation, TextureEncoding, Triangle, VisibilityParameters,

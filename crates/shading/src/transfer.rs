@@ -416,7 +416,7 @@ fn uncolored(reflection: &Reflection) -> f32 {
     else {
         return 0.0;
     };
-    let mean = if reflection.model == Model::BlinnPhong {
+    let mean = if reflection.model.has_exponent() {
         (2.0 / reflection.alpha.x).sqrt()
     } else {
         (reflection.alpha.x * reflection.alpha.y).sqrt()
@@ -432,12 +432,8 @@ fn uncolored(reflection: &Reflection) -> f32 {
 fn integrated(model: Model, alpha: f32) -> f32 {
     const VIEWS: usize = 8;
     const DRAWS: usize = 128;
-    let alpha = if model == Model::BlinnPhong {
-        2.0 / (alpha * alpha)
-    } else {
-        alpha
-    };
-    let reflection = Reflection::new(model, Vec3::ONE, glam::Vec2::splat(alpha));
+    let alpha = glam::Vec2::splat(model.from_alpha(alpha));
+    let reflection = Reflection::new(model, Vec3::ONE, alpha);
     let mut sum = 0.0;
     for i in 0..VIEWS {
         // Even in cos² is even in projected solid angle.

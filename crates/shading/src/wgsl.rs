@@ -450,11 +450,6 @@ fn constants() -> String {
         ("SURFACE_DIFFUSE_SPECULAR", gpu::SURFACE_DIFFUSE_SPECULAR),
         ("SURFACE_LAYERS", gpu::SURFACE_LAYERS),
         ("MODEL_NONE", Model::None as u32),
-        ("MODEL_BLINN_PHONG", Model::BlinnPhong as u32),
-        ("MODEL_WARD", Model::Ward as u32),
-        ("MODEL_COOK_TORRANCE", Model::CookTorrance as u32),
-        ("MODEL_GGX", Model::Ggx as u32),
-        ("MODEL_ASHIKHMIN_SHIRLEY", Model::AshikhminShirley as u32),
         ("JOIN_ADD", Join::Add as u32),
         ("JOIN_OVER", Join::Over as u32),
         ("JOIN_COAT", Join::Coat as u32),
@@ -465,6 +460,12 @@ fn constants() -> String {
     let mut text = String::new();
     for (name, value) in integers {
         writeln!(text, "const {name}: u32 = {value}u;").expect("a String accepts every write");
+    }
+    for (entry, model) in relight_format::REFLECTION_MODELS.iter().zip(Model::ALL) {
+        let name = entry.key.replace('-', "_").to_ascii_uppercase();
+        let value = model as u32;
+        writeln!(text, "const MODEL_{name}: u32 = {value}u;")
+            .expect("a String accepts every write");
     }
     text += &gpu::wgsl_constants();
     text += &spherical_gaussian::wgsl_constants();

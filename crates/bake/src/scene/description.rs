@@ -21,6 +21,7 @@ use crate::error::of_parser;
 use crate::mesh::ground;
 
 use check::Checker;
+pub use reflection::Reflecting;
 
 use crate::files::{Access, Files};
 
@@ -128,76 +129,23 @@ fn one() -> f32 {
 /// A material, chosen by `model`. The models are those of [`format::Specular`] and
 /// [`format::Surface`]; reflectances and albedos are in [0, 1].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "model", rename_all = "kebab-case", deny_unknown_fields)]
+#[serde(
+    remote = "Self",
+    tag = "model",
+    rename_all = "kebab-case",
+    deny_unknown_fields
+)]
 pub enum MaterialOverride {
     /// Lambertian.
     Diffuse {
         /// Albedo.
         diffuse: Color,
     },
-    /// Normalised Blinn-Phong over a Lambertian base.
-    BlinnPhong {
-        /// Albedo of the base. Default black.
-        #[serde(default = "black")]
-        diffuse: Color,
-        /// Specular albedo.
-        specular: Color,
-        /// Exponent, at least 1.
-        exponent: f32,
-    },
-    /// Ward over a Lambertian base. Give `alpha`, or `alpha_x` and `alpha_y`.
-    Ward {
-        /// Albedo of the base. Default black.
-        #[serde(default = "black")]
-        diffuse: Color,
-        /// Specular albedo.
-        specular: Color,
-        /// Isotropic roughness, in (0, 1].
-        alpha: Option<f32>,
-        /// Roughness along the tangent, in (0, 1].
-        alpha_x: Option<f32>,
-        /// Roughness along the bitangent, in (0, 1].
-        alpha_y: Option<f32>,
-    },
-    /// Cook-Torrance with a Beckmann distribution over a Lambertian base.
-    CookTorrance {
-        /// Albedo of the base. Default black.
-        #[serde(default = "black")]
-        diffuse: Color,
-        /// Reflectance at normal incidence.
-        f0: Color,
-        /// Beckmann roughness m, in (0, 1].
-        roughness: f32,
-    },
-    /// GGX over a Lambertian base. Give `alpha`, or `alpha_x` and `alpha_y`.
-    Ggx {
-        /// Albedo of the base. Default black.
-        #[serde(default = "black")]
-        diffuse: Color,
-        /// Reflectance at normal incidence; 1 is a perfect conductor.
-        f0: Color,
-        /// Isotropic roughness, in (0, 1].
-        alpha: Option<f32>,
-        /// Roughness along the tangent, in (0, 1].
-        alpha_x: Option<f32>,
-        /// Roughness along the bitangent, in (0, 1].
-        alpha_y: Option<f32>,
-    },
-    /// Ashikhmin-Shirley's specular term over a Lambertian base. Give `exponent`, or
-    /// `exponent_x` and `exponent_y`.
-    AshikhminShirley {
-        /// Albedo of the base. Default black.
-        #[serde(default = "black")]
-        diffuse: Color,
-        /// Reflectance at normal incidence.
-        f0: Color,
-        /// Isotropic exponent, at least 2.
-        exponent: Option<f32>,
-        /// Exponent along the tangent, at least 2.
-        exponent_x: Option<f32>,
-        /// Exponent along the bitangent, at least 2.
-        exponent_y: Option<f32>,
-    },
+    /// One of [`format::REFLECTION_MODELS`] over a Lambertian base, which is black by default. Keys are
+    /// `diffuse` and those that the model's entry names; of a model that may be anisotropic also with
+    /// `_x` and `_y`.
+    #[serde(skip)]
+    Reflecting(Reflecting),
     /// glTF 2.0 metallic-roughness.
     MetallicRoughness {
         /// Base colour.

@@ -169,8 +169,8 @@ pub struct ReflectionModel {
     pub name: &'static str,
     /// In scene files.
     pub key: &'static str,
-    /// What its colour is called in scene files: `f0` if it goes to white at grazing angles.
-    pub color: &'static str,
+    /// Whether its colour goes to white at grazing angles (Schlick 1994).
+    pub fresnel: bool,
     /// How it says how rough it is.
     pub roughness: Roughness,
     /// What that is called in scene files.
@@ -182,6 +182,11 @@ pub struct ReflectionModel {
 }
 
 impl ReflectionModel {
+    /// What its colour is called in scene files.
+    pub fn color(&self) -> &'static str {
+        if self.fresnel { "f0" } else { "specular" }
+    }
+
     /// The reflection that parameters make. An isotropic model takes the first roughness.
     pub fn reflection(&self, parameters: ModelParameters) -> Specular {
         (self.make)(parameters)
@@ -193,7 +198,7 @@ pub const REFLECTION_MODELS: &[ReflectionModel] = &[
     ReflectionModel {
         name: "Blinn-Phong",
         key: "blinn-phong",
-        color: "specular",
+        fresnel: false,
         roughness: Roughness::Exponent { least: 1.0 },
         roughness_name: "exponent",
         anisotropic: false,
@@ -215,7 +220,7 @@ pub const REFLECTION_MODELS: &[ReflectionModel] = &[
     ReflectionModel {
         name: "Ward",
         key: "ward",
-        color: "specular",
+        fresnel: false,
         roughness: Roughness::Alpha,
         roughness_name: "alpha",
         anisotropic: true,
@@ -234,7 +239,7 @@ pub const REFLECTION_MODELS: &[ReflectionModel] = &[
     ReflectionModel {
         name: "Cook-Torrance",
         key: "cook-torrance",
-        color: "f0",
+        fresnel: true,
         roughness: Roughness::Alpha,
         roughness_name: "roughness",
         anisotropic: false,
@@ -256,7 +261,7 @@ pub const REFLECTION_MODELS: &[ReflectionModel] = &[
     ReflectionModel {
         name: "GGX",
         key: "ggx",
-        color: "f0",
+        fresnel: true,
         roughness: Roughness::Alpha,
         roughness_name: "alpha",
         anisotropic: true,
@@ -275,7 +280,7 @@ pub const REFLECTION_MODELS: &[ReflectionModel] = &[
     ReflectionModel {
         name: "Ashikhmin-Shirley",
         key: "ashikhmin-shirley",
-        color: "f0",
+        fresnel: true,
         roughness: Roughness::Exponent { least: 2.0 },
         roughness_name: "exponent",
         anisotropic: true,

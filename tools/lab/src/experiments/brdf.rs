@@ -58,8 +58,8 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
 fn rows() -> Vec<Row> {
     let mut cases = Vec::new();
     for model in Model::ALL {
-        let two = !matches!(model, Model::BlinnPhong | Model::CookTorrance);
-        let fresnel = !matches!(model, Model::BlinnPhong | Model::Ward);
+        let entry = model.entry().expect("a model that reflects");
+        let (two, fresnel) = (entry.anisotropic, entry.fresnel);
         for &reflectance in if fresnel {
             &REFLECTANCES[..]
         } else {
@@ -80,10 +80,7 @@ fn rows() -> Vec<Row> {
     cases
         .into_par_iter()
         .map(|(model, reflectance, alpha, incidence, azimuth)| {
-            let stored = match model {
-                Model::BlinnPhong => alpha.map(|alpha| (2.0 / (alpha * alpha)).min(MAX_EXPONENT)),
-                _ => alpha,
-            };
+            let stored = alpha.map(|alpha| model.from_alpha(alpha).min(MAX_EXPONENT));
             let reflection = Reflection::new(model, Vec3::splat(reflectance), Vec2::from(stored));
             let (sine, cosine) = incidence.to_radians().sin_cos();
             let view = (Vec2::from_angle(azimuth.to_radians()) * sine).extend(cosine);

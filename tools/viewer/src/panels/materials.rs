@@ -225,7 +225,7 @@ fn specular_edit(ui: &mut Ui, specular: &mut Specular) {
             }
         });
     if let Some((model, mut parameters)) = specular.model() {
-        color_row(ui, model.color, &mut parameters.color);
+        color_row(ui, model.color(), &mut parameters.color);
         let name = match model.roughness_name {
             "alpha" => "α",
             name => name,

@@ -5,7 +5,8 @@ use std::path::Path;
 use relight_format as format;
 
 use super::{
-    BlendName, Camera, Color, Error, Ground, LayerFile, Light, MaterialOverride, Transform,
+    BlendName, Camera, Color, Error, Ground, LayerFile, Light, MaterialOverride, Reflecting,
+    Transform,
 };
 
 /// Range checks whose errors name the file.
@@ -193,11 +194,9 @@ impl Checker<'_> {
             )
         };
         let color = |key: &str, value: Color| self.reflectance(&at(key), value.rgb());
-        if let Some((diffuse, specular)) = material.reflection() {
-            color("diffuse", diffuse)?;
-            return self.reflection(place, material, &specular);
-        }
         match *material {
+            M::Diffuse { diffuse } => color("diffuse", diffuse),
+            M::Reflecting(ref reflecting) => self.reflection(place, reflecting),
             M::MetallicRoughness {
                 base_color,
                 metallic,
@@ -230,33 +229,31 @@ impl Checker<'_> {
                     self.layer(&format!("{place}.layers[{index}]"), layer)
                 })
             }
-            _ => Ok(()),
+            M::Measured { .. } => Ok(()),
         }
     }
 
-    /// What lies on a base, by its model's entry of [`format::REFLECTION_MODELS`].
-    fn reflection(
-        &self,
-        place: &str,
-        material: &MaterialOverride,
-        specular: &format::Specular,
-    ) -> Result<(), Error> {
-        let Some((model, parameters)) = specular.model() else {
-            return Ok(());
-        };
-        self.reflectance(&format!("{place}.{}", model.color), parameters.color)?;
+    /// A base and what lies on it, by its model's entry of [`format::REFLECTION_MODELS`].
+    fn reflection(&self, place: &str, reflecting: &Reflecting) -> Result<(), Error> {
+        let Reflecting {
+            model,
+            diffuse,
+            color,
+            roughness,
+        } = reflecting;
+        self.reflectance(&format!("{place}.diffuse"), diffuse.rgb())?;
+        self.reflectance(&format!("{place}.{}", model.color()), color.rgb())?;
         let name = model.roughness_name;
-        if let Some(given) = material.roughness_along_axes() {
-            self.require(
-                given.pair().is_some(),
-                place,
-                &format!("{name}, or {name}_x and {name}_y"),
-                format_args!("{}", given.found(name)),
-            )?;
-        }
+        let pair = roughness.pair();
+        self.require(
+            pair.is_some(),
+            place,
+            &format!("{name}, or {name}_x and {name}_y"),
+            format_args!("{}", roughness.found(name)),
+        )?;
         let place = format!("{place}.{name}");
         let expected = model.roughness.to_string();
-        parameters.roughness.iter().try_for_each(|&value| {
+        (pair.iter().flatten()).try_for_each(|&value| {
             self.require(model.roughness.contains(value), &place, &expected, value)
         })
     }

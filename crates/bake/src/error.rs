@@ -86,6 +86,7 @@ pub struct Error {
 
 impl Error {
     /// The system refuses to read a file.
+    #[cfg(not(target_family = "wasm"))]
     pub(crate) fn read(file: &Path, source: std::io::Error) -> Self {
         Self::refused(file, "file", "a readable file", source)
     }

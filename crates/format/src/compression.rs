@@ -55,10 +55,7 @@ mod rust {
     use super::{MAX_WINDOW_LOG, Read, io};
 
     /// All bytes in one frame, less tightly than C's library does.
-    #[cfg_attr(
-        not(target_family = "wasm"),
-        expect(clippy::unnecessary_wraps, reason = "as the other one")
-    )]
+    #[expect(clippy::unnecessary_wraps, reason = "as the other one")]
     pub(crate) fn compress(raw: &[u8]) -> io::Result<Vec<u8>> {
         Ok(compress_to_vec(raw, CompressionLevel::Fastest))
     }

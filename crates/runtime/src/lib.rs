@@ -75,6 +75,14 @@
 //! `paper`, off by default, adds [`Method::Cells`], the integrator of Wang et al. (2013), to compare with. Without it
 //! a frame that asks for cells is an [`Error::Feature`].
 
+#![cfg_attr(
+    target_family = "wasm",
+    allow(
+        clippy::arc_with_non_send_sync,
+        reason = "pages have one thread; elsewhere the same handles are shared between threads"
+    )
+)]
+
 mod background;
 mod composite;
 mod error;

@@ -262,6 +262,7 @@ impl Stage {
 
     /// Puts the picture on the canvas, which gets its size: the page stretches it.
     pub fn present(&mut self) -> Result<(), JsError> {
+        use wgpu::CurrentSurfaceTexture::{Suboptimal, Success};
         let [width, height] = self.view.size();
         if [self.canvas.width(), self.canvas.height()] != [width, height] {
             self.canvas.set_width(width);
@@ -269,11 +270,10 @@ impl Stage {
         }
         let configuration = self.configuration(width, height);
         (self.surface).configure(self.renderer.device(), &configuration);
-        let texture = match self.surface.get_current_texture() {
-            wgpu::CurrentSurfaceTexture::Success(texture)
-            | wgpu::CurrentSurfaceTexture::Suboptimal(texture) => texture,
+        let current = self.surface.get_current_texture();
+        let (Success(texture) | Suboptimal(texture)) = current else {
             // The next picture comes soon.
-            _ => return Ok(()),
+            return Ok(());
         };
         let target = texture
             .texture

@@ -239,8 +239,8 @@ impl Widgets {
     fn find(&self, name: &str) -> Option<Vec<f32>> {
         let shown = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let named = |node: &&Node| node.label() == Some(name) || node.value() == Some(name);
-        let nodes = shown.as_ref()?.nodes.iter().map(|(_, node)| node);
-        let bounds = nodes.filter(named).last()?.bounds()?;
+        let mut nodes = shown.as_ref()?.nodes.iter().map(|(_, node)| node);
+        let bounds = nodes.rfind(named)?.bounds()?;
         Some(
             [bounds.x0, bounds.y0, bounds.x1, bounds.y1]
                 .map(|side| side as f32)

@@ -10,6 +10,7 @@ use std::fs::File;
 #[cfg(not(target_family = "wasm"))]
 use std::io::BufReader;
 use std::io::{BufRead, Cursor, Read};
+#[cfg(not(target_family = "wasm"))]
 use std::path::Path;
 
 use exr::prelude::{FlatSamples, MetaData, ReadChannels, ReadLayers};

@@ -78,6 +78,13 @@ impl Viewer {
         }
     }
 
+    #[cfg_attr(
+        target_family = "wasm",
+        expect(
+            clippy::unnecessary_wraps,
+            reason = "elsewhere a file is written, which may fail"
+        )
+    )]
     fn save_camera(&self, path: &Path) -> anyhow::Result<()> {
         let text = camera_file::text(&self.orbit.camera());
         #[cfg(not(target_family = "wasm"))]

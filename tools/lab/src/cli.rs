@@ -62,40 +62,41 @@ struct NoGpu(#[source] relight_runtime::Error);
 #[error(transparent)]
 struct Usage(Objection);
 
-/// Renders baked scenes, ray-traces truth and compares the two.
+/// Draws baked scenes as the runtime does, computes the same pictures exactly by ray tracing (the
+/// "truth"), and measures how far the two are apart.
 #[derive(Parser)]
 #[command(name = "lab", version, after_help = EXIT_CODES)]
 struct Cli {
     #[command(subcommand)]
     command: Command,
-    /// Print the result as one JSON object on standard output.
+    /// Print the result as one JSON object to standard output.
     #[arg(long, global = true)]
     json: bool,
 }
 
 #[derive(Subcommand)]
 enum Command {
-    /// Render a baked scene with the runtime.
+    /// Draw a baked scene as the runtime does.
     Render(Render),
-    /// Ray-trace a scene: direct light, mean and variance.
+    /// Compute a picture of a scene exactly, by ray tracing, with how noisy each pixel is.
     Truth(Truth),
-    /// Measure how far an image is from the truth.
+    /// Measure how far a picture is from the truth.
     Compare(Compare),
-    /// Draw a scene with every integrator: time, work, and error against ray-traced truth.
+    /// Draw a scene by every method: the time and work that each takes, and its error against the truth.
     Bench(Bench),
-    /// Generate a scene and an environment, bake both, render ambient, polar and truth.
+    /// Make a small scene and an environment, bake both, draw them, and compare with the truth.
     Demo(Demo),
-    /// The paper's experiments and our own: tables, plots, pictures and report.html.
+    /// Run experiments, those of the paper (Wang et al. 2013) and others: tables, plots, pictures and a
+    /// report.html of all.
     Experiments(Experiments),
 }
 
 #[derive(Args)]
 struct Experiments {
-    /// Which one. `all` runs all but `compression`, which takes hours.
+    /// Which experiment. `all` runs all but `compression`, which takes hours.
     #[arg(value_parser = experiment_names())]
     name: String,
-    /// Folder for everything that is written; the report has what is in it from earlier runs
-    /// as well.
+    /// Folder for everything that is written. The report also shows what earlier runs left there.
     #[arg(long)]
     out: PathBuf,
     /// Folder of meshes, environments and measured BRDFs.
@@ -104,23 +105,23 @@ struct Experiments {
     /// Width and height of the pictures.
     #[arg(long, default_value = "400x300", value_parser = parse_size)]
     size: [u32; 2],
-    /// Truth samples per pixel.
+    /// Samples per pixel of the truth: four times as many halve its noise.
     #[arg(long, default_value_t = 512, value_parser = clap::value_parser!(u32).range(1..))]
     samples: u32,
-    /// Where every bake starts from.
+    /// The preset of `bake scene` that scenes are baked with.
     #[arg(long, value_enum, default_value = "standard")]
     preset: PresetName,
-    /// Where to render; `auto` takes a GPU if there is one, else the CPU.
+    /// What draws: `auto` is a GPU if there is one, else the processor.
     #[arg(long, value_enum, default_value = "auto")]
     device: DeviceName,
-    /// Markdown file whose tables between `<!-- experiments -->` and `<!-- /experiments -->` are
-    /// replaced by those of all experiments in the folder.
+    /// Markdown file in which what is between `<!-- experiments -->` and `<!-- /experiments -->` is
+    /// replaced by the tables of all experiments in the folder.
     #[arg(long)]
     results: Option<PathBuf>,
-    /// `compression`: scene files with a camera, in place of five of the laboratory's.
+    /// With `compression`: scene files with a camera, in place of five that come with lab.
     #[arg(long, num_args = 1..)]
     scenes: Vec<PathBuf>,
-    /// `compression`: a baked environment, in place of grace with 16 lobes.
+    /// With `compression`: a baked environment, in place of the image `grace` with 16 lobes.
     #[arg(long)]
     environment: Option<PathBuf>,
 }
@@ -146,100 +147,100 @@ fn experiment_names() -> clap::builder::PossibleValuesParser {
 
 #[derive(Args)]
 struct Bench {
-    /// Baked scene.
+    /// The scene, a .relight file of `bake scene`.
     scene: PathBuf,
-    /// Baked environment.
+    /// The light, a .relight file of `bake environment`.
     #[arg(long)]
     environment: PathBuf,
     /// Width and height of the pictures.
     #[arg(long, default_value = "400x300", value_parser = parse_size)]
     size: [u32; 2],
-    /// Truth samples per pixel.
+    /// Samples per pixel of the truth: four times as many halve its noise.
     #[arg(long, default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..))]
     samples: u32,
-    /// Frames per integrator, of which the fastest counts.
+    /// How many frames each method draws; the fastest counts.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     repetitions: u32,
     #[command(flatten)]
     camera: CameraArguments,
-    /// Where to render; `auto` takes a GPU if there is one, else the CPU.
+    /// What draws: `auto` is a GPU if there is one, else the processor.
     #[arg(long, value_enum, default_value = "auto")]
     device: DeviceName,
 }
 
 #[derive(Args)]
 struct Demo {
-    /// Folder for assets and pictures.
+    /// Folder for baked files and pictures.
     #[arg(long, default_value = "out/demo")]
     out: PathBuf,
     /// Width and height of each of the three pictures.
     #[arg(long, default_value = "480x360", value_parser = parse_size)]
     size: [u32; 2],
-    /// Truth samples per pixel.
+    /// Samples per pixel of the truth: four times as many halve its noise.
     #[arg(long, default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..))]
     samples: u32,
-    /// Where to render; `auto` takes a GPU if there is one, else the CPU.
+    /// What draws: `auto` is a GPU if there is one, else the processor.
     #[arg(long, value_enum, default_value = "auto")]
     device: DeviceName,
 }
 
 #[derive(Args)]
 struct Render {
-    /// Baked scene.
+    /// The scene, a .relight file of `bake scene`.
     scene: PathBuf,
-    /// Baked environment.
+    /// The light, a .relight file of `bake environment`.
     #[arg(long)]
     environment: PathBuf,
     #[command(flatten)]
     picture: Picture,
-    /// How visible light is integrated.
+    /// How the light that reaches a surface past what blocks it is added up.
     #[arg(long, value_enum, default_value = "polar")]
     method: MethodName,
-    /// Smooth silhouettes and edges: four samples of visibility per pixel, each distinct surface
-    /// shaded once. Compare such pictures with `truth --filter box`.
+    /// Smooth silhouettes and edges: every pixel looks for surfaces at four points, and shades each surface
+    /// that it finds once. Compare such pictures with `truth --filter box`.
     #[arg(long)]
     antialias: bool,
-    /// What surfaces see of the environment: its lobes alone, or also what its image has beyond
-    /// them.
+    /// What surfaces reflect of the environment: its lobes alone, or also the finer detail that its image
+    /// has beyond them.
     #[arg(long, value_enum, default_value = "auto")]
     reflections: ReflectionsName,
-    /// Polar: how many spokes per lobe.
+    /// With the method polar: how finely lobes are looked at; a number of spokes.
     #[arg(long, value_enum, default_value = "standard")]
     quality: QualityName,
-    /// Polar: spokes per lobe, in place of the quality's.
+    /// With the method polar: spokes per lobe, 1 to 64, in place of those of --quality.
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=64))]
     spokes: Option<u32>,
-    /// Cells: largest error of a boundary, radians.
+    /// With the method cells: how far a shadow's edge may be off, radians.
     #[arg(long, value_name = "RADIANS", value_parser = parse_at_least_zero, allow_hyphen_values = true)]
     boundary_error: Option<f32>,
-    /// Cells: largest error of the lobes in a cell, as a part of all that they carry.
+    /// With the method cells: how wrong the lobes in a cell may be, as a part of all their light.
     #[arg(long, value_name = "PART", value_parser = parse_at_least_zero, allow_hyphen_values = true)]
     lobe_error: Option<f32>,
-    /// Cells: an even partition instead, ROWSxCOLUMNS of polar angle and azimuth.
+    /// With the method cells: so many even cells instead, ROWSxCOLUMNS of polar angle and azimuth.
     #[arg(long, value_parser = parse_size, value_name = "ROWSxCOLUMNS")]
     partition: Option<[u32; 2]>,
-    /// Where to render; `auto` takes a GPU if there is one, else the CPU.
+    /// What draws: `auto` is a GPU if there is one, else the processor.
     #[arg(long, value_enum, default_value = "auto")]
     device: DeviceName,
 }
 
 #[derive(Args)]
 struct Truth {
-    /// Baked scene for `lobes`; scene file or mesh for `full`.
+    /// For the kind `lobes` a .relight file of `bake scene`; for `full` a scene file or a mesh.
     scene: PathBuf,
-    /// `lobes`: the runtime's lights and lobes under exact visibility. `full`: the original
-    /// environment and reflection models.
+    /// What to compute. `lobes`: what the runtime draws, but with exact shadows. `full`: the original
+    /// image of the environment and the exact reflection models, without anything baked.
     #[arg(long, value_enum)]
     kind: Kind,
-    /// `lobes`: rays against the mesh, or the signed distances of the asset, which isolates
-    /// integration.
+    /// With `lobes`: shadows by rays against the mesh, or those of the baked file, so that only the errors
+    /// of adding up light are left.
     #[arg(long, value_enum, default_value = "exact")]
     visibility: VisibilityName,
-    /// Baked environment for `lobes`; lat-long .hdr or .exr for `full`, by default that of
-    /// the scene file.
+    /// With `lobes` a .relight file of `bake environment`; with `full` a lat-long .hdr or .exr, by default
+    /// that of the scene file.
     #[arg(long)]
     environment: Option<PathBuf>,
-    /// For `full`: folder that holds whatever the scene file refers to, as of `bake scene`
+    /// With `full`: folder that must hold every file that the scene file names, as in `bake scene`
     /// [default: the scene file's own folder].
     #[arg(long, value_name = "DIR")]
     root: Option<PathBuf>,
@@ -248,24 +249,24 @@ struct Truth {
     /// Samples per pixel; rounded up to a multiple of 8.
     #[arg(long, default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..))]
     samples: u32,
-    /// Where in a pixel: its centre, as the runtime shades, or all over its square.
+    /// Where samples lie in a pixel: at its centre, as the runtime shades it, or all over its square.
     #[arg(long, value_enum, default_value = "center")]
     filter: FilterName,
-    /// Selects the random numbers.
+    /// Another number gives another draw of the same noise.
     #[arg(long, default_value_t = 0)]
     seed: u32,
-    /// Reflections that light may take off other surfaces before it meets the one that is seen. 0:
-    /// direct light only. From the fifth on paths also end by chance, so that 64 is all of them
-    /// [default: 64 for an asset that has bounced light, else 0].
+    /// How often light may bounce off other surfaces before it reaches the one that is seen, 0 to 256; 0 is
+    /// direct light only. From the fifth bounce on paths also end by chance, without bias, so that 64
+    /// stands for all [default: 64 for a baked file with bounced light, else 0].
     #[arg(long, value_parser = clap::value_parser!(u32).range(0..=256))]
     bounces: Option<u32>,
 }
 
 #[derive(Args)]
 struct Compare {
-    /// Candidate, .exr.
+    /// The picture to measure, .exr.
     candidate: PathBuf,
-    /// Truth, .exr.
+    /// The truth, .exr.
     truth: PathBuf,
 }
 
@@ -277,17 +278,17 @@ struct Picture {
     /// Width and height in pixels.
     #[arg(long, default_value = "800x600", value_parser = parse_size)]
     size: [u32; 2],
-    /// Turn the environment about +Y, degrees counter-clockwise seen from above.
+    /// Turn the environment by so many degrees about +Y, counter-clockwise seen from above.
     #[arg(long, default_value_t = 0.0, value_parser = parse_finite, allow_hyphen_values = true)]
     rotate: f32,
-    /// Scene file whose `lights` to add, up to 128. `truth --kind full` has those of its scene
-    /// file anyway.
+    /// Add the `lights` of this scene file, up to 128. `truth --kind full` has those of its own scene file
+    /// without this.
     #[arg(long, value_name = "SCENE.toml")]
     lights: Option<PathBuf>,
-    /// Exposure of a PNG in stops. An EXR is not exposed.
+    /// Make a PNG brighter by so many stops, or darker if negative. An EXR stays as it is.
     #[arg(long, default_value_t = 0.0, value_parser = parse_finite, allow_hyphen_values = true)]
     exposure: f32,
-    /// Image to write: .exr with linear radiance and coverage, .png to look at.
+    /// The picture to write: .exr with linear radiance and coverage, or .png to look at.
     #[arg(short, long)]
     output: PathBuf,
 }
@@ -321,11 +322,11 @@ struct Point([f32; 3]);
 
 #[derive(Clone, Copy, ValueEnum)]
 enum MethodName {
-    /// Spokes about every lobe: the default
+    /// Along spokes about the middle of every lobe
     Polar,
-    /// A half-space per lobe (Wang et al. 2009)
+    /// As if everything beyond one straight edge per lobe were blocked (Wang et al. 2009): fast and rough
     Ambient,
-    /// Adaptive cells with straight boundaries (Wang et al. 2013)
+    /// In cells with straight edges, divided where needed (Wang et al. 2013)
     Cells,
 }
 

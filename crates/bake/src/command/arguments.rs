@@ -9,6 +9,9 @@ use relight_bake::files::Access;
 use relight_bake::scene;
 use relight_format as format;
 
+/// Heading of what every command takes.
+const GLOBAL: &str = "Every command";
+
 const EXIT_CODES: &str = "\
 Exit codes:
   0    done
@@ -17,58 +20,74 @@ Exit codes:
   3    a file could not be read or written
   130  interrupted; no output is half-written, and --resume continues a scene bake
 
-Only regular files are read. What an input refers to is read only below the input's own folder,
-or below --root. Outputs replace regular files or nothing, and never an input.
---json is described by bake.schema.json beside the sources of this command.";
+Files that the input names (meshes, textures, tables) must be in the input's own folder or below it;
+--root names a wider folder. An output may replace a file, but never an input, a folder or a link.
+The fields of --json are described in bake.schema.json, beside the sources of this command.";
 
-/// Bakes meshes and HDR environments into .relight assets.
+/// Turns meshes, HDR images of surroundings and measured materials into .relight files, which the
+/// relight runtime draws under light that moves and changes.
 #[derive(Parser)]
 #[command(name = "bake", version, after_help = EXIT_CODES)]
 pub struct Cli {
     #[command(subcommand)]
     pub command: Command,
-    /// Print one JSON object to standard output instead of text, for errors as well.
-    #[arg(long, global = true)]
+    /// Print one JSON object to standard output in place of text, for errors as well.
+    #[arg(long, global = true, help_heading = GLOBAL)]
     pub json: bool,
-    /// As --json, and before it one JSON object per line for progress.
-    #[arg(long, global = true)]
+    /// Like --json, with a JSON object on a line of its own for every step of progress before it.
+    #[arg(long, global = true, help_heading = GLOBAL)]
     pub json_progress: bool,
-    /// Worker threads, from 0 to 64, or to the number of cores where there are more; 0 means one per
-    /// core.
-    #[arg(long, global = true, default_value_t = 0, value_name = "N")]
+    /// How many threads work: 0 to 64, or to the number of cores if that is larger. 0 stands for one
+    /// per core. The output is the same with any number.
+    #[arg(long, global = true, default_value_t = 0, value_name = "N", help_heading = GLOBAL)]
     pub threads: usize,
-    /// Give way to everything else that runs on the machine.
+    /// Let everything else on the machine run first.
     #[cfg(unix)]
-    #[arg(long, global = true)]
+    #[arg(long, global = true, help_heading = GLOBAL)]
     pub low_priority: bool,
 }
 
 #[derive(Subcommand)]
 pub enum Command {
-    /// Bake a scene file (.toml) or a mesh (.gltf, .glb, .obj).
+    /// Bake a mesh (.gltf, .glb, .obj), or a scene file (.toml) that names one and adds to it.
+    ///
+    /// Finds out from every vertex which directions are open and which are blocked by other parts of
+    /// the mesh, and how light bounces between surfaces, and stores that with the mesh, its materials
+    /// and textures. The runtime then draws shadows and bounced light under any environment. SCENE.md
+    /// describes scene files.
     Scene(SceneArguments),
-    /// Join the shards of a scene into the asset that a single bake would write.
+    /// Join the parts that `bake scene --shard` wrote on several machines.
+    ///
+    /// The result has the bytes that a bake on one machine would have written. FARM.md shows how.
     Merge {
-        /// The files that `bake scene --shard` wrote, each shard once.
+        /// The parts, each of them once, in any order.
         #[arg(required = true)]
         shards: Vec<PathBuf>,
-        /// Asset to write.
+        /// The file to write.
         #[arg(short, long, value_name = "OUT.relight")]
         output: PathBuf,
     },
-    /// Fit spherical Gaussians to a lat-long HDR image (.hdr, .exr).
+    /// Prepare an HDR image (.hdr, .exr) of the surroundings for lighting scenes.
+    ///
+    /// The image is a panorama in the usual lat-long layout, twice as wide as high. Small bright spots,
+    /// such as the sun or a lamp, become light sources with sharp shadows; the rest is approximated by
+    /// smooth blobs of light ("lobes", which are spherical Gaussians).
     Environment(EnvironmentArguments),
-    /// Fit lobes to a measured BRDF (RGL .bsdf, MERL .binary), or pack a material written as
-    /// in a scene file (.toml) with its textures.
+    /// Prepare a material that scene files can use: a measured BRDF (.bsdf, .binary), or one described
+    /// in a text file (.toml) with its textures.
+    ///
+    /// Measured BRDFs are those of the RGL (.bsdf) and MERL (.binary) databases. They are approximated
+    /// by a few simple reflections ("lobes") and a small table of what these miss. A text file describes
+    /// a material with the keys that it has below [materials] in a scene file.
     Material(MaterialArguments),
-    /// Print what an asset contains.
+    /// Print what a .relight file contains.
     Inspect {
-        /// The asset.
+        /// The file.
         file: PathBuf,
     },
-    /// Check every byte of an asset.
+    /// Check that a .relight file is complete and undamaged.
     Validate {
-        /// The asset.
+        /// The file.
         file: PathBuf,
     },
 }
@@ -102,18 +121,19 @@ fn refuse(options: &[(&'static str, bool)], expected: &str) -> Result<(), Usage>
 
 #[derive(Clone, Copy, ValueEnum)]
 enum Preset {
-    /// To look at a scene within seconds: fine meshes are sampled at a part of their vertices.
+    /// For a first look within seconds: of a fine mesh, only some vertices are sampled.
     Draft,
+    /// For most uses.
     Standard,
-    /// Small errors at several times the size and time.
+    /// For small errors, at several times the size and time.
     High,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum RepresentationArgument {
-    /// Principal components per cluster of vertices.
+    /// Each group of neighbouring vertices by itself.
     Clustered,
-    /// Principal components of the whole scene, as in the paper.
+    /// The whole scene at once, as in the paper of Wang et al. 2013.
     Global,
 }
 
@@ -121,15 +141,15 @@ enum RepresentationArgument {
 #[derive(Args)]
 #[command(next_help_heading = "What may be read")]
 pub struct AccessArguments {
-    /// Folder that holds whatever the input refers to: meshes, buffers, textures, tables. Links
-    /// are followed if they stay inside [default: the input's own folder].
+    /// Folder that must hold every file that the input names: meshes, buffers, textures, tables. Links
+    /// are followed if they stay inside it [default: the input's own folder].
     #[arg(long, value_name = "DIR")]
     root: Option<PathBuf>,
-    /// Bytes of all input files together, at least 1 [default: 2147483648].
+    /// Most bytes of all input files together, at least 1 [default: 2147483648].
     #[arg(long, value_name = "BYTES", value_parser = clap::value_parser!(u64).range(1..))]
     limit_bytes: Option<u64>,
-    /// Texels of all textures together, at least 1; each takes 4 bytes, and up to 8 more while it
-    /// is decoded [default: 134217728].
+    /// Most texels of all textures together, at least 1. Each takes 4 bytes of memory, and up to 8 more
+    /// while it is decoded [default: 134217728].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     limit_texels: Option<u64>,
 }
@@ -148,83 +168,88 @@ impl AccessArguments {
 
 #[derive(Args)]
 pub struct SceneArguments {
-    /// Scene file or mesh.
+    /// The mesh or scene file.
     pub input: PathBuf,
-    /// Asset to write; with --shard, the part to write.
+    /// The file to write; with --shard, the part.
     #[arg(short, long, value_name = "OUT.relight")]
     pub output: PathBuf,
-    /// Continue from OUT.relight.parts, which an interrupted bake leaves behind; start from the
-    /// beginning if there is none.
+    /// Continue a bake that was interrupted, from the OUT.relight.parts that it left behind. Without such a
+    /// file the bake starts from the beginning.
     #[arg(long)]
     pub resume: bool,
-    /// Bake the I-th of N parts, I from 1; `bake merge` joins them.
+    /// Bake only part I of N, with I from 1 to N, so that N machines can share the work; `bake merge` joins
+    /// the parts.
     #[arg(long, value_name = "I/N", value_parser = shard)]
     pub shard: Option<Shard>,
-    /// OBJ files without normals and smoothing groups: faces that bend by more than this meet at a
-    /// hard edge, from 0 (all flat) to 180 (all smooth); a scene file's own angle wins
-    /// [default: 80].
+    /// For OBJ files that have neither normals nor smoothing groups: neighbouring faces whose directions
+    /// differ by more than this angle meet at a hard edge, others are shaded smoothly; from 0 (all flat)
+    /// to 180 (all smooth). An angle in the scene file takes precedence [default: 80].
     #[arg(long, value_name = "DEGREES", value_parser = crease)]
     pub crease: Option<f32>,
-    /// Also cast one ray per texel at every vertex; any difference is an error.
+    /// Check the result against a ray in every direction at every vertex, which is slow; any
+    /// difference is an error.
     #[arg(long)]
     pub verify_visibility: bool,
-    /// Starting point for the options below.
+    /// Trade speed and size against accuracy; the options below change single settings of it.
     #[arg(long, value_enum, default_value_t = Preset::Standard)]
     preset: Preset,
-    /// How visibility is represented [default: clustered].
+    /// How the open directions of vertices are compressed [default: clustered].
     #[arg(long, value_enum, hide = !scene::PAPER)]
     representation: Option<RepresentationArgument>,
-    /// Global representation: components besides the mean, 0 to 31 [default: 24].
+    /// With --representation global: how many principal components are kept besides the mean, 0 to 31
+    /// [default: 24].
     #[arg(long, value_name = "K", hide = !scene::PAPER,
           value_parser = clap::value_parser!(u32).range(0..=31))]
     rank: Option<u32>,
-    /// Target RMS displacement of shadow boundaries, radians, more than
-    /// 0. It includes the error of compression, which more bytes lower, and that of interpolation
-    /// between vertices, which --max-edge and --refine-error lower [default: none; each preset
-    /// weighs errors against bytes].
+    /// How far edges of shadows may be off, as the root mean square over the surface of an angle in
+    /// radians, above 0. Compression adds to this error, which more bytes lower, and so does
+    /// interpolation between vertices, which --max-edge and --refine-error lower [default: none; each
+    /// preset balances errors and bytes].
     #[arg(long, value_name = "RADIANS", value_parser = positive, allow_negative_numbers = true)]
     max_error: Option<f32>,
-    /// Largest size of the asset, textures included, at least 1; the
-    /// bake looks for the smallest error that fits.
+    /// How large the file may be, textures included, at least 1. The bake finds the smallest error
+    /// that fits.
     #[arg(long, value_name = "BYTES", conflicts_with_all = ["max_error", "shard"],
           value_parser = clap::value_parser!(u64).range(1..))]
     max_bytes: Option<u64>,
-    /// How many images the visibility of neighbouring vertices is mixed from, at most: four times this
-    /// number, which is 1 to 8. More images follow shadows more closely and take more bytes
+    /// How many images the shadows of a group of neighbouring vertices are mixed from, at most, in fours:
+    /// 1 to 8 stand for 4 to 32 images. More images follow shadows more closely and take more bytes
     /// [default: 2 for draft, 4 for standard, 6 for high].
     #[arg(long, value_name = "N",
           value_parser = clap::value_parser!(u32).range(1..=i64::from(format::MAX_TILES_PER_CLUSTER)))]
     max_tiles: Option<u32>,
-    /// Longest edge after refinement, as a fraction of the diagonal of the scene without
-    /// its ground, more than 0; a scene file's own bound wins [default: 0.08 for draft, 0.02 for
-    /// standard, 0.06 for high].
+    /// Divide edges of triangles that are longer than this, as a fraction of the scene's diagonal without
+    /// its ground, above 0. Shadows are stored at vertices, so a finer mesh has finer shadows. A bound
+    /// in the scene file takes precedence [default: 0.08 for draft, 0.02 for standard, 0.06 for
+    /// high].
     #[arg(long, value_name = "FRACTION", value_parser = positive, allow_negative_numbers = true)]
     pub max_edge: Option<f32>,
-    /// Also divide edges where interpolating visibility between their ends displaces shadow
-    /// boundaries by more than this, radians, more than 0. The bound is for edges of 0.02 of the
-    /// diagonal of the scene without its ground; it is twice as large for edges of half that
-    /// length. A scene file's own bound wins [default: off; 0.01 for high].
+    /// Also divide edges of triangles along which a shadow would be off by more than this angle, in
+    /// radians, above 0. The bound is for edges of 0.02 of the scene's diagonal without its ground;
+    /// for edges of half that length it is twice as large. A bound in the scene file takes precedence
+    /// [default: off; 0.01 for high].
     #[arg(long, value_name = "RADIANS", value_parser = positive, allow_negative_numbers = true)]
     pub refine_error: Option<f32>,
-    /// Refinement stops before the mesh has more vertices than this, at least 1
-    /// [default: 1000000].
+    /// Stop dividing edges before the mesh has more vertices than this, at least 1 [default: 1000000].
     #[arg(long, value_name = "N", value_parser = at_least_one)]
     pub max_vertices: Option<usize>,
-    /// Bounces of light to follow: auto (until the next adds less than 0.5 %) or a number, 0 to 64;
-    /// 0 for none. They turn and change with the light, but have the materials of the bake.
+    /// How often light bounces between surfaces: a number from 0 (not at all) to 64, or auto, which stops
+    /// when the next bounce would add less than 0.5 %. Bounced light follows the light as it changes, but
+    /// keeps the colours that materials had in the bake.
     #[arg(long, value_name = "N|auto", default_value = "auto", value_parser = bounces)]
     bounces: Bounces,
-    /// Texels per side of the visibility samples, 8 to 256, a multiple of the basis images'
-    /// [default: 32 for draft, else 128].
+    /// In how many directions a vertex looks for what blocks light: this number squared. 8 to 256, a
+    /// multiple of --basis-resolution [default: 32 for draft, else 128].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(8..=256))]
     sample_resolution: Option<u32>,
-    /// Texels per side of the basis images, 8 to 256 [default: 32 for draft, else 64].
+    /// Width and height of the images that shadows are mixed from, 8 to 256 texels [default: 32 for draft,
+    /// else 64].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(8..=256))]
     basis_resolution: Option<u32>,
     #[command(flatten)]
     access: AccessArguments,
-    /// Vertices, and triangles, of the mesh as its file has it, 1 to 33554432; a bake takes
-    /// about 500 bytes for each [default: 8388608].
+    /// Most vertices, and most triangles, that the mesh may have in its file, 1 to 33554432. A bake takes
+    /// about 500 bytes of memory for each [default: 8388608].
     #[arg(long, value_name = "N", value_parser = at_least_one)]
     limit_vertices: Option<usize>,
 }
@@ -349,42 +374,42 @@ fn shard(text: &str) -> Result<Shard, String> {
 
 #[derive(Args)]
 pub struct EnvironmentArguments {
-    /// Lat-long image: twice as wide as high, first row up, first column towards -Z.
+    /// The image: twice as wide as high, its first row straight up, its first column towards -Z.
     pub input: PathBuf,
-    /// Asset to write.
+    /// The file to write.
     #[arg(short, long, value_name = "OUT.relight")]
     pub output: PathBuf,
-    /// Spherical Gaussians to fit, 1 to 1024; with --max-error, at most [default: 64, with
-    /// --max-error 256].
+    /// How many lobes approximate the image, 1 to 1024; with --max-error, at most so many. More lobes
+    /// follow the image more closely and take longer to draw [default: 64; 256 with --max-error].
     #[arg(long, value_name = "N", value_parser = lobes)]
     lobes: Option<usize>,
-    /// Add lobes until the relative L2 error is at most this, more than 0; fail where that takes
-    /// too many.
+    /// Add lobes until the relative L2 error is at most this, above 0 (0.1 is 10 %). If that takes more
+    /// lobes than are allowed, nothing is written.
     #[arg(long, value_name = "E", value_parser = positive, allow_negative_numbers = true)]
     max_error: Option<f32>,
-    /// Suns, lamps and windows to take out of the image at most, 0 to 8, as sources that rays
-    /// shadow; the lobes fit the rest. 0 leaves all light to the lobes.
+    /// How many suns, lamps and windows may become light sources of their own, with sharp shadows, 0 to 8.
+    /// 0 leaves all light to the lobes.
     #[arg(long, value_name = "N", default_value_t = environment::MAX_SOURCES as u8,
           value_parser = clap::value_parser!(u8).range(..=environment::MAX_SOURCES as i64))]
     sources: u8,
-    /// Also write the original, the fit and their difference (PNG) and the error over the number
-    /// of lobes (CSV, SVG) into this folder.
+    /// Also write pictures of the image, of what approximates it and of their difference (PNG), and the
+    /// error by the number of lobes (CSV, SVG), into this folder.
     #[arg(long, value_name = "DIR")]
     pub report: Option<PathBuf>,
-    /// The image is upside down: its first row is the nadir.
+    /// Turn the image over: its first row is straight down.
     #[arg(long)]
     flip: bool,
-    /// The image is seen from outside the sphere: left and right are exchanged.
+    /// Exchange left and right: the image shows the surroundings as seen from outside.
     #[arg(long)]
     mirror: bool,
-    /// Take the image as lat-long even if it is not twice as wide as high.
+    /// Accept an image that is not twice as wide as high, and take it as lat-long.
     #[arg(long)]
     any_shape: bool,
-    /// Bytes of the file, at least 1 [default: 2147483648].
+    /// Most bytes of the file, at least 1 [default: 2147483648].
     #[arg(long, value_name = "BYTES", value_parser = clap::value_parser!(u64).range(1..))]
     limit_bytes: Option<u64>,
-    /// Pixels of the image, 1 to 536870912; each takes about 25 bytes [default: 33554432, as of
-    /// 8192x4096].
+    /// Most pixels of the image, 1 to 536870912. Each takes about 25 bytes of memory [default: 33554432,
+    /// as of 8192x4096].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=hdr::MAX_PIXELS))]
     limit_pixels: Option<u64>,
 }
@@ -424,21 +449,22 @@ impl EnvironmentArguments {
 
 #[derive(Args)]
 pub struct MaterialArguments {
-    /// Table or material file.
+    /// The measured BRDF (.bsdf, .binary) or the text file (.toml).
     pub input: PathBuf,
-    /// Asset to write.
+    /// The file to write.
     #[arg(short, long, value_name = "OUT.relight")]
     pub output: PathBuf,
-    /// Tables: lobes that give reflections their shape, 1 to 7; what they miss of the table
-    /// multiplies them [default: until one takes less than a twentieth off the error].
+    /// Measured BRDFs: how many lobes give reflections their shape, 1 to 7 [default: until another one
+    /// would take less than a twentieth off the error].
     #[arg(long, value_name = "N",
           value_parser = clap::value_parser!(u8).range(1..=format::MAX_FITTED_LOBES as i64))]
     pub lobes: Option<u8>,
-    /// Tables: fail unless the relative L2 error is at most this, more than 0.
+    /// Measured BRDFs: write nothing unless the relative L2 error is at most this, above 0 (0.1 is
+    /// 10 %).
     #[arg(long, value_name = "ERROR", value_parser = positive, allow_negative_numbers = true)]
     pub max_error: Option<f32>,
-    /// Tables: also write sphere.png into this folder: a lit sphere of the table, of the lobes,
-    /// and their difference, doubled.
+    /// Measured BRDFs: also write sphere.png into this folder: a lit sphere as measured, one as the lobes
+    /// have it, and their difference, doubled.
     #[arg(long, value_name = "DIR")]
     pub report: Option<PathBuf>,
     #[command(flatten)]

@@ -12,7 +12,14 @@ use std::ops::Range;
 
 use bytemuck::Zeroable as _;
 
-use crate::{CHANNELS_PER_TILE, Cluster, MAX_TILES_PER_CLUSTER, Triangle, Vertex};
+mod coefficients;
+mod numbers;
+
+use numbers::{element, from_integer, from_zigzag, planes, step, to_integer, zigzag};
+
+pub(crate) use coefficients::{decode_coefficients, encode_coefficients};
+
+use crate::{CHANNELS_PER_TILE, Cluster, Triangle, Vertex};
 
 /// Numbers of a [`Vertex`].
 const COMPONENTS: usize = size_of::<Vertex>() / size_of::<f32>();
@@ -435,174 +442,6 @@ pub(crate) fn decode_triangles(bytes: &[u8]) -> Option<Vec<Triangle>> {
         last = *triangle;
     }
     Some(triangles)
-}
-
-/// Bytes of every number by significance: all first bytes, then all second ones.
-fn planes<const N: usize>(numbers: &[[u8; N]]) -> Vec<u8> {
-    (0..N)
-        .flat_map(|plane| numbers.iter().map(move |number| number[plane]))
-        .collect()
-}
-
-/// A number of [`planes`].
-fn element<const N: usize>(planes: &[u8], index: usize) -> [u8; N] {
-    let count = planes.len() / N;
-    std::array::from_fn(|plane| planes[plane * count + index])
-}
-
-/// Small for small numbers of either sign.
-fn zigzag(value: i32) -> u32 {
-    ((value << 1) ^ (value >> 31)) as u32
-}
-
-fn from_zigzag(code: u32) -> i32 {
-    (code >> 1) as i32 ^ -((code & 1) as i32)
-}
-
-/// Exponent of the largest power of two that all numbers are multiples of, if those are not
-/// too large.
-fn step(numbers: &[f32]) -> i8 {
-    let lowest_bit = |number: f32| {
-        let (bits, implied) = (number.to_bits(), 1 << 23);
-        let exponent = (bits >> 23 & 0xff) as i32;
-        let digits = bits & (implied - 1) | if exponent > 0 { implied } else { 0 };
-        exponent.max(1) - 150 + digits.trailing_zeros() as i32
-    };
-    let nonzero = numbers.iter().filter(|number| **number != 0.0);
-    let exponent = nonzero.map(|number| lowest_bit(*number)).min().unwrap_or(0);
-    let exponent = i8::try_from(exponent).unwrap_or(NO_STEP);
-    let fits = |number: &f32| {
-        let multiple = f64::from(*number) / 2f64.powi(i32::from(exponent));
-        // A negative zero would lose its sign.
-        multiple.abs() < MAX_MULTIPLE && number.to_bits() != (-0.0f32).to_bits()
-    };
-    if exponent > NO_STEP && numbers.iter().all(fits) {
-        exponent
-    } else {
-        NO_STEP
-    }
-}
-
-/// A number in steps, or its bits, ascending with it.
-fn to_integer(number: f32, step: i8) -> i32 {
-    if step == NO_STEP {
-        let bits = number.to_bits() as i32;
-        return bits ^ ((bits >> 31) as u32 >> 1) as i32;
-    }
-    (f64::from(number) / 2f64.powi(i32::from(step))) as i32
-}
-
-fn from_integer(integer: i32, step: i8) -> f32 {
-    if step == NO_STEP {
-        let bits = integer ^ ((integer >> 31) as u32 >> 1) as i32;
-        return f32::from_bits(bits as u32);
-    }
-    (f64::from(integer) * 2f64.powi(i32::from(step))) as f32
-}
-
-/// Coefficients of image after image of every cluster: what all are multiples of, then
-/// differences, in multiples of it, of places.
-pub(crate) fn encode_coefficients(
-    coefficients: &[i16],
-    triangles: &[Triangle],
-    clusters: &[Cluster],
-    places: &Places,
-) -> Vec<u8> {
-    let expected = places.expected(triangles);
-    let mut steps = Vec::new();
-    let mut differences = Vec::with_capacity(coefficients.len());
-    for ((members, channels), cluster) in places.clusters(clusters).zip(clusters) {
-        for channel in 0..channels {
-            let value = |place: usize| {
-                let row = places.vertices[place] - cluster.first_vertex;
-                let row = cluster.first_coefficient as usize + row as usize * channels;
-                i32::from(coefficients[row + channel])
-            };
-            let common = members
-                .clone()
-                .fold(0, |step, place| greatest_common_divisor(step, value(place)));
-            // A lone −32768 has a step that 16 bits do not hold; such coefficients are not valid.
-            let step = common.clamp(1, i32::from(i16::MAX));
-            steps.push((step as u16).to_le_bytes());
-            differences.extend(members.clone().map(|place| {
-                let difference = value(place) - expected.of(place, &members, value);
-                // Modulo 2¹⁶, like the coefficients themselves.
-                let multiple = (difference / step) as i16;
-                (zigzag(i32::from(multiple)) as u16).to_le_bytes()
-            }));
-        }
-    }
-    let mut bytes = planes(&steps);
-    bytes.extend(planes(&differences));
-    bytes
-}
-
-/// The inverse of [`encode_coefficients`]; none if clusters and their places are not of
-/// this length.
-pub(crate) fn decode_coefficients(
-    bytes: &[u8],
-    triangles: &[Triangle],
-    clusters: &[Cluster],
-    places: &Places,
-) -> Option<Vec<i16>> {
-    let images = |cluster: &Cluster| u64::from(cluster.tiles) * CHANNELS_PER_TILE as u64;
-    let all_images: u64 = clusters.iter().map(images).sum();
-    let counts = clusters.iter().zip(places.first.windows(2));
-    let all = counts.clone().try_fold(0u64, |sum, (cluster, ends)| {
-        sum.checked_add(u64::from(ends[1] - ends[0]).checked_mul(images(cluster))?)
-    });
-    let expected_length = all?.checked_add(all_images)?.checked_mul(2)?;
-    // Of few places many vertices: more tiles than a cluster may have are refused here, before
-    // they cost memory.
-    let tiles = clusters
-        .iter()
-        .all(|cluster| cluster.tiles <= MAX_TILES_PER_CLUSTER);
-    if expected_length != bytes.len() as u64 || !tiles {
-        return None;
-    }
-    let expected = places.expected(triangles);
-    let (steps, differences) = bytes.split_at(2 * all_images as usize);
-    let all = counts.map(|(cluster, _)| images(cluster) * u64::from(cluster.vertex_count));
-    let mut coefficients = Vec::with_capacity(usize::try_from(all.sum::<u64>()).ok()?);
-    let (mut image, mut index) = (0, 0);
-    let mut values = vec![0i16; places.vertices.len()];
-    let mut vertices = places.numbers.iter();
-    for ((members, channels), cluster) in places.clusters(clusters).zip(clusters) {
-        let start = coefficients.len();
-        coefficients.resize(start + cluster.vertex_count as usize * channels, 0);
-        let vertices: Vec<u32> = (vertices.by_ref())
-            .take(cluster.vertex_count as usize)
-            .copied()
-            .collect();
-        for channel in 0..channels {
-            let step = i32::from(u16::from_le_bytes(element(steps, image)));
-            image += 1;
-            for place in members.clone() {
-                let value = |place: usize| i32::from(values[place]);
-                let expected = expected.of(place, &members, value);
-                let difference = u16::from_le_bytes(element(differences, index));
-                index += 1;
-                let difference = from_zigzag(u32::from(difference)).wrapping_mul(step);
-                values[place] = expected.wrapping_add(difference) as i16;
-            }
-            let column = coefficients[start..]
-                .iter_mut()
-                .skip(channel)
-                .step_by(channels);
-            for (coefficient, &place) in column.zip(&vertices) {
-                *coefficient = values[place as usize];
-            }
-        }
-    }
-    Some(coefficients)
-}
-
-fn greatest_common_divisor(a: i32, b: i32) -> i32 {
-    if b == 0 {
-        a.abs()
-    } else {
-        greatest_common_divisor(b, a % b)
-    }
 }
 
 #[cfg(test)]

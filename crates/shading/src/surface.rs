@@ -7,10 +7,14 @@
 use glam::{Vec2, Vec3, Vec4, Vec4Swizzles as _};
 pub use relight_format::MAX_REFLECTIONS;
 use relight_format::math;
-use relight_format::{
-    Blend, FittedLobe, Layer, Material, ModelParameters, RATIO_NODES, RATIO_SHAPE,
-    REFLECTION_MODELS, ReflectionModel, Scene, Specular, Surface, Texture, TextureSlot, Vertex,
-};
+use relight_format::{RATIO_NODES, RATIO_SHAPE, Scene, Surface, Texture, TextureSlot, Vertex};
+
+mod layers;
+mod reflection;
+
+pub use layers::{Join, LayerParameters, fitted_reflection, has_diffuse, visit_layers};
+pub(crate) use reflection::schlick;
+pub use reflection::{Appearance, Model, Reflection};
 
 use crate::textures::{self, Filter, Footprint, RGBE_BIAS, decode_rgbe};
 
@@ -28,318 +32,6 @@ const LEAST_RATIO_SINE: f32 = 1e-6;
 pub const LEAST_VIEW_COSINE: f32 = 0.05;
 /// Squared length below which a direction carries no information.
 const DEGENERATE_LENGTH_SQUARED: f32 = 1e-12;
-
-/// Specular reflection model. The values are those of `Material::model` on the GPU.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u32)]
-pub enum Model {
-    /// Diffuse only.
-    None = 0,
-    /// Normalised Blinn-Phong.
-    BlinnPhong = 1,
-    /// Ward with the Duer normalisation.
-    Ward = 2,
-    /// Beckmann distribution, Smith masking, Schlick's Fresnel.
-    CookTorrance = 3,
-    /// GGX distribution, Smith masking, Schlick's Fresnel.
-    Ggx = 4,
-    /// Ashikhmin-Shirley's specular term, Schlick's Fresnel.
-    AshikhminShirley = 5,
-}
-
-impl Model {
-    /// All that reflect.
-    pub const ALL: [Self; 5] = [
-        Self::BlinnPhong,
-        Self::Ward,
-        Self::CookTorrance,
-        Self::Ggx,
-        Self::AshikhminShirley,
-    ];
-
-    /// Its entry in the format; `None` reflects nothing and has none.
-    pub fn entry(self) -> Option<&'static ReflectionModel> {
-        let index = Self::ALL.iter().position(|model| *model == self)?;
-        REFLECTION_MODELS.get(index)
-    }
-
-    /// Of an entry of the format.
-    fn of(entry: &ReflectionModel) -> Self {
-        let same = |model: &&Self| model.entry().is_some_and(|other| other.key == entry.key);
-        Self::ALL.iter().find(same).copied().unwrap_or(Self::None)
-    }
-
-    /// Whether a [`Reflection`] of it holds an exponent in place of a roughness.
-    pub fn has_exponent(self) -> bool {
-        self == Self::BlinnPhong
-    }
-
-    /// What a [`Reflection`] of it holds for a roughness.
-    pub fn from_alpha(self, alpha: f32) -> f32 {
-        if self.has_exponent() {
-            2.0 / (alpha * alpha)
-        } else {
-            alpha
-        }
-    }
-}
-
-/// One specular reflection, textures applied and parameters clamped to what is shaded.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Reflection<'a> {
-    /// The model.
-    pub model: Model,
-    /// Models with Fresnel: colour at normal incidence. Blinn-Phong and Ward: specular
-    /// albedo. Linear Rec.709.
-    pub specular: Vec3,
-    /// Models with Fresnel: colour at grazing incidence, white unless fitted or part of a
-    /// mixture.
-    pub grazing: Vec3,
-    /// Roughness along tangent and bitangent, [`MIN_ALPHA`] to 1; that of Ashikhmin-Shirley
-    /// with exponents n is √(2/n). Blinn-Phong: the exponent, 1 to [`MAX_EXPONENT`], in both.
-    pub alpha: Vec2,
-    /// What the model's value is multiplied by, by directions: of lobes fitted to a measured table.
-    pub ratio: Option<&'a Texture>,
-}
-
-impl Reflection<'_> {
-    /// None.
-    pub const NONE: Self = Self {
-        model: Model::None,
-        specular: Vec3::ZERO,
-        grazing: Vec3::ZERO,
-        alpha: Vec2::ONE,
-        ratio: None,
-    };
-
-    /// A reflection that goes to white at grazing incidence, if its model has Fresnel.
-    pub fn new(model: Model, specular: Vec3, alpha: Vec2) -> Self {
-        Self {
-            model,
-            specular,
-            grazing: Vec3::ONE,
-            alpha,
-            ratio: None,
-        }
-    }
-
-    /// Colour of the reflection about a half vector at `cosine` = h·o.
-    pub fn color(&self, cosine: f32) -> Vec3 {
-        if self.has_fresnel() {
-            self.specular + (self.grazing - self.specular) * schlick(cosine)
-        } else {
-            self.specular
-        }
-    }
-
-    /// Whether the model's colour changes towards grazing incidence.
-    pub(crate) fn has_fresnel(&self) -> bool {
-        self.model.entry().is_some_and(|entry| entry.fresnel)
-    }
-
-    fn scale(&mut self, by: Vec3) {
-        self.specular *= by;
-        self.grazing *= by;
-    }
-
-    /// The reflection with its roughness within what is shaded.
-    fn clamped(self) -> Self {
-        let (low, high) = if self.model.has_exponent() {
-            (1.0, MAX_EXPONENT)
-        } else {
-            (MIN_ALPHA, 1.0)
-        };
-        Self {
-            alpha: self.alpha.clamp(Vec2::splat(low), Vec2::splat(high)),
-            ..self
-        }
-    }
-}
-
-/// Reflectance at one point: a Lambertian base plus the sum of some specular reflections.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Appearance<'a> {
-    /// Lambertian albedo, linear Rec.709.
-    pub diffuse: Vec3,
-    /// The reflections; those behind the last one in use are [`Reflection::NONE`].
-    pub reflections: [Reflection<'a>; MAX_REFLECTIONS],
-}
-
-impl<'a> Appearance<'a> {
-    /// A base and at most [`MAX_REFLECTIONS`] reflections.
-    ///
-    /// # Panics
-    /// If there are more.
-    pub fn new(diffuse: Vec3, reflections: &[Reflection<'a>]) -> Self {
-        let mut all = [Reflection::NONE; MAX_REFLECTIONS];
-        all[..reflections.len()].copy_from_slice(reflections);
-        Self {
-            diffuse,
-            reflections: all,
-        }
-    }
-
-    /// The reflections in use.
-    pub fn reflections(&self) -> impl Iterator<Item = &Reflection<'a>> {
-        self.reflections
-            .iter()
-            .filter(|reflection| reflection.model != Model::None)
-    }
-}
-
-/// How a reflection joins those before it. The values are those of `Layer::join` on the
-/// GPU.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u32)]
-pub enum Join {
-    /// Added: a further lobe of the same layer.
-    Add = 0,
-    /// [`Blend::Over`].
-    Over = 1,
-    /// [`Blend::Coat`].
-    Coat = 2,
-}
-
-/// One reflection of a material before textures, with the base that comes with it.
-#[derive(Clone, Copy, Debug)]
-pub struct LayerParameters<'a> {
-    /// Lambertian albedo.
-    pub diffuse: Vec3,
-    /// The reflection, not clamped.
-    pub reflection: Reflection<'a>,
-    /// What the reflection's value is multiplied by, by directions.
-    pub ratio: Option<&'a TextureSlot>,
-    /// Coverage before its texture.
-    pub weight: f32,
-    /// How it joins those before it.
-    pub join: Join,
-    /// Multiplies `diffuse`.
-    pub diffuse_texture: Option<&'a TextureSlot>,
-    /// Multiplies the reflection's `specular`.
-    pub specular_texture: Option<&'a TextureSlot>,
-    /// R and G multiply the roughnesses.
-    pub roughness_texture: Option<&'a TextureSlot>,
-    /// R multiplies `weight`.
-    pub weight_texture: Option<&'a TextureSlot>,
-}
-
-/// Whether a material has a Lambertian base anywhere, whatever its textures say.
-pub fn has_diffuse(material: &Material) -> bool {
-    if let Surface::MetallicRoughness { metallic, .. } = material.surface {
-        return metallic < 1.0 || material.metallic_roughness_texture.is_some();
-    }
-    let mut found = false;
-    visit_layers(material, |layer| found |= layer.diffuse != Vec3::ZERO);
-    found
-}
-
-/// Visits the reflections of a material from the bottom up, at most [`MAX_REFLECTIONS`];
-/// none of a metallic-roughness surface.
-pub fn visit_layers<'a>(material: &'a Material, mut visit: impl FnMut(LayerParameters<'a>)) {
-    let mut visit_layer = |layer: LayerParameters<'a>, specular: &'a Specular| match specular {
-        Specular::Lobes { lobes, ratio, .. } => {
-            let layer = LayerParameters {
-                ratio: ratio.as_ref(),
-                ..layer
-            };
-            for (index, lobe) in lobes.iter().enumerate() {
-                let reflection = fitted_reflection(lobe);
-                visit(if index == 0 {
-                    LayerParameters {
-                        reflection,
-                        ..layer
-                    }
-                } else {
-                    LayerParameters {
-                        diffuse: Vec3::ZERO,
-                        join: Join::Add,
-                        reflection,
-                        ..layer
-                    }
-                });
-            }
-        }
-        single => visit(LayerParameters {
-            reflection: single_reflection(single),
-            ..layer
-        }),
-    };
-    let plain = |diffuse: &[f32; 3]| LayerParameters {
-        diffuse: Vec3::from(*diffuse),
-        reflection: Reflection::NONE,
-        ratio: None,
-        weight: 1.0,
-        join: Join::Over,
-        diffuse_texture: None,
-        specular_texture: None,
-        roughness_texture: None,
-        weight_texture: None,
-    };
-    match &material.surface {
-        Surface::MetallicRoughness { .. } => {}
-        Surface::DiffuseSpecular { diffuse, specular } => visit_layer(
-            LayerParameters {
-                diffuse_texture: material.base_color_texture.as_ref(),
-                ..plain(diffuse)
-            },
-            specular,
-        ),
-        Surface::Layers { layers } => {
-            for Layer {
-                diffuse,
-                specular,
-                weight,
-                blend,
-                diffuse_texture,
-                specular_texture,
-                roughness_texture,
-                weight_texture,
-            } in layers
-            {
-                let parameters = LayerParameters {
-                    weight: *weight,
-                    join: match blend {
-                        Blend::Over => Join::Over,
-                        Blend::Coat => Join::Coat,
-                    },
-                    diffuse_texture: diffuse_texture.as_ref(),
-                    specular_texture: specular_texture.as_ref(),
-                    roughness_texture: roughness_texture.as_ref(),
-                    weight_texture: weight_texture.as_ref(),
-                    ..plain(diffuse)
-                };
-                visit_layer(parameters, specular);
-            }
-        }
-    }
-}
-
-/// The reflection of one lobe of a fitted BRDF, not clamped.
-pub fn fitted_reflection(lobe: &FittedLobe) -> Reflection<'static> {
-    Reflection {
-        grazing: lobe.f90.into(),
-        ..Reflection::new(
-            Model::CookTorrance,
-            lobe.f0.into(),
-            Vec2::splat(lobe.roughness),
-        )
-    }
-}
-
-/// The reflection of a model that has but one, not clamped.
-fn single_reflection(specular: &Specular) -> Reflection<'static> {
-    let Some((entry, parameters)) = specular.model() else {
-        return Reflection::NONE;
-    };
-    let model = Model::of(entry);
-    let ModelParameters { color, roughness } = parameters;
-    let alpha = if model.has_exponent() {
-        roughness
-    } else {
-        roughness.map(|value| entry.roughness.to_alpha(value))
-    };
-    Reflection::new(model, color.into(), alpha.into())
-}
 
 /// A point of a surface and how it reflects towards the eye.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -624,11 +316,6 @@ pub fn sample_ratio(texture: &Texture, wi: Vec3, wo: Vec3) -> Vec3 {
     plane(0).lerp(plane(1), f.z)
 }
 
-/// Schlick's (1 − cosθ)⁵.
-pub(crate) fn schlick(cosine: f32) -> f32 {
-    (1.0 - cosine).clamp(0.0, 1.0).powi(5)
-}
-
 /// `vector` at unit length, or `fallback` where it is zero or not a number.
 fn unit_or(vector: Vec3, fallback: Vec3) -> Vec3 {
     let squared = vector.length_squared();
@@ -691,6 +378,8 @@ pub fn local_point(appearance: Appearance, view: Vec3) -> SurfacePoint {
 
 #[cfg(test)]
 mod tests {
+    use relight_format::{Blend, FittedLobe, Layer, Material, REFLECTION_MODELS, Specular};
+
     #[test]
     fn models_are_in_the_order_of_the_formats_entries() {
         assert_eq!(Model::ALL.len(), REFLECTION_MODELS.len());

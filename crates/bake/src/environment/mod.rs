@@ -6,9 +6,11 @@
 //! then lobes that matter least are started anew where most is missing.
 
 pub mod hdr;
+mod lat_long;
 mod level;
 mod lobe;
 mod measure;
+mod open_exr;
 mod prefilter;
 mod primaries;
 #[cfg(not(target_family = "wasm"))]

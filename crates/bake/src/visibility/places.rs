@@ -15,9 +15,11 @@ use std::collections::HashMap;
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
-use relight_shading::octahedral;
 
-use super::ray::{Crossing, RayCaster};
+mod emerging;
+
+use super::ray::RayCaster;
+use emerging::Emerging;
 
 /// Triangles whose fronts enclose more than this, radians, are two sides of a thin thing.
 const THIN: f64 = 330.0 / 180.0 * std::f64::consts::PI;
@@ -25,24 +27,6 @@ const THIN: f64 = 330.0 / 180.0 * std::f64::consts::PI;
 const SAME_ANGLE: f64 = 1e-5;
 /// Cosine between normals above which two triangles around an edge need no closer look.
 const FOLDED: f64 = -0.8;
-/// How close to another surface a corner touches it, and how close to a position crossings
-/// may be of the surface that goes on there, in offsets.
-const TOUCHING: f32 = 2.0;
-const ADJACENT: f32 = 20.0;
-/// Sine of the angle between planes that are the same, but for rounding.
-const SAME_PLANE: f32 = 1e-3;
-
-/// Crossings that are closer, in offsets, are of both sides of one sheet.
-const SHEET: f32 = 0.01;
-/// Points of a triangle that may be what people see of it, as weights of its corners.
-const CENTRES: [[f32; 3]; 4] = [
-    [1.0 / 3.0; 3],
-    [0.8, 0.1, 0.1],
-    [0.1, 0.8, 0.1],
-    [0.1, 0.1, 0.8],
-];
-/// Rays per side of the map that tells how open a point lies.
-const EXPOSURE_RESOLUTION: u32 = 8;
 
 /// Places of a mesh.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -395,136 +379,6 @@ impl Members {
     fn of(&self, place: u32) -> &[u32] {
         let [from, to] = [0, 1].map(|k| self.first[place as usize + k] as usize);
         &self.corners[from..to]
-    }
-}
-
-/// A triangle that may be partly behind others.
-struct Emerging<'a> {
-    caster: &'a RayCaster,
-    offset: f32,
-    corners: [Vec3; 3],
-    /// Unit length, or zero without area.
-    normal: Vec3,
-}
-
-impl Emerging<'_> {
-    /// For every corner that lies on or behind something, where the triangle emerges from it.
-    /// `around` gives the normals of the triangles that the surface goes on with at a corner.
-    fn ends<I: Iterator<Item = Vec3>>(&self, around: impl Fn(usize) -> I) -> [Option<Vec3>; 3] {
-        if self.normal == Vec3::ZERO {
-            return [None; 3];
-        }
-        let from = |weights: [f32; 3]| {
-            let centre = self.at(weights);
-            [0, 1, 2].map(|k| self.end(centre, self.corners[k], || around(k)))
-        };
-        let ends = from(CENTRES[0]);
-        if ends == [None; 3] {
-            return ends;
-        }
-        // What people see of the triangle may be near one of its corners alone.
-        let exposure = |weights: [f32; 3]| {
-            let origin = self.at(weights) + self.offset * self.normal;
-            let count = EXPOSURE_RESOLUTION;
-            let texels = (0..count * count).map(|i| [i % count, i / count]);
-            let open = texels.filter(|&[x, y]| {
-                let direction = octahedral::texel_direction(x, y, count);
-                direction.dot(self.normal) > 0.0 && !self.caster.any_hit(origin, direction)
-            });
-            open.count()
-        };
-        let mut best = (0, exposure(CENTRES[0]));
-        for (index, weights) in CENTRES.into_iter().enumerate().skip(1) {
-            let open = exposure(weights);
-            if open > 2 * best.1 {
-                best = (index, open);
-            }
-        }
-        if best.0 == 0 {
-            ends
-        } else {
-            from(CENTRES[best.0])
-        }
-    }
-
-    fn at(&self, weights: [f32; 3]) -> Vec3 {
-        let [a, b, c] = self.corners;
-        a * weights[0] + b * weights[1] + c * weights[2]
-    }
-
-    /// Where the triangle emerges on the way from a point of it to a corner, if it does.
-    fn end<I: Iterator<Item = Vec3>>(
-        &self,
-        centre: Vec3,
-        corner: Vec3,
-        around: impl Fn() -> I,
-    ) -> Option<Vec3> {
-        let start = centre + self.offset * self.normal;
-        let way = corner - centre;
-        let length = way.length();
-        let direction = way.normalize_or_zero();
-        let reach = TOUCHING * self.offset;
-        let mut crossings = self.caster.crossings(start, direction, length + reach);
-        crossings.retain(|crossing| {
-            let near = (crossing.distance - length).abs() <= ADJACENT * self.offset;
-            !(near && self.goes_on(crossing, corner, around()))
-        });
-        if crossings.is_empty() || direction == Vec3::ZERO {
-            return None;
-        }
-        crossings.sort_by(|a, b| {
-            let slope = |crossing: &Crossing| crossing.normal.dot(direction);
-            (a.distance.total_cmp(&b.distance)).then(slope(a).total_cmp(&slope(b)))
-        });
-        let before = |crossing: &Crossing| {
-            let slope = crossing.normal.dot(direction).abs();
-            let margin = self.offset / slope.max(1.0 / ADJACENT);
-            (crossing.distance - margin).max(0.0)
-        };
-        let touching = crossings.partition_point(|crossing| crossing.distance <= length - reach);
-        let (crossed, touching) = crossings.split_at(touching);
-        // How many solids the way has entered, and where it entered the first.
-        let (mut depth, mut entered) = (0, None);
-        let same = |a: &Crossing, b: &Crossing| b.distance - a.distance < SHEET * self.offset;
-        for sheets in crossed.chunk_by(same) {
-            let fronts = sheets
-                .iter()
-                .filter(|sheet| sheet.normal.dot(direction) < 0.0);
-            let fronts = fronts.count() as i32;
-            let backs = sheets.len() as i32 - fronts;
-            // Where both sides of a sheet face outwards, every other one leads inside.
-            let step = match (fronts, backs) {
-                (1.., 1..) if depth > 0 => -1,
-                (1.., 1..) => 1,
-                _ => (fronts - backs).signum(),
-            };
-            if depth == 0 && step > 0 {
-                entered = Some(before(&sheets[0]));
-            }
-            depth += step;
-        }
-        let end = if depth > 0 {
-            entered?
-        } else {
-            touching.iter().map(before).min_by(f32::total_cmp)?
-        };
-        Some(start + end * direction)
-    }
-
-    /// Whether what is crossed is the surface itself, which goes on at the corner.
-    fn goes_on(
-        &self,
-        crossing: &Crossing,
-        corner: Vec3,
-        mut around: impl Iterator<Item = Vec3>,
-    ) -> bool {
-        let height = crossing.normal.dot(corner - crossing.vertex).abs();
-        height < SAME_PLANE * ADJACENT * self.offset
-            && around.any(|normal| {
-                let normal = normal.normalize_or_zero();
-                normal.dot(crossing.normal) > 0.0
-                    && normal.cross(crossing.normal).length() < SAME_PLANE
-            })
     }
 }
 

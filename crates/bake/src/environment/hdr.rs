@@ -11,7 +11,9 @@ use std::path::Path;
 use image::codecs::hdr::HdrDecoder;
 use image::{ImageDecoder, ImageError};
 
-use super::open_exr::{check_exr, decode_exr, exr_metadata};
+use super::open_exr::decode_exr;
+#[cfg(not(target_family = "wasm"))]
+use super::open_exr::{check_exr, exr_metadata};
 #[cfg(not(target_family = "wasm"))]
 use crate::error::Error;
 use crate::error::{Objection, first_bytes};

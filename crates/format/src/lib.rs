@@ -14,6 +14,7 @@ mod compression;
 mod container;
 mod environment;
 mod error;
+mod file;
 mod geometry;
 mod material;
 mod material_asset;
@@ -22,12 +23,13 @@ mod prediction;
 mod scene;
 mod transfer;
 
-pub use container::{Kind, Limits, MAGIC, SectionInfo, SectionKind, VERSION, inspect, write_file};
+pub use container::{Kind, Limits, MAGIC, SectionInfo, SectionKind, VERSION, inspect};
 pub use environment::{
     Environment, EnvironmentReport, Lobe, MAX_PREFILTERED_LEVELS, MAX_SOURCE_TEXELS, MAX_SOURCES,
     Prefiltered, Source, read_environment, write_environment,
 };
 pub use error::{Error, Issue};
+pub use file::write_file;
 pub use material::{
     Blend, Camera, FieldOfView, FittedLobe, Layer, MAX_FITTED_LOBES, MAX_LAYERS, MAX_REFLECTIONS,
     Material, ModelParameters, RATIO_NODES, RATIO_SHAPE, RATIO_SIZE, REFLECTION_MODELS,

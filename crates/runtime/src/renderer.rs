@@ -1,4 +1,7 @@
 //! The passes of one frame: visibility buffer, shading, into the target.
+//!
+//! Longer than other files: it is the order of a frame, from what is uploaded to what is composited, over the
+//! state that all of its steps share.
 
 #[cfg(feature = "paper")]
 mod cells;

@@ -2,39 +2,35 @@
 //! codes.
 
 mod arguments;
+mod inputs;
 
-use std::path::Path;
 use std::process::ExitCode;
 use std::time::Instant;
 
 use anyhow::Context as _;
 use clap::Parser as _;
-use glam::Vec3;
 use indicatif::{ProgressBar, ProgressStyle};
 use relight_bake::environment::hdr;
 use relight_bake::error::{Error, Objection};
 use relight_bake::files::{Access, Files, OutputError};
 use relight_bake::monitor::{Monitor, Progress};
-use relight_bake::scene::{self, description, load};
-use relight_format::{Camera, Environment, FieldOfView, Limits, Scene};
+use relight_bake::scene::{self, load};
 use relight_lab::truth::{self, Filter, Geometry, full, lobes};
-use relight_lab::{bench, camera, compare, demo, display, experiments, image_file, render};
+use relight_lab::{bench, compare, demo, display, experiments, image_file, render};
 use relight_shading::camera::View;
 use relight_shading::gpu;
-use relight_shading::local_light::LocalLight;
 use relight_shading::occluders::Occluders;
 use relight_shading::polar::PolarOptions;
-use relight_shading::prefiltered::Prefiltered;
 use relight_shading::shade::CellsOptions;
 use relight_shading::shade::{Lighting, Method};
-use relight_shading::sources::{Lit, Sources};
-use relight_shading::spherical_gaussian::SphericalGaussian;
+use relight_shading::sources::Lit;
 use serde_json::{Value, json};
 
 use arguments::{
-    Bench, CameraArguments, Cli, Command, Compare, Demo, Experiments, FilterName, Kind, MethodName,
-    Point, PresetName, QualityName, ReflectionsName, Render, Truth,
+    Bench, Cli, Command, Compare, Demo, Experiments, FilterName, Kind, MethodName, PresetName,
+    QualityName, ReflectionsName, Render, Truth,
 };
+use inputs::{Distant, choose_camera, read_environment, read_local_lights, read_scene};
 
 fn exit_code(error: &anyhow::Error) -> u8 {
     for cause in error.chain() {
@@ -537,91 +533,6 @@ fn run_compression(
         );
     }
     Ok(json!({ "table": out.join("compression.csv") }))
-}
-
-fn read_scene(path: &Path) -> anyhow::Result<Scene> {
-    let bytes = read(path)?;
-    relight_format::read_scene(&bytes, &Limits::default())
-        .with_context(|| path.display().to_string())
-}
-
-/// An environment, ready to light frames.
-struct Distant {
-    lights: Vec<SphericalGaussian>,
-    prefiltered: Option<Prefiltered>,
-    sources: Option<Sources>,
-}
-
-fn read_environment(path: &Path) -> anyhow::Result<Distant> {
-    let bytes = read(path)?;
-    let environment: Environment = relight_format::read_environment(&bytes, &Limits::default())
-        .with_context(|| path.display().to_string())?;
-    let lights: Vec<_> = environment.lobes.iter().map(Into::into).collect();
-    Ok(Distant {
-        prefiltered: Prefiltered::new(&environment.prefiltered, &lights),
-        sources: Sources::new(&environment),
-        lights,
-    })
-}
-
-/// The `[[lights]]` of a scene file.
-fn read_local_lights(path: Option<&Path>) -> anyhow::Result<Vec<LocalLight>> {
-    let Some(path) = path else {
-        return Ok(Vec::new());
-    };
-    let file = description::load(path)?;
-    Ok(file
-        .lights
-        .iter()
-        .map(description::Light::to_local_light)
-        .collect())
-}
-
-/// The bytes of an asset.
-fn read(path: &Path) -> anyhow::Result<Vec<u8>> {
-    let access = Access {
-        max_bytes: Limits::default().max_bytes,
-        ..Access::default()
-    };
-    Ok(Files::new(path, &access)?.read_named(path)?)
-}
-
-/// File, else the scene's own, else one that frames it; then the flags' replacements.
-fn choose_camera(
-    arguments: &CameraArguments,
-    own: Option<Camera>,
-    scene: &Scene,
-) -> anyhow::Result<Camera> {
-    let mut chosen = match (&arguments.camera, own) {
-        (Some(path), _) => camera::load(path)?,
-        (None, Some(own)) => own,
-        (None, None) => {
-            let positions = scene
-                .vertices
-                .iter()
-                .map(|vertex| Vec3::from(vertex.position));
-            let bounds = positions.fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), p| {
-                (low.min(p), high.max(p))
-            });
-            camera::framing(bounds.0, bounds.1)
-        }
-    };
-    let replace = |part: &mut [f32; 3], with: Option<Point>| {
-        if let Some(Point(with)) = with {
-            *part = with;
-        }
-    };
-    replace(&mut chosen.position, arguments.position);
-    replace(&mut chosen.target, arguments.target);
-    replace(&mut chosen.up, arguments.up);
-    if let Some(degrees) = arguments.fov_y {
-        chosen.field_of_view = FieldOfView::Y(degrees.to_radians());
-    }
-    if let Some(degrees) = arguments.fov_x {
-        chosen.field_of_view = FieldOfView::X(degrees.to_radians());
-    }
-    camera::check(&chosen).map_err(Usage)?;
-    Ok(chosen)
 }
 
 fn covered(image: &image_file::Image) -> usize {

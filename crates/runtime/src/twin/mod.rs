@@ -1,4 +1,7 @@
 //! The stages of a frame on the CPU. Same bytes on any number of threads.
+//!
+//! Longer than other files: the steps of a frame share what `Stage` holds, in the order of the kernels that
+//! they are twins of, and are compared with these side by side.
 
 mod vertex_fractions;
 mod visibility_buffer;

@@ -513,7 +513,7 @@ mod tests {
             }
             let samples = f64::from(ROWS * COLUMNS);
             let field = Caps::new(vec![(DVec3::Y, -10.0)], true);
-            let [normal, face, axis] = [normal, face, axis].map(|vector| vector.as_vec3());
+            let [normal, face, axis] = [normal, face, axis].map(DVec3::as_vec3);
             let sharpness = sharpness as f32;
             let options = PolarOptions { spokes: 16 };
             let fraction = visible_fraction(&field, sharpness, axis, [normal, face], 0.5, options);

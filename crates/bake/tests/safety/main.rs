@@ -610,7 +610,7 @@ fn options() -> Outcome {
             "<BYTES>",
         ];
         let silent = paragraphs.find(|text| {
-            let said = [" to ", "at least", "ore than 0", "from 0"];
+            let said = [" to ", "at least", "above 0", "from 0"];
             let first = text.lines().find(|line| line.trim_start().starts_with('-'));
             first.is_some_and(|line| numbers.iter().any(|number| line.contains(number)))
                 && !said.iter().any(|words| text.contains(words))

@@ -13,6 +13,7 @@ use super::assemble::{Cluster, assemble};
 use super::budget;
 use super::error::Error;
 use super::fingerprint::Dependencies;
+use super::highlights;
 use super::load::SceneInput;
 use super::options::Options;
 use super::queue::Queue;
@@ -116,6 +117,7 @@ impl<'a> Bake<'a> {
         let object_diagonal = input.object_diagonal;
         let mut warnings = input.warnings.clone();
         warnings.extend(far_off);
+        warnings.extend(highlights::warnings(&input.mesh.materials));
         let mut mesh = refined(input, options, &contours, ray_offset, monitor)?;
         for warning in mesh.warnings.drain(..) {
             if !warnings.contains(&warning) {

@@ -11,6 +11,7 @@ mod budget;
 pub mod description;
 mod error;
 pub mod fingerprint;
+mod highlights;
 mod layout;
 pub mod load;
 mod material;

@@ -13,6 +13,8 @@
 //! Gaussian nearly as exp(k n·ω), and a Gaussian times that is a Gaussian again: rough lobes
 //! bend away from the mirror direction as they should. Last, the sum is scaled to the model's exact
 //! albedo, Fresnel included, which is tabulated over roughness and angle.
+//!
+//! Longer than other files: the fits of the tables are here as well, beside what reads them.
 
 use glam::{Vec2, Vec2Swizzles as _, Vec3};
 use relight_format::math;

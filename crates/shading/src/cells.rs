@@ -13,6 +13,8 @@
 //! - Cells go depth first, pixel by pixel, and not in rounds through memory.
 //! - About the axis of a lobe cells reach to 1 % of its peak, so that nothing need be made up
 //!   for, and the horizon is a second signed distance.
+//!
+//! Longer than other files: one algorithm, whose steps make no sense apart.
 
 use relight_format::math;
 use std::f32::consts::PI;

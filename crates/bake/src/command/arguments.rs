@@ -78,7 +78,7 @@ pub enum Command {
     ///
     /// Measured BRDFs are those of the RGL (.bsdf) and MERL (.binary) databases. They are approximated
     /// by a few simple reflections ("lobes") and a small table of what these miss. A text file describes
-    /// a material with the keys that it has below [materials] in a scene file.
+    /// a material with the keys that it has below `[materials]` in a scene file.
     Material(MaterialArguments),
     /// Print what a .relight file contains.
     Inspect {

@@ -53,7 +53,7 @@ pub fn has_diffuse(material: &Material) -> bool {
     found
 }
 
-/// Visits the reflections of a material from the bottom up, at most [`MAX_REFLECTIONS`];
+/// Visits the reflections of a material from the bottom up, at most [`super::MAX_REFLECTIONS`];
 /// none of a metallic-roughness surface.
 pub fn visit_layers<'a>(material: &'a Material, mut visit: impl FnMut(LayerParameters<'a>)) {
     let mut visit_layer = |layer: LayerParameters<'a>, specular: &'a Specular| match specular {

@@ -23,6 +23,6 @@ pub mod plot {
 pub mod visibility {
     pub use crate::visibility::contour::{ContourMesh, GROUP};
     pub use crate::visibility::places::Places;
-    pub use crate::visibility::ray::RayCaster;
+    pub use crate::visibility::ray::{RayCaster, ray_offset};
     pub use crate::visibility::{Bitmap, Crossings, Directions, arrange, sample};
 }

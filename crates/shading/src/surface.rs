@@ -14,7 +14,7 @@ mod reflection;
 
 pub use layers::{Join, LayerParameters, fitted_reflection, has_diffuse, visit_layers};
 pub(crate) use reflection::schlick;
-pub use reflection::{Appearance, Model, Reflection};
+pub use reflection::{Appearance, Model, Reflection, metallic_roughness_alpha};
 
 use crate::textures::{self, Filter, Footprint, RGBE_BIAS, decode_rgbe};
 
@@ -171,7 +171,6 @@ pub fn surface_seen<'a>(
         let factors = factors.unwrap_or(Vec4::ONE);
         let metallic = metallic * factors.z;
         let roughness = roughness * factors.y;
-        let alpha = roughness * roughness;
         let (direction, factor) = anisotropy.unwrap_or((Vec2::X, 1.0));
         let strength = anisotropy_strength * factor;
         if strength > 0.0 {
@@ -182,7 +181,7 @@ pub fn surface_seen<'a>(
         let reflection = Reflection::new(
             Model::Ggx,
             Vec3::splat(DIELECTRIC_F0).lerp(base_color, metallic),
-            Vec2::new(alpha + (1.0 - alpha) * strength * strength, alpha),
+            metallic_roughness_alpha(roughness, strength),
         );
         Appearance::new(base_color * (1.0 - metallic), &[reflection.clamped()])
     } else {

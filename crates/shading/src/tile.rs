@@ -423,12 +423,14 @@ impl<F> Pixel<'_, F> {
         }
         let light = self.lighting.light(index, self.point.position);
         let fractions = self.lighting.fractions(index, self.point);
-        let lobe = &waiting.lobe;
-        let radius = polar::support_radius(lobe.sharpness);
-        let clipped = polar::is_clipped(radius, lobe.axis, waiting.normals);
+        let SphericalGaussian {
+            axis, sharpness, ..
+        } = waiting.lobe;
         // What all corners see may be behind the triangle.
-        if let Some(fraction) = fractions.whole(&light, lobe)
-            && (fraction == 0.0 || !clipped)
+        let is_clipped =
+            || polar::is_clipped(polar::support_radius(sharpness), axis, waiting.normals);
+        if let Some(fraction) = fractions.whole(&light, &waiting.lobe)
+            && (fraction == 0.0 || !is_clipped())
         {
             waiting.asked.known = fraction;
             waiting.asked.unknown = 0.0;

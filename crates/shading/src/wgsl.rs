@@ -295,8 +295,8 @@ pub const INTERFACES: &[Interface] = &[
         files: &["lobes.wgsl", "slots.wgsl"],
     },
     Interface {
-        what: "the lobe that a pixel of a tile asks about: a light, or one that waits",
-        names: &["pixel_axis", "pixel_face", "pixel_is_clipped"],
+        what: "the lobe that a pixel of a tile asks about: a light, or one that waits and ends at planes",
+        names: &["pixel_axis", "PIXEL_CLIPS"],
         files: &["diffuse.wgsl", "integrals.wgsl"],
     },
     Interface {

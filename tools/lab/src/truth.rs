@@ -21,7 +21,7 @@ use std::sync::Arc;
 
 use glam::Vec3;
 use rayon::prelude::*;
-use relight_bake::internals::visibility::RayCaster;
+use relight_bake::internals::visibility::{RayCaster, ray_offset};
 use relight_format::Scene;
 use relight_shading::camera::View;
 use relight_shading::surface::{SurfacePoint, emission, surface_seen};
@@ -51,8 +51,6 @@ pub const SEED: u32 = 0;
 /// Distance that rays start from a surface, in diagonals of the scene's bounding box: less than that at which
 /// visibility is sampled, so that the error of that is measured.
 const RAY_OFFSET: f32 = 2e-6;
-/// The least of it, in steps of the largest coordinate.
-const ROUNDINGS: f32 = 4.0;
 
 /// How much work to do and where.
 #[derive(Clone, Copy, Debug)]
@@ -95,14 +93,14 @@ pub struct Geometry<'a> {
     view: View,
     trees: Arc<Trees>,
     mipmaps: Mipmaps,
-    /// Distance of the starts of rays from their surface.
-    ray_offset: f32,
 }
 
 /// What rays are traced through: worth keeping for as long as triangles and eye stay.
 pub struct Trees {
     /// Everything, from both sides: what blocks light.
     occluders: Arc<RayCaster>,
+    /// Distance of the starts of rays from their surface.
+    ray_offset: f32,
     /// The triangles whose front the eye is on: what a rasteriser that culls backs draws.
     facing: RayCaster,
     /// Their indices in the scene.
@@ -122,17 +120,21 @@ struct Seen<'a> {
 impl Trees {
     /// Those of `scene` for pictures of this eye.
     pub fn new(scene: &Scene, eye: Vec3) -> Self {
-        let occluders = Arc::new(RayCaster::new(&corners(scene)));
-        Self::with(occluders, scene, eye)
+        let corners = corners(scene);
+        let occluders = Arc::new(RayCaster::new(&corners));
+        let mut places = corners.iter().flatten();
+        let first = places.next().copied().unwrap_or_default();
+        let bounds = places.fold([first; 2], |[low, high], &p| [low.min(p), high.max(p)]);
+        Self::with(occluders, ray_offset(bounds, RAY_OFFSET), scene, eye)
     }
 
     /// Those of the same scene for another eye.
     #[must_use]
     pub fn moved(&self, scene: &Scene, eye: Vec3) -> Self {
-        Self::with(self.occluders.clone(), scene, eye)
+        Self::with(self.occluders.clone(), self.ray_offset, scene, eye)
     }
 
-    fn with(occluders: Arc<RayCaster>, scene: &Scene, eye: Vec3) -> Self {
+    fn with(occluders: Arc<RayCaster>, ray_offset: f32, scene: &Scene, eye: Vec3) -> Self {
         let all = corners(scene);
         let faces_eye = |[a, b, c]: [Vec3; 3]| (b - a).cross(c - a).dot(eye - a) > 0.0;
         let facing_triangles: Vec<_> = (0..all.len())
@@ -141,6 +143,7 @@ impl Trees {
         let facing: Vec<_> = facing_triangles.iter().map(|&index| all[index]).collect();
         Self {
             occluders,
+            ray_offset,
             facing: RayCaster::new(&facing),
             facing_triangles,
         }
@@ -167,7 +170,6 @@ impl<'a> Geometry<'a> {
             view,
             trees,
             mipmaps,
-            ray_offset: ray_offset(scene),
         }
     }
 
@@ -203,7 +205,7 @@ impl<'a> Geometry<'a> {
 
     /// Where rays from `point` begin.
     fn origin(&self, point: &SurfacePoint) -> Vec3 {
-        point.position + point.geometric_normal * self.ray_offset
+        point.position + point.geometric_normal * self.trees.ray_offset
     }
 }
 
@@ -211,20 +213,6 @@ impl<'a> Geometry<'a> {
 /// behind it, too, where the surface itself is in the way. A ray that starts above it would pass beside it near its edges.
 fn faces(point: &SurfacePoint, direction: Vec3) -> bool {
     point.geometric_normal.dot(direction) > 0.0
-}
-
-/// See [`RAY_OFFSET`] and [`ROUNDINGS`].
-fn ray_offset(scene: &Scene) -> f32 {
-    let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
-    for vertex in &scene.vertices {
-        low = low.min(vertex.position.into());
-        high = high.max(vertex.position.into());
-    }
-    if scene.vertices.is_empty() {
-        return 0.0;
-    }
-    let largest = low.abs().max(high.abs()).max_element();
-    (RAY_OFFSET * low.distance(high)).max(ROUNDINGS * largest * f32::EPSILON)
 }
 
 /// Radiance times coverage, and coverage, of one replica of a pixel.

@@ -24,6 +24,7 @@ use crate::monitor::Monitor;
 use crate::transfer::radiosity::Radiosity;
 use crate::transfer::surfaces::Surfaces;
 use crate::visibility::contour::ContourMesh;
+use crate::visibility::ray;
 
 /// Edges up to this part of the object's diagonal are not cut for their error: shadows of
 /// contacts have no finest scale.
@@ -33,8 +34,6 @@ const RELATIVE_EDGE: f32 = 0.02;
 /// Distance of a visibility sample from its surface, in diagonals of the scene: far above
 /// the rounding of coordinates, far below anything that casts a visible shadow.
 const RELATIVE_RAY_OFFSET: f32 = 1e-5;
-/// The least of that distance, in steps of the largest coordinate.
-const ROUNDINGS: f32 = 4.0;
 /// Triangles in which interpolation is checked, about, but for small scenes one of so many.
 const PROBES: usize = 2048;
 const LEAST_PROBE_STEP: usize = 4;
@@ -300,19 +299,18 @@ impl<'a> Bake<'a> {
 /// their rounding, not the size of the scene, tells it.
 fn ray_offset(mesh: &Mesh) -> (f32, Option<String>) {
     let (low, high) = mesh.bounds().unwrap_or_default();
-    let largest = low.abs().max(high.abs()).max_element();
-    let usual = RELATIVE_RAY_OFFSET * mesh.diagonal();
-    let rounding = largest * f32::EPSILON;
-    let least = ROUNDINGS * rounding;
-    if usual >= least {
-        return (usual, None);
+    let offset = ray::ray_offset([low, high], RELATIVE_RAY_OFFSET);
+    if offset <= RELATIVE_RAY_OFFSET * mesh.diagonal() {
+        return (offset, None);
     }
+    let largest = low.abs().max(high.abs()).max_element();
     let warning = format!(
-        "coordinates of up to {largest} m round to {rounding} m, which blurs a scene of {} m; move it to \
+        "coordinates of up to {largest} m round to {} m, which blurs a scene of {} m; move it to \
          the origin in the program that made it",
+        largest * f32::EPSILON,
         mesh.diagonal()
     );
-    (least, Some(warning))
+    (offset, Some(warning))
 }
 
 /// A warning if the distance is seen from nearly nowhere.

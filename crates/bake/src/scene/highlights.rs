@@ -3,7 +3,9 @@
 use glam::{Vec2, Vec3};
 use relight_format::{Material, Surface, math};
 use relight_shading::accuracy::accuracy;
-use relight_shading::surface::{MIN_ALPHA, Model, Reflection, visit_layers};
+use relight_shading::surface::{
+    MIN_ALPHA, Model, Reflection, metallic_roughness_alpha, visit_layers,
+};
 
 /// Ratio of two roughnesses up to which lobes are near every model: a streak's Gaussians overlap.
 const NEAR_RATIO: f32 = 4.0;
@@ -41,9 +43,8 @@ pub(super) fn warnings(materials: &[Material]) -> Vec<String> {
                 anisotropy_strength,
                 ..
             } => {
-                let alpha = roughness * roughness;
-                let along = alpha + (1.0 - alpha) * anisotropy_strength * anisotropy_strength;
-                let alpha = Vec2::new(along, alpha).max(Vec2::splat(MIN_ALPHA));
+                let alpha = metallic_roughness_alpha(roughness, anisotropy_strength);
+                let alpha = alpha.max(Vec2::splat(MIN_ALPHA));
                 look(&Reflection::new(Model::Ggx, Vec3::ONE, alpha));
             }
             _ => visit_layers(material, |layer| look(&layer.reflection)),

@@ -19,6 +19,16 @@ pub struct Hit {
     pub distance: f32,
 }
 
+/// Rays start at least so many steps of the largest coordinate above their surface.
+const ROUNDINGS: f32 = 4.0;
+
+/// How far above their surface rays start in a scene whose box has these corners: so many of its diagonals, or as
+/// far as the rounding of coordinates asks for.
+pub fn ray_offset([low, high]: [Vec3; 2], diagonals: f32) -> f32 {
+    let largest = low.abs().max(high.abs()).max_element();
+    (diagonals * low.distance(high)).max(ROUNDINGS * largest * f32::EPSILON)
+}
+
 /// A set of triangles that rays can be cast against.
 ///
 /// The triangle test is watertight: the sign of an edge's volume with the ray is computed

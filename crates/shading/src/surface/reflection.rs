@@ -78,6 +78,13 @@ pub struct Reflection<'a> {
     pub ratio: Option<&'a Texture>,
 }
 
+/// GGX's roughnesses along tangent and bitangent of a metallic-roughness surface, from its perceptual roughness and the
+/// strength of its anisotropy (`KHR_materials_anisotropy`).
+pub fn metallic_roughness_alpha(roughness: f32, strength: f32) -> Vec2 {
+    let alpha = roughness * roughness;
+    Vec2::new(alpha + (1.0 - alpha) * strength * strength, alpha)
+}
+
 impl Reflection<'_> {
     /// None.
     pub const NONE: Self = Self {

@@ -100,10 +100,4 @@ fn pixel_axis(pixel: u32, lobe: u32) -> vec4<f32> {
 }
 
 // Most pixels take what corners know, which is of the surface about them: so do the others.
-fn pixel_face(pixel: u32) -> vec3<f32> {
-    return pixel_normals[pixel];
-}
-
-fn pixel_is_clipped(radius: f32, axis: vec3<f32>, normal: vec3<f32>, face: vec3<f32>) -> bool {
-    return false;
-}
+const PIXEL_CLIPS: bool = false;

@@ -144,12 +144,4 @@ fn pixel_axis(pixel: u32, place: u32) -> vec4<f32> {
     return vec4(surface_to_world(slots_point(), shape.xyz), shape.w);
 }
 
-// Normal of the triangle under a pixel.
-fn pixel_face(pixel: u32) -> vec3<f32> {
-    let triangle = triangles[seen_triangle(tile_pixel(pixel)).x];
-    return surface_geometric_normal(triangle.xyz);
-}
-
-fn pixel_is_clipped(radius: f32, axis: vec3<f32>, normal: vec3<f32>, face: vec3<f32>) -> bool {
-    return polar_is_clipped(radius, axis, normal, face);
-}
+const PIXEL_CLIPS: bool = true;

@@ -1,6 +1,6 @@
 // Twin of pixel_visibility.rs: a workgroup is a tile, whose invocations find together what its pixels see
-// of lobes. A kernel says what a lobe is by pixel_axis, and
-// by pixel_face and pixel_is_clipped behind which plane nothing is visible. A round: pixel_ask for
+// of lobes. A kernel says what a lobe is by pixel_axis, and by PIXEL_CLIPS whether nothing is visible behind
+// the plane of a pixel's triangle. A round: pixel_ask for
 // every lobe of the invocation's pixel, pixel_settle, pixel_fraction.
 
 // Of every pixel: where it is, and material + 1; 0: nothing is seen.
@@ -224,7 +224,7 @@ fn pixel_find(phase: u32, index: u32, at: u32) {
     } else {
         let spokes = polar_spokes(frames[frame_index].spokes, pixel_shares[index]);
         let face = pixel_face(pixel);
-        let clipped = pixel_is_clipped(radius, axis.xyz, normal, face);
+        let clipped = PIXEL_CLIPS && polar_is_clipped(radius, axis.xyz, normal, face);
         found = polar_fraction(axis.w, axis.xyz, normal, face, clipped, distance, spokes);
     }
     pixel_fractions[index] += pixel_unknown[index] * found;
@@ -259,6 +259,12 @@ fn pixel_leeway(index: u32) -> f32 {
 
 fn pixel_doubt(part: f32) -> f32 {
     return clamp((part - PIXEL_FIRM) / (1.0 - PIXEL_FIRM), 0.0, 1.0);
+}
+
+// Normal of the triangle under a pixel of the tile.
+fn pixel_face(pixel: u32) -> vec3<f32> {
+    let triangle = triangles[seen_triangle(tile_pixel(pixel)).x];
+    return surface_geometric_normal(triangle.xyz);
 }
 
 // The SSDF of a pixel of the tile.

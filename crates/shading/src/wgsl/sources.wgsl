@@ -57,11 +57,10 @@ fn sources_radiance(source: u32, point: SurfacePoint, from_point: vec2<f32>) -> 
             for (var j = rim; j < first; j++) {
                 let direction = source_points[j].direction;
                 if !(seen && hidden) && surface_to_local(point, direction).z > 0.0 {
-                    if dot(point.geometric_normal, direction) <= 0.0
-                        || (touched && sources_block(origin, direction, square, vec2(0.0), from_point)) {
-                        hidden = true;
-                    } else {
+                    if sources_visible(point.geometric_normal, touched, origin, direction, square, vec2(0.0), from_point) {
                         seen = true;
+                    } else {
+                        hidden = true;
                     }
                 }
             }
@@ -77,28 +76,36 @@ fn sources_radiance(source: u32, point: SurfacePoint, from_point: vec2<f32>) -> 
         let wi = surface_to_local(point, direction);
         if wi.z > 0.0 {
             let place = sources_place(i - first);
-            if dot(point.geometric_normal, direction) <= 0.0
-                || (touched && sources_block(origin, direction, square, place, from_point)) {
-                hidden = true;
-            } else {
+            if sources_visible(point.geometric_normal, touched, origin, direction, square, place, from_point) {
                 seen = true;
                 sum += source_points[i].light * (wi.z * models_evaluate(point.appearance, wi, wo));
+            } else {
+                hidden = true;
             }
         }
     }
     return sum * source_scales[2u * source + level].xyz;
 }
 
-// Whether anything hides a source from a place of a pixel, whose centre is at `origin`.
-fn sources_block(
+// Whether a source is visible from a place of a pixel, whose centre is at `origin`, on a triangle of the normal `face`:
+// not if that itself is in the way, nor if anything is, where the cone about the source is `touched`.
+fn sources_visible(
+    face: vec3<f32>,
+    touched: bool,
     origin: vec3<f32>,
     direction: vec3<f32>,
     square: mat2x3<f32>,
     place: vec2<f32>,
     from_point: vec2<f32>,
 ) -> bool {
+    if dot(face, direction) <= 0.0 {
+        return false;
+    }
+    if !touched {
+        return true;
+    }
     let nearest = SOURCE_OWN * length(square * (place + from_point));
-    return occluders_block(origin + square * place, direction, nearest);
+    return !occluders_block(origin + square * place, direction, nearest);
 }
 
 // Where in a pixel the ray to a point starts, from its centre, in columns and rows.

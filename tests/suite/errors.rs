@@ -25,6 +25,7 @@ pub fn trials() -> Vec<Trial> {
         Trial::test("errors::of_outputs", || check(OUTPUTS)),
         Trial::test("errors::of_options", || check(OPTIONS)),
         Trial::test("errors::of_lab", || check(LAB)),
+        Trial::test("errors::as_json", as_json),
     ]
 }
 
@@ -517,6 +518,17 @@ const OUTPUTS: &[Row] = &[
         INPUT_OUTPUT,
         "text.txt: --out: expected a folder that can be written, found File exists (os error 17)",
     ),
+    (
+        "lab experiments brdf --device cpu --out text.txt",
+        INPUT_OUTPUT,
+        "text.txt: --out: expected a folder that can be written, found File exists (os error 17)",
+    ),
+    (
+        "lab experiments occluders --device cpu --out folder --data none",
+        INPUT_OUTPUT,
+        "none: --data: expected a folder that can be read, \
+         found No such file or directory (os error 2)",
+    ),
 ];
 
 const OPTIONS: &[Row] = &[
@@ -658,6 +670,66 @@ fn check(rows: &[Row]) -> Outcome {
         return Ok(());
     }
     Err(wrong.join("\n").into())
+}
+
+/// A command, and what its `--json` says of file, place, expected, found and issue.
+type JsonRow = (&'static str, [Option<&'static str>; 5]);
+
+const JSON: &[JsonRow] = &[
+    (
+        "bake validate empty.relight",
+        [
+            Some("empty.relight"),
+            Some("header"),
+            Some("at least 8 bytes"),
+            Some("0 bytes"),
+            Some("Truncated"),
+        ],
+    ),
+    (
+        "bake scene baked.toml -o out.relight",
+        [
+            Some("text.relight"),
+            Some("header"),
+            Some("\"RELIGHT\\n\""),
+            Some("\"good mor\""),
+            Some("BadMagic"),
+        ],
+    ),
+    (
+        "bake scene type.toml -o out.relight",
+        [
+            Some("type.toml"),
+            Some("line 1, column 8"),
+            Some("path string"),
+            Some("integer `3`"),
+            None,
+        ],
+    ),
+];
+
+/// The same as programs read it.
+fn as_json() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    for (name, bytes) in FILES {
+        std::fs::write(folder.path().join(name), bytes)?;
+    }
+    for (command, expected) in JSON {
+        let mut words = command.split(' ');
+        let output = binary(words.next().ok_or("an empty row")?)
+            .args(words)
+            .arg("--json")
+            .current_dir(folder.path())
+            .stdin(Stdio::null())
+            .output()?;
+        let object: serde_json::Value = serde_json::from_slice(&output.stdout)?;
+        let found = ["file", "place", "expected", "found", "issue"]
+            .map(|name| object["error"][name].as_str());
+        if found != *expected {
+            return Err(format!("{command}: {}", describe(&output)).into());
+        }
+    }
+    Ok(())
 }
 
 fn error_lines(output: &Output) -> Vec<String> {

@@ -4,6 +4,8 @@
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
+use relight_format::{self as format, Issue};
+
 /// An error and its causes as one sentence on one line. Many messages end in that of their cause, which
 /// is not said again.
 pub fn sentence<'a>(
@@ -67,6 +69,7 @@ impl Objection {
         Error {
             file: file.to_owned(),
             objection: self,
+            issue: None,
             source: None,
         }
     }
@@ -74,12 +77,14 @@ impl Objection {
 
 /// Why a file cannot be used.
 #[derive(Debug, thiserror::Error)]
-#[error("{}: {objection}", file.display())]
+#[error("{}: {objection}{}", file.display(), in_brackets(*issue))]
 pub struct Error {
     /// The file.
     pub file: PathBuf,
     /// What is wrong with it.
     pub objection: Objection,
+    /// Of an asset: which rule of the format it breaks.
+    pub issue: Option<Issue>,
     /// The system's reason, where it refused.
     pub source: Option<std::io::Error>,
 }
@@ -115,6 +120,27 @@ impl Error {
         Objection::new(place, expected, found).in_file(file)
     }
 
+    /// A file is not the asset that it should be.
+    pub fn asset(file: &Path, error: format::Error) -> Self {
+        match error {
+            format::Error::Invalid {
+                issue,
+                place,
+                expected,
+                found,
+            } => Self {
+                issue: Some(issue),
+                ..Self::invalid(file, place, expected, found)
+            },
+            format::Error::Io { path, source } => Self::refused(
+                Path::new(&path),
+                "output",
+                "a file that can be written",
+                source,
+            ),
+        }
+    }
+
     /// The same of the file that refers to this one, in some place.
     #[cfg(not(target_family = "wasm"))]
     #[must_use]
@@ -123,9 +149,13 @@ impl Error {
         Self {
             file: by.to_owned(),
             objection: Objection::new(place, self.objection.expected, found),
-            source: self.source,
+            ..self
         }
     }
+}
+
+fn in_brackets(issue: Option<Issue>) -> String {
+    issue.map_or_else(String::new, |issue| format!(" ({issue})"))
 }
 
 /// Most bytes that are repeated of a file which begins otherwise than it should.

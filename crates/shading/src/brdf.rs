@@ -17,7 +17,7 @@
 //! Longer than other files: the fits of the tables are here as well, beside what reads them.
 
 use glam::{Vec2, Vec2Swizzles as _, Vec3};
-use relight_format::math;
+use relight_format::{REFLECTION_MODELS, math};
 
 use crate::spherical_gaussian::SphericalGaussian;
 #[cfg(test)]
@@ -352,7 +352,7 @@ fn profile_width(model: Model, alpha: f32) -> f32 {
 /// Albedo of the model seen from `wo` (local), as the factors of its specular colour and
 /// of white.
 fn albedo(values: &[f32], reflection: &Reflection, wo: Vec3) -> Vec2 {
-    let alpha = if reflection.model == Model::BlinnPhong {
+    let alpha = if reflection.model.has_exponent() {
         Vec2::splat((2.0 / reflection.alpha.x).sqrt())
     } else {
         reflection.alpha
@@ -421,18 +421,30 @@ fn albedo_lookup(values: &[f32], first: usize, stride: usize, x: f32, y: f32, an
 /// the next: none for models that have but one. Those that have two have two blocks, for
 /// views in the plane of the first roughness and for views a quarter of the way to the second.
 fn albedo_table(model: Model) -> (usize, usize) {
-    let two = |index: usize| {
-        let before = 4 * ALBEDO_LENGTH + index * 4 * ALBEDO_BLOCK;
-        (ALBEDO_OFFSET + before, ALBEDO_LENGTH)
-    };
-    match model {
-        Model::None | Model::BlinnPhong => (ALBEDO_OFFSET, 0),
-        Model::CookTorrance => (ALBEDO_OFFSET + 2 * ALBEDO_LENGTH, 0),
-        Model::Ward => two(0),
-        Model::Ggx => two(1),
-        Model::AshikhminShirley => two(2),
-    }
+    ALBEDO_TABLES[model as usize]
 }
+
+/// [`albedo_table`] of every [`Model`]: behind one another those of models with one roughness, then those of models with
+/// two, each in the order of [`REFLECTION_MODELS`]. `None` has one so that all have.
+const ALBEDO_TABLES: [(usize, usize); 1 + Model::ALL.len()] = {
+    let mut tables = [(ALBEDO_OFFSET, 0); 1 + Model::ALL.len()];
+    let mut next = ALBEDO_OFFSET;
+    let mut pass = 0;
+    while pass < 2 {
+        let mut index = 0;
+        while index < Model::ALL.len() {
+            if REFLECTION_MODELS[index].anisotropic == (pass == 1) {
+                let (stride, length) =
+                    [(0, 2 * ALBEDO_LENGTH), (ALBEDO_LENGTH, 4 * ALBEDO_BLOCK)][pass];
+                tables[1 + index] = (next, stride);
+                next += length;
+            }
+            index += 1;
+        }
+        pass += 1;
+    }
+    tables
+};
 
 /// The fitted mixtures and the albedo tables: what follows [`Tables::values`] in the GPU buffer
 /// `tables`.
@@ -458,18 +470,18 @@ pub(crate) fn compute_table_values() -> Vec<f32> {
     let alphas: [f32; ALBEDO_ALPHAS] = std::array::from_fn(|i| {
         (low + (1.0 - low) * i as f32 / (ALBEDO_ALPHAS - 1) as f32).powi(2)
     });
-    for model in [Model::BlinnPhong, Model::CookTorrance] {
+    let (two, one): (Vec<Model>, Vec<Model>) = Model::ALL
+        .into_iter()
+        .partition(|&model| albedo_table(model).1 > 0);
+    for model in one {
         for alpha in alphas {
-            let alpha = match model {
-                Model::BlinnPhong => (2.0 / (alpha * alpha)).min(MAX_EXPONENT),
-                _ => alpha,
-            };
+            let alpha = model.from_alpha(alpha).min(MAX_EXPONENT);
             for angle in 0..ALBEDO_ANGLES {
                 values.extend(tabulated_albedo(model, Vec2::splat(alpha), Vec2::X, angle));
             }
         }
     }
-    for model in [Model::Ward, Model::Ggx, Model::AshikhminShirley] {
+    for model in two {
         for azimuth in [Vec2::X, QUARTER] {
             for second in alphas {
                 for first in alphas {
@@ -484,10 +496,9 @@ pub(crate) fn compute_table_values() -> Vec<f32> {
     values
 }
 
-/// The constants of this module, as WGSL.
+/// The constants of this module, as WGSL, and [`albedo_table`].
 pub fn wgsl_constants() -> String {
     let start = Tables::get().values().len();
-    let first = |model| start + albedo_table(model).0;
     let integers = [
         ("MAX_SPECULAR_LOBES", MAX_SPECULAR_LOBES),
         ("BRDF_ISOTROPIC_PAIRS", ISOTROPIC_PAIRS),
@@ -499,14 +510,6 @@ pub fn wgsl_constants() -> String {
         ("BRDF_ALBEDO_ANGLES", ALBEDO_ANGLES),
         ("BRDF_ALBEDO_LENGTH", ALBEDO_LENGTH),
         ("BRDF_ALBEDO_BLOCK", ALBEDO_BLOCK),
-        ("BRDF_ALBEDO_BLINN_PHONG", first(Model::BlinnPhong)),
-        ("BRDF_ALBEDO_COOK_TORRANCE", first(Model::CookTorrance)),
-        ("BRDF_ALBEDO_WARD", first(Model::Ward)),
-        ("BRDF_ALBEDO_GGX", first(Model::Ggx)),
-        (
-            "BRDF_ALBEDO_ASHIKHMIN_SHIRLEY",
-            first(Model::AshikhminShirley),
-        ),
     ];
     let reals = [
         ("BRDF_ISOTROPIC_RATIO", ISOTROPIC_RATIO),
@@ -524,7 +527,17 @@ pub fn wgsl_constants() -> String {
     ];
     let integers = integers.map(|(name, value)| format!("const {name}: u32 = {value}u;\n"));
     let reals = reals.map(|(name, value)| format!("const {name}: f32 = {value:?};\n"));
-    integers.concat() + &reals.concat()
+    let table = |model| {
+        let (first, stride) = albedo_table(model);
+        format!("{{ return vec2({}u, {stride}u); }}\n", start + first)
+    };
+    let cases = Model::ALL.map(|model| format!("case {}u: {}", model as u32, table(model)));
+    let (cases, none) = (cases.concat(), table(Model::None));
+    integers.concat()
+        + &reals.concat()
+        + &format!(
+            "fn brdf_albedo_table(model: u32) -> vec2<u32> {{\nswitch model {{\n{cases}default: {none}}}\n}}\n"
+        )
 }
 
 /// One entry of an albedo table: the factor of the specular colour and the fourth root of

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use anyhow::Context as _;
+use relight_bake::error::Error;
 use relight_format as format;
 use serde_json::{Value, json};
 
@@ -31,7 +31,7 @@ fn decode(path: &Path) -> anyhow::Result<(Vec<format::SectionInfo>, Asset)> {
         };
         Ok((sections, asset))
     };
-    asset().with_context(|| path.display().to_string())
+    asset().map_err(|error| Error::asset(path, error).into())
 }
 
 pub(super) fn validate(path: &Path) -> anyhow::Result<Summary> {

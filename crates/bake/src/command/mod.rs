@@ -443,7 +443,7 @@ pub(crate) fn write_checked(
     files::check_output(path)?;
     format::write_file(path, bytes)?;
     let read = read(path)?;
-    if read != bytes || !same(&read).with_context(|| path.display().to_string())? {
+    if read != bytes || !same(&read).map_err(|error| Error::asset(path, error))? {
         let found = "other bytes when it was read back";
         return Err(Error::invalid(path, "output", "what was written", found).into());
     }

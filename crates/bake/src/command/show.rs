@@ -274,7 +274,11 @@ fn details(cause: &(dyn Error + 'static)) -> Option<[Option<String>; 5]> {
         } = objection.clone();
         Some([file, Some(place), Some(expected), Some(found), None])
     };
-    let of_file = |error: &error::Error| of(Some(lossy(&error.file)), &error.objection);
+    let of_file = |error: &error::Error| {
+        let mut details = of(Some(lossy(&error.file)), &error.objection)?;
+        details[4] = error.issue.map(|issue| format!("{issue:?}"));
+        Some(details)
+    };
     if let Some(error) = cause.downcast_ref() {
         return of_file(error);
     }

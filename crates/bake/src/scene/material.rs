@@ -328,15 +328,8 @@ fn is_baked(file: &Path) -> bool {
 /// A baked material that a scene file names.
 fn baked(keys: &Keys, file: &Path) -> Result<format::MaterialAsset, Error> {
     let (path, bytes) = keys.read("file", file)?;
-    format::read_material(&bytes, &format::Limits::default()).map_err(|error| match error {
-        format::Error::Invalid {
-            issue,
-            place,
-            expected,
-            found,
-        } => Error::invalid(&path, place, expected, format_args!("{found} ({issue})")),
-        format::Error::Io { source, .. } => Error::read(&path, source),
-    })
+    let read = format::read_material(&bytes, &format::Limits::default());
+    read.map_err(|error| Error::asset(&path, error))
 }
 
 /// What the texels of a file stand for.

@@ -269,26 +269,9 @@ fn brdf_albedo(reflection: Reflection, wo: vec3<f32>) -> vec2<f32> {
     let last = f32(BRDF_ALBEDO_ALPHAS - 1u);
     let position = clamp((sqrt(alpha) - low) / (1.0 - low), vec2(0.0), vec2(1.0)) * last;
     let angle = sqrt(clamp(1.0 - wo.z, 0.0, 1.0)) * f32(BRDF_ALBEDO_ANGLES - 1u);
-    var first = BRDF_ALBEDO_BLINN_PHONG;
-    var stride = BRDF_ALBEDO_LENGTH;
-    switch reflection.model {
-        case MODEL_COOK_TORRANCE: {
-            first = BRDF_ALBEDO_COOK_TORRANCE;
-            stride = 0u;
-        }
-        case MODEL_WARD: {
-            first = BRDF_ALBEDO_WARD;
-        }
-        case MODEL_GGX: {
-            first = BRDF_ALBEDO_GGX;
-        }
-        case MODEL_ASHIKHMIN_SHIRLEY: {
-            first = BRDF_ALBEDO_ASHIKHMIN_SHIRLEY;
-        }
-        default: {
-            stride = 0u;
-        }
-    }
+    let table = brdf_albedo_table(reflection.model);
+    let first = table.x;
+    let stride = table.y;
     // Tabulated for a view in the plane of the first roughness and a quarter of the way to
     // that of the second; the rest of the way by swapping them.
     let along_x = brdf_albedo_lookup(first, stride, position.x, position.y, angle);

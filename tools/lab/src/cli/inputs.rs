@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use anyhow::Context as _;
 use glam::Vec3;
+use relight_bake::error::Error;
 use relight_bake::files::{Access, Files};
 use relight_bake::scene::description;
 use relight_format::{Camera, Environment, FieldOfView, Limits, Scene};
@@ -18,8 +18,8 @@ use super::arguments::{CameraArguments, Point};
 
 pub(super) fn read_scene(path: &Path) -> anyhow::Result<Scene> {
     let bytes = read(path)?;
-    relight_format::read_scene(&bytes, &Limits::default())
-        .with_context(|| path.display().to_string())
+    let scene = relight_format::read_scene(&bytes, &Limits::default());
+    Ok(scene.map_err(|error| Error::asset(path, error))?)
 }
 
 /// An environment, ready to light frames.
@@ -32,7 +32,7 @@ pub(super) struct Distant {
 pub(super) fn read_environment(path: &Path) -> anyhow::Result<Distant> {
     let bytes = read(path)?;
     let environment: Environment = relight_format::read_environment(&bytes, &Limits::default())
-        .with_context(|| path.display().to_string())?;
+        .map_err(|error| Error::asset(path, error))?;
     let lights: Vec<_> = environment.lobes.iter().map(Into::into).collect();
     Ok(Distant {
         prefiltered: Prefiltered::new(&environment.prefiltered, &lights),

@@ -425,6 +425,7 @@ fn run_demo(arguments: &Demo, json: bool) -> anyhow::Result<Value> {
 }
 
 fn run_experiments(arguments: &Experiments, json: bool) -> anyhow::Result<Value> {
+    display::create_folder(&arguments.out)?;
     let bake = match arguments.preset {
         PresetName::Draft => scene::Options::draft(),
         PresetName::Standard => scene::Options::standard(),
@@ -437,9 +438,9 @@ fn run_experiments(arguments: &Experiments, json: bool) -> anyhow::Result<Value>
         report: &report,
         stop: &stop,
     };
-    if arguments.name == "compression" {
-        return run_compression(arguments, bake, monitor, json);
-    }
+    let lights = (arguments.environment.as_deref())
+        .map(|path| read_environment(path).map(|distant| distant.lights))
+        .transpose()?;
     let command: Vec<String> = std::env::args().skip(1).collect();
     let settings = experiments::Settings {
         folder: arguments.out.clone(),
@@ -447,6 +448,8 @@ fn run_experiments(arguments: &Experiments, json: bool) -> anyhow::Result<Value>
         size: arguments.size,
         samples: arguments.samples,
         bake,
+        scenes: arguments.scenes.clone(),
+        lights,
         command: format!("lab {}", command.join(" ")),
     };
     let renderer = render::Renderer::open(arguments.device.into()).map_err(NoGpu)?;
@@ -456,17 +459,10 @@ fn run_experiments(arguments: &Experiments, json: bool) -> anyhow::Result<Value>
         if arguments.name != "all" && arguments.name != experiment.name {
             continue;
         }
-        let start = Instant::now();
-        let section = laboratory
-            .run(experiment)
-            .with_context(|| experiment.name)?;
+        let section = laboratory.run(experiment)?;
         bar.suspend(|| {
             if !json {
-                println!(
-                    "{} ({:.0} s)\n",
-                    section.title,
-                    start.elapsed().as_secs_f64()
-                );
+                println!("{} ({:.0} s)\n", section.title, section.seconds);
                 for table in section.tables.iter().filter(|table| table.rows.len() <= 48) {
                     println!("{}\n\n{}", table.caption, table.markdown());
                 }
@@ -483,56 +479,6 @@ fn run_experiments(arguments: &Experiments, json: bool) -> anyhow::Result<Value>
         "report": page,
         "sections": if json { json!(sections) } else { Value::Null },
     }))
-}
-
-fn run_compression(
-    arguments: &Experiments,
-    bake: scene::Options,
-    monitor: Monitor,
-    json: bool,
-) -> anyhow::Result<Value> {
-    let out = &arguments.out;
-    let mut scenes = arguments.scenes.clone();
-    if scenes.is_empty() {
-        for name in experiments::compression::SCENES {
-            scenes.push(experiments::scene_file(name, out, &arguments.data)?);
-        }
-    }
-    let lights = match &arguments.environment {
-        Some(path) => read_environment(path)?.lights,
-        None => experiments::fit_light(&arguments.data, "grace", 16, monitor)?,
-    };
-    let settings = experiments::compression::Settings {
-        folder: out.clone(),
-        scenes,
-        size: arguments.size,
-        samples: arguments.samples,
-        device: arguments.device.into(),
-        bake,
-    };
-    let rows = experiments::compression::run(&settings, &lights, monitor)?;
-    if json {
-        return Ok(json!({ "rows": rows }));
-    }
-    println!(
-        "{:<14} {:<28} {:>7} {:>9} {:>6} {:>6} {:>8} {:>8} {:>8}",
-        "scene", "", "setting", "bytes", "/vert.", "tiles", "seam", "diffuse", "specular"
-    );
-    for row in rows {
-        println!(
-            "{:<14} {:<28} {:>7} {:>9} {:>6.1} {:>6.2} {:>8.4} {:>6.2} % {:>6.2} %",
-            row.scene,
-            row.curve,
-            row.setting,
-            row.bytes,
-            row.bytes_per_vertex,
-            row.tiles_per_sample,
-            row.seam_rms,
-            100.0 * row.diffuse,
-            100.0 * row.specular,
-        );
-    }
-    Ok(json!({ "table": out.join("compression.csv") }))
 }
 
 fn covered(image: &image_file::Image) -> usize {

@@ -45,7 +45,7 @@ pub(super) enum Command {
 
 #[derive(Args)]
 pub(super) struct Experiments {
-    /// Which experiment. `all` runs all but `compression`, which takes hours.
+    /// Which experiment. `all` takes an hour or more, less of it with small pictures and few samples.
     #[arg(value_parser = experiment_names())]
     pub(super) name: String,
     /// Folder for everything that is written. The report also shows what earlier runs left there.
@@ -70,7 +70,7 @@ pub(super) struct Experiments {
     /// replaced by the tables of all experiments in the folder.
     #[arg(long)]
     pub(super) results: Option<PathBuf>,
-    /// With `compression`: scene files with a camera, in place of five that come with lab.
+    /// With `compression`: scene files with a camera, in place of those that come with lab.
     #[arg(long, num_args = 1..)]
     pub(super) scenes: Vec<PathBuf>,
     /// With `compression`: a baked environment, in place of the image `grace` with 16 lobes.
@@ -89,12 +89,8 @@ fn experiment_names() -> clap::builder::PossibleValuesParser {
     let own = experiments::ALL.iter().map(|experiment| {
         clap::builder::PossibleValue::new(experiment.name).help(experiment.title)
     });
-    let others = [
-        clap::builder::PossibleValue::new("all").help("All but compression"),
-        clap::builder::PossibleValue::new("compression")
-            .help("Bytes of scenes against their errors, every representation of visibility"),
-    ];
-    own.chain(others).collect::<Vec<_>>().into()
+    let all = clap::builder::PossibleValue::new("all").help("All of them");
+    own.chain([all]).collect::<Vec<_>>().into()
 }
 
 #[derive(Args)]

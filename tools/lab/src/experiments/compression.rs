@@ -1,53 +1,26 @@
 //! Bytes against errors: every representation of visibility on the same scenes.
 //!
-//! Each is baked, written and read; a diffuse and a glossy material everywhere are rendered
+//! Each is baked, written and read; a diffuse and a glossy material everywhere are drawn
 //! with it and compared with ray-traced truth of the same lights and lobes.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Instant;
 
 use anyhow::Context as _;
 use relight_bake::files::{Access, Files};
 use relight_bake::import::plain_material;
-use relight_bake::internals::plot::{self, Curve};
-use relight_bake::monitor::Monitor;
-use relight_bake::scene::Options;
-use relight_bake::scene::{self, load, seam};
+use relight_bake::internals::plot::Curve;
+use relight_bake::scene::{self, Options, load, seam};
 use relight_format::{self as format, Limits, Representation, Specular, Surface};
 use relight_runtime::Frame;
 use relight_shading::spherical_gaussian::SphericalGaussian;
-use serde::Serialize;
 
-use crate::compare::compare;
-use crate::render::{Device, Renderer};
-use crate::truth;
-use crate::truth::lobes::{self, Visibility};
+use super::report::{Section, Table};
+use super::{Laboratory, camera, error};
 
 /// The laboratory's scenes that are measured where none are named.
-pub const SCENES: [&str; 5] = [
-    "bunny",
-    "armadillo",
-    "dragon_100k",
-    "walk_1",
-    "FlightHelmet",
-];
-
-/// What to measure.
-#[derive(Clone, Debug)]
-pub struct Settings {
-    /// Folder for tables and plots.
-    pub folder: PathBuf,
-    /// Scene files or meshes.
-    pub scenes: Vec<PathBuf>,
-    /// Picture size, pixels.
-    pub size: [u32; 2],
-    /// Truth samples per pixel.
-    pub samples: u32,
-    /// Where to render.
-    pub device: Device,
-    /// Start of every bake.
-    pub bake: Options,
-}
+const SCENES: [&str; 2] = ["bunny", "walk_1"];
+const LOBES: usize = 16;
 
 /// What fits into so many bytes, with at most so many vertices, where shadows fall. A mesh of
 /// more may have a quarter as many again.
@@ -55,35 +28,34 @@ const TO_A_SIZE: &str = "clusters, refined, to a size";
 const SIZES: [(u64, usize); 2] = [(5_000_000, 50_000), (15_000_000, 200_000)];
 
 /// One representation of one scene.
-#[derive(Debug, Serialize)]
-pub struct Row {
-    /// Name of the scene.
-    pub scene: String,
+struct Row {
     /// Name of the curve.
-    pub curve: String,
+    curve: &'static str,
     /// The aim of [`Options`], radians, the bytes that are allowed, or the rank of a global
     /// basis.
-    pub setting: f64,
+    setting: f64,
     /// Vertices before clusters share any.
-    pub vertices: usize,
+    vertices: usize,
     /// Bytes of the file without textures.
-    pub bytes: usize,
-    /// Bytes of the file per vertex.
-    pub bytes_per_vertex: f64,
+    bytes: usize,
     /// Fetches of four basis texels that an SSDF sample takes, mean over vertices.
-    pub tiles_per_sample: f64,
+    tiles_per_sample: f64,
     /// How far visibility boundaries are off on the surface, root mean square, radians.
-    pub surface_error: f32,
+    surface_error: f32,
     /// The same at vertices, by compression alone.
-    pub compression_error: f32,
+    compression_error: f32,
     /// Root mean square jump at vertices that clusters share, radians.
-    pub seam_rms: f32,
-    /// Relative RMSE of a diffuse material, noise of the truth removed.
-    pub diffuse: f64,
-    /// Relative RMSE of a glossy material, noise of the truth removed.
-    pub specular: f64,
+    seam_rms: f32,
+    /// Relative RMSE of a diffuse and of a glossy material, noise of the truth removed.
+    errors: [f64; 2],
     /// Wall-clock seconds of the bake.
-    pub seconds: f64,
+    seconds: f64,
+}
+
+impl Row {
+    fn bytes_per_vertex(&self) -> f64 {
+        self.bytes as f64 / self.vertices as f64
+    }
 }
 
 /// Curves and their points: name, setting and bake options.
@@ -127,23 +99,67 @@ fn curves(start: &Options) -> Vec<(&'static str, f64, Options)> {
     all
 }
 
-/// Runs everything; writes `compression.csv` and a plot per scene into the folder after
-/// every scene.
-pub fn run(
-    settings: &Settings,
-    lights: &[SphericalGaussian],
-    monitor: Monitor,
-) -> anyhow::Result<Vec<Row>> {
-    crate::display::create_folder(&settings.folder)?;
-    let mut renderer = Renderer::open(settings.device)?;
-    let mut rows = Vec::new();
-    for path in &settings.scenes {
-        let first = rows.len();
-        measure(path, settings, lights, &mut renderer, &mut rows, monitor)?;
-        write_table(&settings.folder.join("compression.csv"), &rows)?;
-        write_plots(&settings.folder, &rows[first..])?;
+pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result<()> {
+    section.text = vec![format!(
+        "A diffuse and a GGX material (α = 0.25) everywhere, under grace with {LOBES} lobes unless \
+         `--environment` names another light. `Setting` is the error asked for, radians, the size asked for, bytes, \
+         or the number of components of a basis for the whole scene, as the paper has it. `{TO_A_SIZE}` is the \
+         preset `high`, whose sizes are estimated from some chunks with room to spare. A sample fetches \
+         four texels of as many images as it has tiles."
+    )];
+    let mut paths = laboratory.settings.scenes.clone();
+    if paths.is_empty() {
+        let (folder, data) = (&laboratory.settings.folder, &laboratory.settings.data);
+        for name in SCENES {
+            paths.push(super::scene_file(name, folder, data)?);
+        }
     }
-    Ok(rows)
+    let lights = match &laboratory.settings.lights {
+        Some(lights) => lights.clone(),
+        None => laboratory.light("grace", LOBES)?.lobes.clone(),
+    };
+    let mut table = Table::new(
+        "compression",
+        "Bytes against errors",
+        &[
+            "scene",
+            "curve",
+            "setting",
+            "vertices",
+            "bytes",
+            "bytes per vertex",
+            "tiles per sample",
+            "surface error, rad",
+            "compression error, rad",
+            "jump at seams, rad",
+            "diffuse, %",
+            "specular, %",
+            "seconds",
+        ],
+    );
+    for path in &paths {
+        let (name, rows) = measure(laboratory, path, &lights)?;
+        for row in &rows {
+            table.row([
+                name.as_str().into(),
+                row.curve.into(),
+                row.setting.into(),
+                row.vertices.into(),
+                row.bytes.into(),
+                row.bytes_per_vertex().into(),
+                row.tiles_per_sample.into(),
+                f64::from(row.surface_error).into(),
+                f64::from(row.compression_error).into(),
+                f64::from(row.seam_rms).into(),
+                (100.0 * row.errors[0]).into(),
+                (100.0 * row.errors[1]).into(),
+                row.seconds.into(),
+            ]);
+        }
+        plot(laboratory, section, &name, &rows)?;
+    }
+    section.tables.push(table);
+    Ok(())
 }
 
 /// The diffuse material that errors are measured with.
@@ -161,17 +177,15 @@ const GLOSSY: Surface = Surface::DiffuseSpecular {
     },
 };
 
+/// The name of a scene and all representations of it.
 fn measure(
+    laboratory: &mut Laboratory,
     path: &Path,
-    settings: &Settings,
     lights: &[SphericalGaussian],
-    renderer: &mut Renderer,
-    rows: &mut Vec<Row>,
-    monitor: Monitor,
-) -> anyhow::Result<()> {
+) -> anyhow::Result<(String, Vec<Row>)> {
     let surfaces = [DIFFUSE, GLOSSY];
-    let mut truths = Vec::new();
-    for (curve, setting, mut options) in curves(&settings.bake) {
+    let (mut name, mut rows, mut truths) = (String::new(), Vec::new(), Vec::new());
+    for (curve, setting, mut options) in curves(&laboratory.settings.bake) {
         let start = Instant::now();
         let mut input = load::load_from(&Files::new(path, &Access::anywhere())?, path)?;
         // A bound below what the mesh has would leave nothing for shadows.
@@ -182,54 +196,40 @@ fn measure(
         // Bytes are those of visibility and geometry.
         input.mesh.textures.clear();
         put_on(&mut input.mesh.materials, &surfaces[0]);
-        let (baked, _) =
-            scene::bake(input, &options, monitor).with_context(|| path.display().to_string())?;
+        let (baked, _) = scene::bake(input, &options, laboratory.monitor)
+            .with_context(|| path.display().to_string())?;
         let seconds = start.elapsed().as_secs_f64();
         let bytes = format::write_scene(&baked)?;
         let mut scene = format::read_scene(&bytes, &Limits::default())?;
-        let camera = scene.camera.with_context(|| {
-            format!(
-                "{}: expected a scene file with a camera, found none",
-                path.display()
-            )
-        })?;
-        let frame = Frame::new(camera, lights);
+        let frame = Frame::new(camera(&scene)?, lights);
         let seams = seam::measure(&scene);
-        let mut errors = Vec::new();
+        let mut errors = [0.0; 2];
         for (index, surface) in surfaces.iter().enumerate() {
             put_on(&mut scene.materials, surface);
             if truths.len() == index {
-                monitor.step("trace truth", 0.0)?;
-                let Settings { size, samples, .. } = *settings;
-                let (options, exact) = (truth::Options::centers(samples), Visibility::Exact);
-                let truth = lobes::of_frame(&scene, &frame, size, &options, exact, &|| ());
-                truths.push(truth);
+                truths.push(laboratory.truth(&scene, &frame)?);
             }
-            let image = renderer.render(&scene, &frame, settings.size)?;
-            let found = compare(&image, &truths[index])?;
-            errors.push(found.noiseless());
+            errors[index] = error(&laboratory.draw(&scene, &frame)?, &truths[index])?;
         }
         let own = scene.vertices.len() - usize::try_from(seams.pairs)?;
         let fetches: f64 = (scene.clusters.iter())
             .map(|cluster| f64::from(cluster.tiles) * f64::from(cluster.vertex_count))
             .sum();
+        name.clone_from(&scene.name);
         rows.push(Row {
-            scene: scene.name.clone(),
-            curve: curve.to_owned(),
+            curve,
             setting,
             vertices: own,
             bytes: bytes.len(),
-            bytes_per_vertex: bytes.len() as f64 / own as f64,
             tiles_per_sample: fetches / scene.vertices.len() as f64,
             surface_error: scene.report.errors.surface,
             compression_error: scene.report.errors.compression,
             seam_rms: seams.rms,
-            diffuse: errors[0],
-            specular: errors[1],
+            errors,
             seconds,
         });
     }
-    Ok(())
+    Ok((name, rows))
 }
 
 /// Makes everything diffuse.
@@ -244,63 +244,31 @@ fn put_on(materials: &mut [format::Material], surface: &Surface) {
     }
 }
 
-fn write_table(path: &Path, rows: &[Row]) -> anyhow::Result<()> {
-    let mut text = "scene,curve,setting,vertices,bytes,bytes_per_vertex,tiles_per_sample,\
-                    surface_error,compression_error,seam_rms,diffuse,specular,seconds\n"
-        .to_owned();
-    for row in rows {
-        text += &format!(
-            "{},\"{}\",{},{},{},{:.1},{:.2},{:.5},{:.5},{:.5},{:.5},{:.5},{:.1}\n",
-            row.scene,
-            row.curve,
-            row.setting,
-            row.vertices,
-            row.bytes,
-            row.bytes_per_vertex,
-            row.tiles_per_sample,
-            row.surface_error,
-            row.compression_error,
-            row.seam_rms,
-            row.diffuse,
-            row.specular,
-            row.seconds,
-        );
-    }
-    relight_format::write_file(path, text.as_bytes())?;
-    Ok(())
-}
-
-/// A figure of a row.
-type Figure = fn(&Row) -> f64;
-
-fn write_plots(folder: &Path, rows: &[Row]) -> anyhow::Result<()> {
-    let mut names: Vec<&str> = rows.iter().map(|row| row.curve.as_str()).collect();
+/// Errors of both materials against bytes, a curve for every kind of representation.
+fn plot(
+    laboratory: &Laboratory,
+    section: &mut Section,
+    scene: &str,
+    rows: &[Row],
+) -> anyhow::Result<()> {
+    let mut names: Vec<&str> = rows.iter().map(|row| row.curve).collect();
     names.sort_unstable();
     names.dedup();
-    let Some(first) = rows.first() else {
-        return Ok(());
-    };
-    let figures: [(&str, Figure); 2] = [
-        ("diffuse", |row| row.diffuse),
-        ("specular", |row| row.specular),
-    ];
-    for (figure, value) in figures {
-        let curves: Vec<Curve> = (names.iter())
-            .map(|name| Curve {
-                name: (*name).to_owned(),
-                points: (rows.iter().filter(|row| row.curve == *name))
-                    .map(|row| [row.bytes_per_vertex, 100.0 * value(row)])
-                    .collect(),
-            })
-            .collect();
-        let path = folder.join(format!("compression-{}-{figure}.svg", first.scene));
-        let svg = plot::svg(
-            &format!("{}: {figure}", first.scene),
+    for (index, material) in ["diffuse", "specular"].into_iter().enumerate() {
+        let curve = |name: &&str| Curve {
+            name: (*name).to_owned(),
+            points: (rows.iter().filter(|row| row.curve == *name))
+                .map(|row| [row.bytes_per_vertex(), 100.0 * row.errors[index]])
+                .collect(),
+        };
+        let curves: Vec<Curve> = names.iter().map(curve).collect();
+        laboratory.plot(
+            section,
+            &format!("{scene}-{material}"),
+            &format!("{scene}: {material}"),
             ["bytes per vertex", "relative RMSE, %"],
             &curves,
-        )
-        .with_context(|| format!("{}: nothing to plot", path.display()))?;
-        relight_format::write_file(&path, svg.as_bytes())?;
+        )?;
     }
     Ok(())
 }

@@ -5,11 +5,14 @@ mod adaptive;
 mod bounce;
 mod boundary;
 mod brdf;
-pub mod compression;
+mod compression;
 mod contours;
+mod defaults;
 mod edits;
 mod end_to_end;
+mod environments;
 mod interpolation;
+mod list;
 mod meshes;
 mod occluders;
 mod penumbra;
@@ -22,10 +25,12 @@ mod speed;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
+use std::time::Instant;
 
 use anyhow::Context as _;
 use relight_bake::environment::hdr::{self, LatLong};
 use relight_bake::environment::{self, FitOptions};
+use relight_bake::error::Error;
 use relight_bake::files::{Access, Files};
 use relight_bake::monitor::Monitor;
 use relight_bake::scene::load::SceneInput;
@@ -34,6 +39,7 @@ use relight_format::{self as format, Camera, Environment, Limits, Scene};
 use relight_runtime::{CellsOptions, Frame, Method, PolarOptions, Prefiltered, Sources};
 use relight_shading::spherical_gaussian::SphericalGaussian;
 
+pub use self::list::{ALL, Experiment};
 pub use self::report::Section;
 use self::report::{Cell, Figure};
 pub use self::results::write_results;
@@ -43,90 +49,6 @@ use crate::image_file::{self, Image};
 use crate::render::Renderer;
 use crate::truth::lobes::{self, Visibility};
 use crate::{display, truth};
-
-/// An experiment.
-pub struct Experiment {
-    /// Name on the command line.
-    pub name: &'static str,
-    /// Heading.
-    pub title: &'static str,
-    /// Adds what it finds.
-    run: fn(&mut Laboratory, &mut Section) -> anyhow::Result<()>,
-}
-
-/// All of them but `compression`, in the order of the report.
-pub const ALL: [Experiment; 14] = [
-    Experiment {
-        name: "boundary",
-        title: "Errors of boundaries and of lobes (Fig. 6)",
-        run: boundary::run,
-    },
-    Experiment {
-        name: "adaptive",
-        title: "Adaptive against uniform cells (Fig. 7)",
-        run: adaptive::run,
-    },
-    Experiment {
-        name: "penumbra",
-        title: "The colour of a penumbra (Fig. 8)",
-        run: penumbra::run,
-    },
-    Experiment {
-        name: "occluders",
-        title: "Concave and convex occluders (Fig. 9)",
-        run: occluders::run,
-    },
-    Experiment {
-        name: "edits",
-        title: "Materials, bumps and local lights that change (Figs. 10 and 11)",
-        run: edits::run,
-    },
-    Experiment {
-        name: "interpolation",
-        title: "What interpolation between vertices misses (Figs. 12 and 13)",
-        run: interpolation::run,
-    },
-    Experiment {
-        name: "scenes",
-        title: "Five scenes (Table 1)",
-        run: scenes::run,
-    },
-    Experiment {
-        name: "speed",
-        title: "Quality against speed",
-        run: speed::run,
-    },
-    Experiment {
-        name: "scale",
-        title: "Work against lobes, pixels and triangles",
-        run: scale::run,
-    },
-    Experiment {
-        name: "end-to-end",
-        title: "From image and reflection model to pixel",
-        run: end_to_end::run,
-    },
-    Experiment {
-        name: "contours",
-        title: "Contours between texels",
-        run: contours::run,
-    },
-    Experiment {
-        name: "brdf",
-        title: "Reflection models as spherical Gaussians",
-        run: brdf::run,
-    },
-    Experiment {
-        name: "bounce",
-        title: "Light that bounces, and follows the light",
-        run: bounce::run,
-    },
-    Experiment {
-        name: "meshes",
-        title: "Meshes as people bring them",
-        run: meshes::run,
-    },
-];
 
 /// What to draw, where and how well.
 #[derive(Clone, Debug)]
@@ -141,6 +63,10 @@ pub struct Settings {
     pub samples: u32,
     /// Start of every bake.
     pub bake: scene::Options,
+    /// Of `compression`: scene files with a camera, in place of its own.
+    pub scenes: Vec<PathBuf>,
+    /// Of `compression`: distant light, in place of its own.
+    pub lights: Option<Vec<SphericalGaussian>>,
     /// The command that runs the experiment, for the report.
     pub command: String,
 }
@@ -240,10 +166,10 @@ fn known<'a>(list: &[(&str, &'a str)], name: &str) -> anyhow::Result<&'a str> {
 
 /// Writes one of the laboratory's scene files, with what it refers to, for people to open and
 /// for [`load::load`].
-pub fn scene_file(name: &str, folder: &Path, data: &Path) -> anyhow::Result<PathBuf> {
+fn scene_file(name: &str, folder: &Path, data: &Path) -> anyhow::Result<PathBuf> {
     let data = data
         .canonicalize()
-        .with_context(|| data.display().to_string())?;
+        .map_err(|source| Error::refused(data, "--data", "a folder that can be read", source))?;
     let text = known(&SCENES, name)?.replace("$DATA", &data.to_string_lossy());
     let folder = folder.join("scenes");
     create(&folder)?;
@@ -304,16 +230,6 @@ impl Light {
     }
 }
 
-/// The lobes of one of the laboratory's environments.
-pub fn fit_light(
-    data: &Path,
-    name: &str,
-    lobes: usize,
-    monitor: Monitor,
-) -> anyhow::Result<Vec<SphericalGaussian>> {
-    Ok(Light::new(data, name, lobes, 0, monitor)?.lobes)
-}
-
 /// The three that are always compared; the baseline first.
 const METHODS: [(&str, Method); 3] = [
     ("ambient", Method::Ambient),
@@ -357,7 +273,9 @@ impl<'a> Laboratory<'a> {
             provenance: provenance(&self.settings, &self.renderer),
             ..Section::default()
         };
+        let start = Instant::now();
         (experiment.run)(self, &mut section)?;
+        section.seconds = start.elapsed().as_secs_f64();
         for table in &section.tables {
             let path = self.folder.join(&table.name).with_extension("csv");
             format::write_file(&path, table.csv().as_bytes())?;

@@ -19,6 +19,9 @@ pub struct Section {
     pub command: String,
     /// Where it ran and with what.
     pub provenance: Vec<(String, String)>,
+    /// How long it took. What it shares with experiments before it took its time there.
+    #[serde(default)]
+    pub seconds: f64,
     /// Paragraphs: what is shown, and how it was measured.
     pub text: Vec<String>,
     /// Tables, each also a CSV file.
@@ -257,6 +260,7 @@ pub fn page(folder: &Path, sections: &[Section]) -> anyhow::Result<String> {
                 pre { (section.command) }
                 p.provenance {
                     @for (key, value) in &section.provenance { (key) ": " (value) ". " }
+                    "seconds: " (format!("{:.0}", section.seconds)) "."
                 }
             }
         });

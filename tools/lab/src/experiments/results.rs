@@ -5,10 +5,25 @@ use std::path::Path;
 use anyhow::Context as _;
 use relight_format as format;
 
-use super::report::Section;
+use super::report::{Section, Table};
 
 /// Tables that RESULTS.md has room for, and the columns of them.
-const SHORT: [(&str, &[&str]); 12] = [
+const SHORT: [(&str, &[&str]); 15] = [
+    ("defaults", &[]),
+    ("environments", &[]),
+    (
+        "compression",
+        &[
+            "scene",
+            "curve",
+            "setting",
+            "vertices",
+            "bytes",
+            "tiles per sample",
+            "diffuse, %",
+            "specular, %",
+        ],
+    ),
     ("boundary", &[]),
     (
         "adaptive",
@@ -53,7 +68,22 @@ const SHORT: [(&str, &[&str]); 12] = [
             "relative RMSE, %",
         ],
     ),
-    ("end-to-end", &[]),
+    (
+        "end-to-end",
+        &[
+            "scene",
+            "environment",
+            "ambient",
+            "cells",
+            "polar",
+            "lobes alone",
+            "samples per pixel",
+            "environment fit",
+            "reflection",
+            "visibility",
+            "integration",
+        ],
+    ),
     ("contours", &[]),
     ("bounce", &[]),
     (
@@ -78,58 +108,64 @@ pub fn write_results(file: &Path, sections: &[Section]) -> anyhow::Result<()> {
     let (before, after) = parts
         .with_context(|| format!("no {} followed by {}", MARKERS[0].trim(), MARKERS[1]))
         .with_context(name)?;
-    let tables = markdown(&digest(sections));
-    let text = [before, MARKERS[0], &tables, "\n", MARKERS[1], after].concat();
+    let text = [
+        before,
+        MARKERS[0],
+        &markdown(sections),
+        "\n",
+        MARKERS[1],
+        after,
+    ]
+    .concat();
     Ok(format::write_file(file, text.as_bytes())?)
 }
 
-/// The tables that [`markdown`] shows, without anything else.
-fn digest(sections: &[Section]) -> Vec<Section> {
-    let short = |section: &Section| {
-        let tables = section.tables.iter().filter_map(|table| {
-            let (_, columns) = SHORT.iter().find(|(name, _)| *name == table.name)?;
-            Some(table.with(columns))
-        });
-        Section {
-            tables: tables.collect(),
-            // Sizes are in the commands.
-            provenance: (section.provenance.iter())
-                .filter(|(key, _)| {
-                    ["Relight", "commit", "processor", "threads", "seed"].contains(&key.as_str())
-                })
-                .cloned()
-                .collect(),
-            text: Vec::new(),
-            figures: Vec::new(),
-            ..section.clone()
-        }
-    };
-    let digests = sections.iter().map(short);
-    digests
-        .filter(|section| !section.tables.is_empty())
-        .collect()
+/// One entry of a section's provenance.
+fn made_with<'a>(section: &'a Section, key: &str) -> &'a str {
+    let entry = section.provenance.iter().find(|(name, _)| name == key);
+    entry.map_or("unknown", |(_, value)| value)
 }
 
-/// A digest as Markdown.
-fn markdown(digest: &[Section]) -> String {
-    let mut text = String::new();
-    for section in digest {
-        text += &format!("\n**{}** (`{}`)\n", section.title, section.command);
-        // Sections may be of different runs.
-        let commit = section.provenance.iter().find(|(key, _)| key == "commit");
-        if let Some((_, commit)) = commit {
-            text += &format!("\nCommit {commit}.\n");
+/// What made all of it, then every section that has a table in [`SHORT`]: what it shows, and the table. A section that
+/// something else made says so.
+fn markdown(sections: &[Section]) -> String {
+    let origin = |section: &Section| {
+        let commit = made_with(section, "commit");
+        format!("`{}`, commit {commit}", section.command)
+    };
+    let Some(last) = sections.last() else {
+        return String::new();
+    };
+    let (common, made) = (origin(last), |key| made_with(last, key));
+    let minutes = sections.iter().map(|section| section.seconds).sum::<f64>() / 60.0;
+    let mut text = format!(
+        "\nMade by {common}: Relight {}, {minutes:.0} minutes with {} threads of {}, seed {}.\n",
+        made("Relight"),
+        made("threads"),
+        made("processor"),
+        made("seed"),
+    );
+    for section in sections {
+        let tables: Vec<Table> = (section.tables.iter())
+            .filter_map(|table| {
+                let (_, columns) = SHORT.iter().find(|(name, _)| *name == table.name)?;
+                Some(table.with(columns))
+            })
+            .collect();
+        if tables.is_empty() {
+            continue;
         }
-        for table in &section.tables {
+        text += &format!("\n### {}\n", section.title);
+        let origin = origin(section);
+        if origin != common {
+            text += &format!("\nMade by {origin}.\n");
+        }
+        for paragraph in &section.text {
+            text += &format!("\n{paragraph}\n");
+        }
+        for table in &tables {
             text += &format!("\n{}:\n\n{}", table.caption, table.markdown());
         }
-    }
-    if let Some(section) = digest.first() {
-        let made: Vec<String> = (section.provenance.iter())
-            .filter(|(key, _)| key != "commit")
-            .map(|(key, value)| format!("{key} {value}"))
-            .collect();
-        text += &format!("\nMade with {}.\n", made.join(", "));
     }
     text
 }

@@ -6,7 +6,7 @@
 //!
 //! The contenders take turns and the fastest round of each counts, so that whatever else
 //! the machine does falls on all of them alike. Embree takes part if its program is built
-//! (`tools/peers/README.md`); `--robust` makes it watertight, as the others are.
+//! (`tools/peers/README.md`); `--robust` makes it watertight, as the others are. Prints a table of Markdown.
 
 mod common;
 
@@ -42,46 +42,44 @@ fn main() {
             continue;
         }
         if rows.is_empty() {
-            println!("us per vertex, {threads} threads, best of {rounds} rounds in turn");
             println!(
-                "{:<14}{:>9}{:>10}{:>10}{:>6}{:>9}{:>9}{:>10}{:>10}{:>11}{:>7}{:>9}{:>8}{:>9}",
-                "mesh",
-                "triangles",
-                "contours",
-                "crossings",
-                "SSDF",
-                "rays",
-                "Embree",
-                "rays/c.",
-                "Embree/c.",
-                "Embree/all",
-                "rays",
-                "differ",
-                "Embree",
-                "set-up",
+                "Microseconds for a vertex, {threads} threads, best of {rounds} rounds in turn:\n"
             );
+            println!("| {} |", COLUMNS.map(|(head, _)| head).join(" | "));
+            println!("| --- |{}", " ---: |".repeat(COLUMNS.len() - 1));
         }
         println!(
-            "{:<14}{:>9}{:>10.0}{:>10.0}{:>6.0}{:>9.0}{:>9.0}{:>10.2}{:>10.2}{:>11.2}{:>7.0}{:>9}{:>8}{:>6.0} ms",
-            row["mesh"].as_str().unwrap_or_default(),
-            row["triangles"].to_string(),
-            figure(&row["contours_us"]),
-            figure(&row["crossings_us"]),
-            figure(&row["ssdf_us"]),
-            figure(&row["rays_us"]),
-            figure(&row["embree_us"]),
-            figure(&row["rays_over_contours"]),
-            figure(&row["embree_over_contours"]),
-            figure(&row["embree_over_all"]),
-            figure(&row["rays_per_vertex"]),
-            row["differing_texels"].to_string(),
-            row["embree_differing_texels"].to_string(),
-            figure(&row["setup_ms"]),
+            "| {} |",
+            COLUMNS.map(|(_, key)| cell(&row[key])).join(" | ")
         );
         rows.push(row);
     }
     if common::flag("--json") {
         println!("{}", Value::from(rows));
+    }
+}
+
+/// Heads of the table, and what of a row is below them.
+const COLUMNS: [(&str, &str); 10] = [
+    ("mesh", "mesh"),
+    ("triangles", "triangles"),
+    ("visibility", "contours_us"),
+    ("and distances", "all_us"),
+    ("a ray per texel", "rays_us"),
+    ("Embree", "embree_us"),
+    ("Embree over visibility", "embree_over_contours"),
+    ("Embree over both", "embree_over_all"),
+    ("texels that differ from rays", "differing_texels"),
+    ("of Embree's", "embree_differing_texels"),
+];
+
+/// Two digits behind the point of what is no count; nothing where there is no Embree.
+fn cell(value: &Value) -> String {
+    match value {
+        Value::Null => String::new(),
+        Value::String(text) => text.clone(),
+        number if number.is_u64() => number.to_string(),
+        number => format!("{:.2}", figure(number)),
     }
 }
 
@@ -169,6 +167,7 @@ fn measure(subject: &Subject, rounds: usize, threads: usize) -> Value {
         "rays_over_contours": best[1] / best[0],
         "rays_per_vertex": rays as f64 / origins.len() as f64,
         "differing_texels": differing,
+        "all_us": per_vertex(best[4]),
         "crossings_us": per_vertex(best[3] - best[0]),
         "ssdf_us": per_vertex(best[4] - best[3]),
         "setup_ms": setup * 1e3,

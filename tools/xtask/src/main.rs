@@ -1,6 +1,7 @@
 //! Repository tasks: `cargo xtask test` installs what the tests need and runs them all,
 //! `cargo xtask results` makes the tables of RESULTS.md, `cargo xtask web` the pages.
 
+mod results;
 mod web;
 
 use std::io::{BufRead, BufReader, Write};
@@ -13,8 +14,9 @@ const USAGE: &str = "usage: cargo xtask test | results | web [--serve] | gpu-cos
 test: installs what the tests need (apt, only what is missing), then checks formatting and lints, builds
 the pages if there is a standard library for them, runs every test, and checks dependencies by cargo-deny, which it installs into target/tools.
 
-results: runs every experiment on the CPU into out/results, which takes an hour or more and
-needs the test data, and replaces the tables of RESULTS.md.
+results: replaces all tables of RESULTS.md by those of the commit that is checked out. Runs every experiment on the
+processor into out/results, which takes most of an hour on two cores and needs the test data; then the compilers of
+gpu-cost, and the comparison with Embree (tools/peers). What cannot be made here is left out, in a sentence that says so.
 
 web: builds the viewer as a page, and a small one, into out/web, adding what that takes where it is missing
 (the target wasm32-unknown-unknown). --serve then serves it on the loopback address.
@@ -35,7 +37,7 @@ fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     match arguments.iter().map(String::as_str).collect::<Vec<_>>()[..] {
         ["test"] => test(),
-        ["results"] => results(),
+        ["results"] => results::run(&root()),
         ["web"] => web::run(&root(), false),
         ["web", "--serve"] => web::run(&root(), true),
         ["gpu-cost", ..] => gpu_cost(&arguments[1..]),
@@ -156,20 +158,6 @@ fn test() -> ExitCode {
         ExitCode::FAILURE
     } else {
         ExitCode::SUCCESS
-    }
-}
-
-/// All tables of RESULTS.md from one program, at one size.
-fn results() -> ExitCode {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
-    let arguments = "run --release --package relight-lab --bin lab -- experiments all --device cpu \
-                     --size 160x120 --samples 256 --out out/results --results RESULTS.md";
-    match Outcome::of(&mut cargo(&root, arguments)) {
-        Outcome::Passed => ExitCode::SUCCESS,
-        Outcome::Failed(why) | Outcome::Skipped(why) => {
-            eprintln!("xtask: {why}");
-            ExitCode::FAILURE
-        }
     }
 }
 

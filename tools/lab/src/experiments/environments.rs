@@ -1,5 +1,6 @@
 //! How well lobes fit environments, and how many of them it takes.
 
+use rayon::prelude::*;
 use relight_bake::environment::{self, FitOptions, MAX_SOURCES, hdr};
 
 use super::Laboratory;
@@ -39,17 +40,18 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
         &[
             "image",
             "sources",
-            "8",
+            "8 lobes",
             "16",
             "32",
             "64",
             "128",
-            "irradiance 8, %",
-            "32, %",
-            "128, %",
+            "irradiance, 8 lobes, %",
+            "irradiance, 32, %",
+            "irradiance, 128, %",
         ],
     );
-    for (name, path) in IMAGES {
+    // Most of a fit is one thread's work.
+    let fits = IMAGES.into_par_iter().map(|(name, path)| {
         let image = hdr::load(&laboratory.settings.data.join("env").join(path))?;
         let options = FitOptions {
             lobes: most,
@@ -57,6 +59,9 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
             max_error: None,
         };
         let fitted = environment::fit(&image, &options, laboratory.monitor)?;
+        Ok((name, fitted))
+    });
+    for (name, fitted) in fits.collect::<anyhow::Result<Vec<_>>>()? {
         let rung = |lobes: usize| fitted.curve.iter().find(|rung| rung.allowed == lobes);
         let l2 = LOBES.map(|lobes| rung(lobes).map(|rung| f64::from(rung.relative_l2)));
         let irradiance = IRRADIANCE

@@ -19,6 +19,11 @@ pub mod plot {
     pub use crate::report::plot::{Curve, svg};
 }
 
+/// Light that bounces.
+pub mod transfer {
+    pub use crate::transfer::surfaces::bare_scene;
+}
+
 /// Visibility from a point.
 pub mod visibility {
     pub use crate::visibility::contour::{ContourMesh, GROUP};

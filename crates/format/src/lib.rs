@@ -34,7 +34,7 @@ pub use material::{
     Blend, Camera, FieldOfView, FittedLobe, Layer, MAX_FITTED_LOBES, MAX_LAYERS, MAX_REFLECTIONS,
     Material, ModelParameters, RATIO_NODES, RATIO_SHAPE, RATIO_SIZE, REFLECTION_MODELS,
     ReflectionModel, Roughness, Specular, Surface, Texture, TextureEncoding, TextureShape,
-    TextureSlot,
+    TextureSlot, plain_material,
 };
 pub use material_asset::{MaterialAsset, MaterialReport, read_material, write_material};
 pub use scene::{

@@ -260,6 +260,22 @@ impl Surface {
     }
 }
 
+/// A material without textures.
+pub fn plain_material(name: &str, surface: Surface) -> Material {
+    Material {
+        name: name.to_owned(),
+        surface,
+        base_color_texture: None,
+        metallic_roughness_texture: None,
+        normal_texture: None,
+        normal_scale: 1.0,
+        anisotropy_texture: None,
+        emission: [0.0; 3],
+        emission_texture: None,
+        shadow_catcher: false,
+    }
+}
+
 impl Material {
     /// The slots in use, the layers' among them.
     pub fn slots(&self) -> impl Iterator<Item = &TextureSlot> {

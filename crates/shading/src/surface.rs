@@ -399,18 +399,7 @@ mod tests {
     const ROUNDING: f32 = 1e-5;
 
     fn material(surface: Surface) -> Material {
-        Material {
-            name: "test".into(),
-            surface,
-            base_color_texture: None,
-            metallic_roughness_texture: None,
-            normal_texture: None,
-            normal_scale: 1.0,
-            anisotropy_texture: None,
-            emission: [0.0; 3],
-            emission_texture: None,
-            shadow_catcher: false,
-        }
+        relight_format::plain_material("test", surface)
     }
 
     fn metallic_roughness() -> Surface {

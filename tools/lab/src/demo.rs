@@ -14,7 +14,8 @@ use relight_bake::scene::description::Ground;
 use relight_bake::scene::load::SceneInput;
 use relight_bake::{environment, scene};
 use relight_format::{
-    self as format, Camera, FieldOfView, Limits, Material, Specular, Surface, VisibilityErrors,
+    self as format, Camera, FieldOfView, Limits, Specular, Surface, VisibilityErrors,
+    plain_material,
 };
 use relight_runtime::Frame;
 use relight_shading::polar::PolarOptions;
@@ -178,20 +179,9 @@ fn read(path: &Path) -> anyhow::Result<Vec<u8>> {
 pub fn scene_input(detail: f32) -> anyhow::Result<SceneInput> {
     let count = |of_demo: f32| (detail * of_demo).round().max(3.0) as u32;
     let mut mesh = Mesh::default();
-    let material = |name: &str, diffuse, f0, alpha: [f32; 2]| Material {
-        name: name.into(),
-        surface: Surface::DiffuseSpecular {
-            diffuse,
-            specular: Specular::Ggx { f0, alpha },
-        },
-        base_color_texture: None,
-        metallic_roughness_texture: None,
-        normal_texture: None,
-        normal_scale: 1.0,
-        anisotropy_texture: None,
-        emission: [0.0; 3],
-        emission_texture: None,
-        shadow_catcher: false,
+    let material = |name: &str, diffuse, f0, alpha: [f32; 2]| {
+        let specular = Specular::Ggx { f0, alpha };
+        plain_material(name, Surface::DiffuseSpecular { diffuse, specular })
     };
     mesh.materials = vec![
         material("knot", [0.6, 0.6, 0.62], [0.04; 3], [0.3; 2]),

@@ -274,8 +274,8 @@ fn summarise(estimates: &[Estimate; REPLICAS as usize]) -> ([f32; 4], [f32; 3]) 
 pub(crate) mod test_scene {
     use super::*;
     use relight_format::{
-        BakeReport, Material, Representation, Specular, Surface, Triangle, Vertex,
-        VisibilityParameters,
+        BakeReport, Representation, Specular, Surface, Triangle, Vertex, VisibilityParameters,
+        plain_material,
     };
 
     /// Triangles with flat normals and one Lambertian material.
@@ -299,21 +299,13 @@ pub(crate) mod test_scene {
                 ray_offset: 1e-3,
             },
             camera: None,
-            materials: vec![Material {
-                name: "grey".into(),
-                surface: Surface::DiffuseSpecular {
+            materials: vec![plain_material(
+                "grey",
+                Surface::DiffuseSpecular {
                     diffuse: albedo,
                     specular: Specular::None,
                 },
-                base_color_texture: None,
-                metallic_roughness_texture: None,
-                normal_texture: None,
-                normal_scale: 1.0,
-                anisotropy_texture: None,
-                emission: [0.0; 3],
-                emission_texture: None,
-                shadow_catcher: false,
-            }],
+            )],
             textures: Vec::new(),
             report: BakeReport::default(),
             vertices: vertices.collect(),

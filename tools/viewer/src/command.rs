@@ -13,7 +13,7 @@ use crate::engine::{Artist, Device, Shot};
 use crate::jobs::{self, FileKind, Loaded};
 use crate::orbit::Orbit;
 use crate::settings;
-use crate::state::{Background, Document, Integrator, Light, LightTurn, Quality, Settings};
+use crate::state::{Background, Document, Integrator, Layout, Light, LightTurn, Quality, Settings};
 use crate::turntable::{self, Turn, Turntable};
 
 /// Of the window, points.
@@ -47,6 +47,9 @@ struct Arguments {
     /// Write a picture of the whole window once everything is drawn, and end.
     #[arg(long, value_name = "OUT.png", conflicts_with_all = ["screenshot", "turntable"])]
     window_picture: Option<PathBuf>,
+    /// How many pictures the window shows: one, two with a divider, or how far apart they are.
+    #[arg(long, value_enum)]
+    layout: Option<LayoutArgument>,
     /// Draw a whole turn into this folder and end, without a window.
     #[arg(long, value_name = "FOLDER")]
     turntable: Option<PathBuf>,
@@ -101,6 +104,13 @@ enum QualityArgument {
     Draft,
     Standard,
     High,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum LayoutArgument {
+    One,
+    Split,
+    Difference,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -169,6 +179,13 @@ impl Arguments {
                 QualityArgument::Draft => Quality::Draft,
                 QualityArgument::Standard => Quality::Standard,
                 QualityArgument::High => Quality::High,
+            };
+        }
+        if let Some(layout) = self.layout {
+            settings.layout = match layout {
+                LayoutArgument::One => Layout::One,
+                LayoutArgument::Split => Layout::Split,
+                LayoutArgument::Difference => Layout::Difference,
             };
         }
         if let Some(lobes) = self.lobes {

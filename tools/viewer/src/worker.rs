@@ -79,18 +79,7 @@ pub fn fit_material(bytes: &[u8], name: &str) -> Result<Vec<u8>, JsError> {
             albedo_error: fitted.fit.albedo_error as f32,
             corrected_relative_l2: fitted.relative_l2 as f32,
         },
-        material: format::Material {
-            name: name.to_owned(),
-            surface,
-            base_color_texture: None,
-            metallic_roughness_texture: None,
-            normal_texture: None,
-            normal_scale: 1.0,
-            anisotropy_texture: None,
-            emission: [0.0; 3],
-            emission_texture: None,
-            shadow_catcher: false,
-        },
+        material: format::plain_material(name, surface),
         textures: vec![fitted.ratio],
     };
     format::write_material(&asset).map_err(failed)

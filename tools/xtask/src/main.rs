@@ -1,6 +1,7 @@
 //! Repository tasks: `cargo xtask test` installs what the tests need and runs them all,
-//! `cargo xtask results` makes the tables of RESULTS.md, `cargo xtask web` the pages.
+//! `cargo xtask results` makes the tables of RESULTS.md, `cargo xtask figures` the pictures of README.md, `cargo xtask web` the pages.
 
+mod figures;
 mod results;
 mod web;
 
@@ -9,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
 use std::time::Instant;
 
-const USAGE: &str = "usage: cargo xtask test | results | web [--serve] | gpu-cost [KERNEL...]
+const USAGE: &str = "usage: cargo xtask test | results | figures | web [--serve] | gpu-cost [KERNEL...]
 
 test: installs what the tests need (apt, only what is missing), then checks formatting and lints, builds
 the pages if there is a standard library for them, runs every test, and checks dependencies by cargo-deny, which it installs into target/tools.
@@ -17,6 +18,8 @@ the pages if there is a standard library for them, runs every test, and checks d
 results: replaces all tables of RESULTS.md by those of the commit that is checked out. Runs every experiment on the
 processor into out/results, which takes most of an hour on two cores and needs the test data; then the compilers of
 gpu-cost, and the comparison with Embree (tools/peers). What cannot be made here is left out, in a sentence that says so.
+
+figures: makes the pictures of README.md anew, which takes minutes and needs the test data, and a screen or xvfb-run.
 
 web: builds the viewer as a page, and a small one, into out/web, adding what that takes where it is missing
 (the target wasm32-unknown-unknown). --serve then serves it on the loopback address.
@@ -38,6 +41,7 @@ fn main() -> ExitCode {
     match arguments.iter().map(String::as_str).collect::<Vec<_>>()[..] {
         ["test"] => test(),
         ["results"] => results::run(&root()),
+        ["figures"] => figures::run(&root()),
         ["web"] => web::run(&root(), false),
         ["web", "--serve"] => web::run(&root(), true),
         ["gpu-cost", ..] => gpu_cost(&arguments[1..]),

@@ -43,9 +43,13 @@ pub fn bake(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Summ
         crease_degrees: arguments.crease,
         ..import::Options::default()
     };
-    let input = load::load_with(&files, &arguments.input, &asked)?;
+    let input = load::read(&files, &arguments.input, &asked)?;
     files::check_output_beside(&arguments.output, &files)?;
     files::check_output_beside(&path, &files)?;
+    if input.has_tables() {
+        monitor.step("fit measured materials", 0.0)?;
+    }
+    let input = input.fit()?;
     warn_of_overruled(arguments, input.refinement.as_ref());
     let read = start.elapsed();
     let of_input = |error| blame(error, &arguments.input);

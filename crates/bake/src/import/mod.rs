@@ -19,6 +19,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use relight_format as format;
+pub use relight_format::plain_material;
 
 pub use crate::error::Error;
 use crate::files::{Access, Files};
@@ -40,22 +41,6 @@ pub const DEFAULT_CREASE_DEGREES: f32 = 80.0;
 
 /// Most texels per side of a texture.
 pub const MAX_IMAGE_SIZE: u32 = 16384;
-
-/// A material without textures.
-pub fn plain_material(name: &str, surface: format::Surface) -> format::Material {
-    format::Material {
-        name: name.to_owned(),
-        surface,
-        base_color_texture: None,
-        metallic_roughness_texture: None,
-        normal_texture: None,
-        normal_scale: 1.0,
-        anisotropy_texture: None,
-        emission: [0.0; 3],
-        emission_texture: None,
-        shadow_catcher: false,
-    }
-}
 
 /// Decodes a texture, to be added to `others`.
 pub(crate) fn texture(

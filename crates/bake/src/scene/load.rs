@@ -12,7 +12,7 @@ use crate::files::{Access, Files};
 use crate::import::{self, Error};
 use crate::mesh::{self, MAX_COORDINATE, Mesh, ground};
 use crate::scene::description::{self, MaterialOverride, SceneFile};
-use crate::scene::material::{Keys, make, override_materials};
+use crate::scene::material::{Keys, Replaced, override_materials};
 
 pub use crate::scene::material::{load_material, parse_table};
 
@@ -47,14 +47,46 @@ pub fn load(path: &Path) -> Result<SceneInput, Error> {
 
 /// Loads as [`load`] does, from `files`, which must be of the same path.
 pub fn load_from(files: &Files, path: &Path) -> Result<SceneInput, Error> {
-    load_with(files, path, &import::Options::default())
+    read(files, path, &import::Options::default())?.fit()
 }
 
-/// Loads as [`load_from`] does; what a scene file says wins over the options.
-pub fn load_with(
+/// A scene before the stage that fits lobes to its measured BRDFs.
+pub struct Unfitted {
+    input: SceneInput,
+    /// Of the scene file, for messages.
+    path: PathBuf,
+    replaced: Replaced,
+}
+
+impl Unfitted {
+    /// Whether there is anything to fit, which takes seconds for each table.
+    pub fn has_tables(&self) -> bool {
+        self.replaced.has_tables()
+    }
+
+    /// The fits. An error if layers have more reflections with them than they may.
+    pub fn fit(mut self) -> Result<SceneInput, Error> {
+        self.replaced.fit(&self.path, &mut self.input.mesh)?;
+        Ok(self.input)
+    }
+}
+
+/// Reads what [`load_from`] does, and fits nothing; what a scene file says wins over the options.
+pub fn read(files: &Files, path: &Path, options: &import::Options) -> Result<Unfitted, Error> {
+    let mut replaced = Replaced::default();
+    let input = read_into(files, path, options, &mut replaced)?;
+    Ok(Unfitted {
+        input,
+        path: path.to_owned(),
+        replaced,
+    })
+}
+
+fn read_into(
     files: &Files,
     path: &Path,
     options: &import::Options,
+    replaced: &mut Replaced,
 ) -> Result<SceneInput, Error> {
     let is_scene = path
         .extension()
@@ -107,8 +139,7 @@ pub fn load_with(
             format_args!("{:?}", position.to_array()),
         ));
     }
-    let mut measured = Vec::new();
-    override_materials(files, path, &file, &mut mesh, &mut measured)?;
+    override_materials(files, path, &file, &mut mesh, replaced)?;
     let object_diagonal = mesh.diagonal();
     if let Some(options) = &file.ground {
         let material = options.material.as_ref();
@@ -120,8 +151,9 @@ pub fn load_with(
             path,
             place: "ground.material".into(),
         };
-        let made = make(&keys, material.unwrap_or(&default), &mut mesh.textures)?;
-        measured.extend(made.table.map(|table| (mesh.materials.len(), table)));
+        let material = material.unwrap_or(&default);
+        let made = replaced.make(&keys, material, &mut mesh.textures)?;
+        replaced.note(mesh.materials.len(), &made, &keys.place);
         ground::append(&mut mesh, &options.extent(), made.material)
             .map_err(|(place, expected, found)| Error::invalid(path, place, expected, found))?;
     }
@@ -152,7 +184,7 @@ pub fn load_with(
             .map(description::Light::to_local_light)
             .collect(),
         refinement: file.refinement,
-        measured,
+        measured: replaced.measured.clone(),
     })
 }
 

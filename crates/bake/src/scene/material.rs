@@ -3,7 +3,6 @@
 
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
-use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
 use relight_format as format;
@@ -42,10 +41,6 @@ impl Keys<'_> {
         Ok((path, bytes))
     }
 
-    fn invalid(&self, key: &str, expected: impl Display, found: impl Display) -> Error {
-        Error::invalid(self.path, self.at(key), expected, found)
-    }
-
     fn below(&self, key: &str) -> Self {
         Self {
             place: self.at(key),
@@ -54,14 +49,127 @@ impl Keys<'_> {
     }
 }
 
-/// Replaces the materials of a mesh that a scene file has others for. `measured` gets the tables behind
-/// them.
+/// What is known of the materials of a scene file beside themselves.
+#[derive(Default)]
+pub(super) struct Replaced {
+    /// Index into the mesh's materials, and path of the measured table behind it, relative to the working directory.
+    pub(super) measured: Vec<(usize, PathBuf)>,
+    /// Tables that have no lobes yet, by the paths that [`format::Specular::Lobes`] has of them.
+    tables: Tables,
+    /// Index of each that is made of layers, and the keys that it is written below.
+    layered: Vec<(usize, String)>,
+}
+
+/// Measured tables by their paths as they are written.
+pub(super) type Tables = BTreeMap<String, Table>;
+
+impl Replaced {
+    /// Keeps what was made for a material.
+    pub(super) fn note(&mut self, index: usize, made: &Made, place: &str) {
+        let table = made.table.clone();
+        self.measured.extend(table.map(|table| (index, table)));
+        if matches!(made.material.surface, format::Surface::Layers { .. }) {
+            self.layered.push((index, place.to_owned()));
+        }
+    }
+
+    /// [`make`] with these tables.
+    pub(super) fn make(
+        &mut self,
+        keys: &Keys,
+        replacement: &MaterialOverride,
+        textures: &mut Vec<format::Texture>,
+    ) -> Result<Made, Error> {
+        make(keys, replacement, textures, &mut self.tables)
+    }
+
+    /// Whether [`Replaced::fit`] has anything to do.
+    pub(super) fn has_tables(&self) -> bool {
+        !self.tables.is_empty()
+    }
+
+    /// Gives measured materials their lobes, then checks that layers have no more than they may.
+    pub(super) fn fit(&self, scene: &Path, mesh: &mut Mesh) -> Result<(), Error> {
+        fit_tables(&self.tables, &mut mesh.materials, &mut mesh.textures);
+        for (index, place) in &self.layered {
+            check_layers(scene, place, &mesh.materials[*index])?;
+        }
+        Ok(())
+    }
+}
+
+/// Fits every table and puts its lobes, its diffuse base and its texture where they are missing.
+fn fit_tables(
+    tables: &Tables,
+    materials: &mut [format::Material],
+    textures: &mut [format::Texture],
+) {
+    for (written, table) in tables {
+        let fitted = fit::corrected(table, fit::Stop::default());
+        for (diffuse, specular) in materials.iter_mut().flat_map(reflections_mut) {
+            if let format::Specular::Lobes { path, lobes, ratio } = specular
+                && lobes.is_empty()
+                && path == written
+            {
+                *diffuse = fitted.fit.diffuse;
+                lobes.clone_from(&fitted.fit.lobes);
+                if let Some(slot) = ratio {
+                    textures[slot.texture as usize] = fitted.ratio.clone();
+                }
+            }
+        }
+    }
+}
+
+/// Every Lambertian base of a material with the reflection over it.
+fn reflections_mut(material: &mut format::Material) -> Vec<(&mut [f32; 3], &mut format::Specular)> {
+    match &mut material.surface {
+        format::Surface::MetallicRoughness { .. } => Vec::new(),
+        format::Surface::DiffuseSpecular { diffuse, specular } => vec![(diffuse, specular)],
+        format::Surface::Layers { layers } => (layers.iter_mut())
+            .map(|layer| (&mut layer.diffuse, &mut layer.specular))
+            .collect(),
+    }
+}
+
+/// How many reflections layers may have, all lobes of measured ones counted.
+fn check_layers(scene: &Path, place: &str, material: &format::Material) -> Result<(), Error> {
+    let format::Surface::Layers { layers } = &material.surface else {
+        return Ok(());
+    };
+    for (index, layer) in layers.iter().enumerate() {
+        let reflections = layer.specular.reflections();
+        if layer.blend == format::Blend::Coat && reflections != 1 {
+            let place = format!("{place}.layers[{index}].material");
+            let expected = "one reflection of a coat";
+            return Err(Error::invalid(scene, place, expected, reflections));
+        }
+    }
+    let reflections: usize = layers
+        .iter()
+        .map(|layer| layer.specular.reflections())
+        .sum();
+    if reflections > format::MAX_REFLECTIONS {
+        return Err(Error::invalid(
+            scene,
+            format_args!("{place}.layers"),
+            format_args!(
+                "at most {} reflections, those of fitted lobes among them",
+                format::MAX_REFLECTIONS
+            ),
+            reflections,
+        ));
+    }
+    Ok(())
+}
+
+/// Replaces the materials of a mesh that a scene file has others for.
 pub(super) fn override_materials(
     files: &Files,
     path: &Path,
     file: &SceneFile,
     mesh: &mut Mesh,
-    measured: &mut Vec<(usize, PathBuf)>,
+    replaced: &mut Replaced,
 ) -> Result<(), Error> {
     for name in file.materials.keys().filter(|name| *name != "default") {
         if mesh.materials.iter().all(|material| material.name != *name) {
@@ -78,7 +186,7 @@ pub(super) fn override_materials(
             ));
         }
     }
-    // Made once, however many materials each replaces: fits take seconds.
+    // Made once, however many materials each replaces: tables are large.
     let mut made = BTreeMap::new();
     for (index, material) in mesh.materials.iter_mut().enumerate() {
         let replacement = file
@@ -93,10 +201,10 @@ pub(super) fn override_materials(
             Entry::Vacant(entry) => {
                 let place = format!("materials.{key}");
                 let keys = Keys { files, path, place };
-                entry.insert(make(&keys, replacement, &mut mesh.textures)?)
+                entry.insert(replaced.make(&keys, replacement, &mut mesh.textures)?)
             }
         };
-        measured.extend(made.table.clone().map(|table| (index, table)));
+        replaced.note(index, made, &format!("materials.{key}"));
         let name = std::mem::take(&mut material.name);
         *material = format::Material {
             name,
@@ -107,18 +215,20 @@ pub(super) fn override_materials(
     Ok(())
 }
 
-/// A replacement, read and fitted.
+/// A replacement, read.
 pub(super) struct Made {
     pub(super) material: format::Material,
     /// The measured table behind it, relative to the working directory.
     pub(super) table: Option<PathBuf>,
 }
 
-/// Makes the material that a replacement describes; its textures are appended.
-pub(super) fn make(
+/// Makes the material that a replacement describes; its textures are appended, and the tables that lobes are
+/// to be fitted to.
+fn make(
     keys: &Keys,
     replacement: &MaterialOverride,
     textures: &mut Vec<format::Texture>,
+    tables: &mut Tables,
 ) -> Result<Made, Error> {
     match replacement {
         MaterialOverride::Measured { file, original } => {
@@ -133,7 +243,10 @@ pub(super) fn make(
             };
             if !is_baked(file) {
                 return Ok(Made {
-                    material: import::plain_material("", surface(keys, replacement, textures)?),
+                    material: import::plain_material(
+                        "",
+                        surface(keys, replacement, textures, tables)?,
+                    ),
                     table: Some(keys.resolve(file)),
                 });
             }
@@ -154,17 +267,18 @@ pub(super) fn make(
                 *normal_scale,
                 keys,
                 textures,
+                tables,
             )?,
             table: None,
         }),
         _ => Ok(Made {
-            material: import::plain_material("", surface(keys, replacement, textures)?),
+            material: import::plain_material("", surface(keys, replacement, textures, tables)?),
             table: None,
         }),
     }
 }
 
-/// Reads a file of one material, written as in a scene file, with its textures.
+/// Reads a file of one material, written as in a scene file, with its textures, and fits the tables that it names.
 pub fn load_material(
     files: &Files,
     path: &Path,
@@ -172,9 +286,11 @@ pub fn load_material(
     let replacement = description::parse_material(path, &files.read_named(path)?)?;
     let place = "material".to_owned();
     let keys = Keys { files, path, place };
-    let mut textures = Vec::new();
-    let made = make(&keys, &replacement, &mut textures)?;
-    Ok((made.material, textures))
+    let (mut textures, mut tables) = (Vec::new(), Tables::new());
+    let mut material = make(&keys, &replacement, &mut textures, &mut tables)?.material;
+    fit_tables(&tables, std::slice::from_mut(&mut material), &mut textures);
+    check_layers(path, &keys.place, &material)?;
+    Ok((material, textures))
 }
 
 fn layered_material(
@@ -183,6 +299,7 @@ fn layered_material(
     normal_scale: f32,
     keys: &Keys,
     textures: &mut Vec<format::Texture>,
+    tables: &mut Tables,
 ) -> Result<format::Material, Error> {
     use Texels::{Linear, LinearInverted, Srgb};
     let layers = layers
@@ -191,15 +308,10 @@ fn layered_material(
         .map(|(index, layer)| -> Result<format::Layer, Error> {
             let keys = keys.below(&format!("layers[{index}]"));
             let format::Surface::DiffuseSpecular { diffuse, specular } =
-                surface(&keys.below("material"), &layer.material, textures)?
+                surface(&keys.below("material"), &layer.material, textures, tables)?
             else {
                 unreachable!("checked when the file was read")
             };
-            let reflections = specular.reflections();
-            if layer.blend == BlendName::Coat && reflections != 1 {
-                let expected = "one reflection of a coat";
-                return Err(keys.invalid("material", expected, reflections));
-            }
             let mut slot = |key, file: &Option<PathBuf>, texels| {
                 texture_slot(&keys, key, file.as_deref(), texels, textures)
             };
@@ -226,20 +338,6 @@ fn layered_material(
             })
         })
         .collect::<Result<Vec<_>, _>>()?;
-    let reflections: usize = layers
-        .iter()
-        .map(|layer| layer.specular.reflections())
-        .sum();
-    if reflections > format::MAX_REFLECTIONS {
-        return Err(keys.invalid(
-            "layers",
-            format_args!(
-                "at most {} reflections, those of fitted lobes among them",
-                format::MAX_REFLECTIONS
-            ),
-            reflections,
-        ));
-    }
     let mut slot =
         |key, file: &Option<PathBuf>| texture_slot(keys, key, file.as_deref(), Linear, textures);
     Ok(format::Material {
@@ -256,6 +354,7 @@ fn surface(
     keys: &Keys,
     material: &MaterialOverride,
     textures: &mut Vec<format::Texture>,
+    tables: &mut Tables,
 ) -> Result<format::Surface, Error> {
     use MaterialOverride as M;
     if let Some((diffuse, specular)) = material.reflection() {
@@ -276,16 +375,17 @@ fn surface(
             anisotropy_strength,
             anisotropy_rotation: anisotropy_rotation_degrees.to_radians(),
         },
-        M::Measured { ref file, .. } => measured_surface(keys, file, textures)?,
+        M::Measured { ref file, .. } => measured_surface(keys, file, textures, tables)?,
         _ => unreachable!("layers do not nest"),
     })
 }
 
-/// The lobes of a baked material, or those that are fitted to a table; their textures are appended.
+/// The lobes of a baked material, or room for those that [`fit_tables`] finds; their textures are appended.
 fn measured_surface(
     keys: &Keys,
     file: &Path,
     textures: &mut Vec<format::Texture>,
+    tables: &mut Tables,
 ) -> Result<format::Surface, Error> {
     if is_baked(file) {
         let material = appended(baked(keys, file)?, textures);
@@ -300,13 +400,23 @@ fn measured_surface(
         };
     }
     let (path, bytes) = keys.read("file", file)?;
-    let table = parse_table(&path, &bytes)?;
-    let fitted = fit::corrected(&table, fit::Stop::default());
-    textures.push(fitted.ratio);
+    let written = file.to_string_lossy().into_owned();
+    tables.insert(written.clone(), parse_table(&path, &bytes)?);
+    textures.push(format::Texture {
+        width: 0,
+        height: 0,
+        encoding: format::TextureEncoding::Rgbe,
+        texels: Vec::new(),
+    });
     let slot = format::TextureSlot::whole(textures.len() as u32 - 1);
-    Ok(fitted
-        .fit
-        .surface(file.to_string_lossy().into_owned(), Some(slot)))
+    Ok(format::Surface::DiffuseSpecular {
+        diffuse: [0.0; 3],
+        specular: format::Specular::Lobes {
+            path: written,
+            lobes: Vec::new(),
+            ratio: Some(slot),
+        },
+    })
 }
 
 /// An asset's material; its textures are appended.

@@ -167,7 +167,7 @@ fn is_plain(material: &format::Material) -> bool {
 }
 
 /// A mesh as the runtime would see it, without visibility.
-pub(crate) fn bare_scene(mesh: &Mesh) -> format::Scene {
+pub fn bare_scene(mesh: &Mesh) -> format::Scene {
     format::Scene {
         name: String::new(),
         visibility: format::VisibilityParameters {

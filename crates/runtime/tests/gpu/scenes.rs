@@ -5,7 +5,7 @@ use std::f32::consts::{PI, TAU};
 use glam::{Vec2, Vec3};
 use relight_format::{
     BakeReport, Camera, Cluster, FieldOfView, Material, Representation, Scene, Specular, Surface,
-    Texture, TextureEncoding, TextureSlot, Triangle, Vertex, VisibilityParameters,
+    Texture, TextureEncoding, TextureSlot, Triangle, Vertex, VisibilityParameters, plain_material,
 };
 use relight_shading::{gpu, octahedral};
 
@@ -281,50 +281,37 @@ fn push_quad(
 }
 
 fn plane_material() -> Material {
+    let surface = Surface::MetallicRoughness {
+        base_color: [0.9, 0.8, 0.7],
+        metallic: 0.0,
+        roughness: 0.4,
+        anisotropy_strength: 0.0,
+        anisotropy_rotation: 0.0,
+    };
     Material {
-        name: "checkerboard".into(),
-        surface: Surface::MetallicRoughness {
-            base_color: [0.9, 0.8, 0.7],
-            metallic: 0.0,
-            roughness: 0.4,
-            anisotropy_strength: 0.0,
-            anisotropy_rotation: 0.0,
-        },
         base_color_texture: Some(TextureSlot {
             texture: 0,
             transform: [[3.0, 0.5, 0.1], [-0.5, 3.0, 0.2]],
         }),
-        metallic_roughness_texture: None,
-        normal_texture: None,
-        normal_scale: 1.0,
-        anisotropy_texture: None,
-        emission: [0.0; 3],
-        emission_texture: None,
-        shadow_catcher: false,
+        ..plain_material("checkerboard", surface)
     }
 }
 
 fn sphere_material() -> Material {
-    Material {
-        name: "dimpled".into(),
-        surface: Surface::DiffuseSpecular {
-            diffuse: [0.5, 0.1, 0.1],
-            specular: Specular::Ward {
-                specular: [0.2, 0.2, 0.2],
-                alpha: [0.15, 0.4],
-            },
+    let surface = Surface::DiffuseSpecular {
+        diffuse: [0.5, 0.1, 0.1],
+        specular: Specular::Ward {
+            specular: [0.2, 0.2, 0.2],
+            alpha: [0.15, 0.4],
         },
-        base_color_texture: None,
-        metallic_roughness_texture: None,
+    };
+    Material {
         normal_texture: Some(TextureSlot {
             texture: 1,
             transform: [[8.0, 0.0, 0.0], [0.0, 4.0, 0.0]],
         }),
         normal_scale: 0.5,
-        anisotropy_texture: None,
-        emission: [0.0; 3],
-        emission_texture: None,
-        shadow_catcher: false,
+        ..plain_material("dimpled", surface)
     }
 }
 

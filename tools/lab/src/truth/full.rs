@@ -6,9 +6,10 @@ use std::f32::consts::PI;
 use glam::{Mat3, Vec3};
 use relight_bake::environment::hdr::LatLong;
 use relight_bake::error::Error;
+use relight_bake::internals::transfer::bare_scene;
 use relight_bake::measured::Table;
 use relight_bake::scene::load::SceneInput;
-use relight_format::{BakeReport, Representation, Scene, Triangle, VisibilityParameters};
+use relight_format::Scene;
 use relight_shading::gpu;
 
 use super::path::{DistantLight, Draws, Part, Paths, Reflector};
@@ -20,34 +21,10 @@ use crate::image_file::Image;
 /// The scene of an input file as the runtime would see it but without visibility: nothing
 /// that [`render`] reads is missing.
 pub fn unbaked(input: &SceneInput) -> Scene {
-    let mesh = &input.mesh;
     Scene {
         name: input.name.clone(),
-        visibility: VisibilityParameters {
-            representation: Representation::ClusteredPca,
-            sample_resolution: 1,
-            basis_resolution: 2,
-            distance_clamp: PI,
-            ray_offset: 0.0,
-        },
         camera: input.camera,
-        materials: mesh.materials.clone(),
-        textures: mesh.textures.clone(),
-        report: BakeReport::default(),
-        vertices: mesh.vertices.iter().map(|&vertex| vertex.into()).collect(),
-        triangles: mesh
-            .triangles
-            .iter()
-            .map(|triangle| Triangle {
-                vertices: triangle.vertices,
-                material: triangle.material,
-                cluster: 0,
-            })
-            .collect(),
-        clusters: Vec::new(),
-        coefficients: Vec::new(),
-        basis: Vec::new(),
-        transfer: None,
+        ..bare_scene(&input.mesh)
     }
 }
 

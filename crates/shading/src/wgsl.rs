@@ -467,6 +467,15 @@ fn constants() -> String {
         writeln!(text, "const MODEL_{name}: u32 = {value}u;")
             .expect("a String accepts every write");
     }
+    let fresnel = (Model::ALL.into_iter())
+        .filter(|model| model.entry().is_some_and(|entry| entry.fresnel))
+        .map(|model| format!("model == {}u", model as u32));
+    let fresnel = fresnel.collect::<Vec<_>>().join(" || ");
+    writeln!(
+        text,
+        "fn surface_has_fresnel(model: u32) -> bool {{ return {fresnel}; }}"
+    )
+    .expect("a String accepts every write");
     text += &gpu::wgsl_constants();
     text += &spherical_gaussian::wgsl_constants();
     text += &tables::wgsl_constants();

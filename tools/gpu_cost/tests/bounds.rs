@@ -11,14 +11,14 @@ use relight_shading::wgsl::{KERNELS, Kernel};
 /// memory for registers, but for those that shade by cells, which are not bounded.
 const BOUNDS: &[(&str, [u64; 2])] = &[
     ("vertices mark", [12, 24]),
-    ("vertices", [96, 112]),
-    ("diffuse", [108, 160]),
+    ("vertices", [84, 104]),
+    ("diffuse", [108, 128]),
     ("reflections", [108, 160]),
     ("reflections, next", [96, 160]),
     ("products", [84, 128]),
     ("products, image", [84, 128]),
-    ("integrals", [108, 152]),
-    ("integrals, image", [108, 152]),
+    ("integrals", [108, 112]),
+    ("integrals, image", [108, 112]),
     ("around, bounced light", [96, 152]),
     ("around, image", [96, 112]),
     ("around, both", [96, 160]),

@@ -1,5 +1,6 @@
 // A reflection's lobes in private variables, for kernels that hand nothing on: call
-// lobes_of first. See slots.wgsl for those that do.
+// lobes_of first. They are indexed, so they live in memory, and would be copied at every call.
+// See slots.wgsl for kernels that hand lobes on.
 
 var<private> lobes_point: SurfacePoint;
 var<private> lobes_model: Reflection;

@@ -184,10 +184,11 @@ fn pixel_find(phase: u32, index: u32, at: u32) {
     var distance = pixel_depths[index];
     let axis = pixel_axis(pixel, lobe);
     let radius = polar_support_radius(axis.w);
+    var ssdf: Ssdf;
     if between.z < 1.0 || phase != PIXEL_INTERPOLATE {
-        pixel_load(pixel);
+        ssdf = pixel_ssdf(pixel);
         if phase != PIXEL_INTEGRATE_REST || distance == PIXEL_UNSEEN {
-            distance = ssdf_distance(axis.xyz);
+            distance = ssdf_distance(ssdf, axis.xyz);
         }
     }
     if phase == PIXEL_INTERPOLATE {
@@ -219,13 +220,13 @@ fn pixel_find(phase: u32, index: u32, at: u32) {
     let normal = pixel_normals[pixel];
     var found = 0.0;
     if frames[frame_index].ambient != 0u {
-        found = ambient_integrate(axis.w, axis.xyz, normal)
+        found = ambient_integrate(ssdf, axis.w, axis.xyz, normal)
             / max(tables_cosine_integral(axis.w, dot(normal, axis.xyz)), 1.17549435e-38);
     } else {
         let spokes = polar_spokes(frames[frame_index].spokes, pixel_shares[index]);
         let face = pixel_face(pixel);
         let clipped = PIXEL_CLIPS && polar_is_clipped(radius, axis.xyz, normal, face);
-        found = polar_fraction(axis.w, axis.xyz, normal, face, clipped, distance, spokes);
+        found = polar_fraction(ssdf, axis.w, axis.xyz, normal, face, clipped, distance, spokes);
     }
     pixel_fractions[index] += pixel_unknown[index] * found;
 }
@@ -268,9 +269,9 @@ fn pixel_face(pixel: u32) -> vec3<f32> {
 }
 
 // The SSDF of a pixel of the tile.
-fn pixel_load(pixel: u32) {
+fn pixel_ssdf(pixel: u32) -> Ssdf {
     let at = tile_pixel(pixel);
     let seen = seen_triangle(at);
     let triangle = triangles[min(seen.x, frames[frame_index].triangle_count - 1u)];
-    ssdf_load(clusters[triangle.w >> 16u], triangle.xyz, seen_barycentrics(triangle.xyz, at, seen.y));
+    return ssdf_load(clusters[triangle.w >> 16u], triangle.xyz, seen_barycentrics(triangle.xyz, at, seen.y));
 }

@@ -38,10 +38,10 @@ fn reflections_main(
         state.reflection = slots_state(before.w).reflection + 1u;
     }
     specular_count = 0u;
-    var reflection = reflection_first;
+    var reflection = point.appearance.first;
     var color = vec3(0.0);
-    if lit && state.reflection < reflection_count {
-        reflection = surface_reflection(state.reflection);
+    if lit && state.reflection < point.appearance.reflections {
+        reflection = surface_reflection(point.appearance, state.reflection);
         color = brdf_lobes(reflection, surface_to_local(point, point.view));
     }
     slots_put_surface(point, reflection, color);

@@ -10,7 +10,7 @@ use relight_runtime::Frame;
 use relight_shading::camera::View;
 
 use super::report::{Section, Table};
-use super::{Laboratory, Light, camera, create};
+use super::{Laboratory, Light, camera, write_scene_file};
 use crate::image_file::Image;
 use crate::truth::lobes::Visibility;
 use crate::truth::{ALL_BOUNCES, Geometry, Options, full, lobes};
@@ -143,12 +143,7 @@ impl Baked {
         bounces: Option<u32>,
     ) -> anyhow::Result<Self> {
         let settings = &laboratory.settings;
-        let data = settings.data.canonicalize()?;
-        let folder = settings.folder.join("scenes");
-        create(&folder)?;
-        let path = folder.join(name).with_extension("toml");
-        let text = text.replace("$DATA", &data.to_string_lossy());
-        format::write_file(&path, text.as_bytes())?;
+        let path = write_scene_file(name, text, &settings.folder, &settings.data)?;
         // It names the folder of data.
         let files = Files::new(&path, &Access::anywhere())?;
         let input = load::load_from(&files, &path)?;

@@ -27,6 +27,9 @@ const LOBES: usize = 16;
 const TO_A_SIZE: &str = "clusters, refined, to a size";
 const SIZES: [(u64, usize); 2] = [(5_000_000, 50_000), (15_000_000, 200_000)];
 
+/// Components of a basis for the whole scene.
+const GLOBAL_RANK: u32 = 24;
+
 /// One representation of one scene.
 struct Row {
     /// Name of the curve.
@@ -61,24 +64,14 @@ impl Row {
 /// Curves and their points: name, setting and bake options.
 fn curves(start: &Options) -> Vec<(&'static str, f64, Options)> {
     let mut all = Vec::new();
-    for (name, basis_resolution, max_tiles, aims) in [
-        (
-            "clusters, 64x64, to 4 tiles",
-            64,
-            4,
-            &[0.01, 0.005, 0.0025][..],
-        ),
-        ("clusters, 32x32, to 4 tiles", 32, 4, &[0.005]),
-    ] {
-        for &aim in aims {
-            let options = Options {
-                basis_resolution,
-                max_tiles,
-                aim,
-                ..start.clone()
-            };
-            all.push((name, f64::from(aim), options));
-        }
+    for aim in [0.01, 0.005, 0.0025] {
+        let options = Options {
+            basis_resolution: 64,
+            max_tiles: 4,
+            aim,
+            ..start.clone()
+        };
+        all.push(("clusters, default edges", f64::from(aim), options));
     }
     for (bytes, max_vertices) in SIZES {
         let options = Options {
@@ -88,14 +81,12 @@ fn curves(start: &Options) -> Vec<(&'static str, f64, Options)> {
         };
         all.push((TO_A_SIZE, bytes as f64, options));
     }
-    for rank in [10, 24] {
-        let options = Options {
-            representation: Representation::GlobalPca,
-            global_rank: rank,
-            ..start.clone()
-        };
-        all.push(("global components", f64::from(rank), options));
-    }
+    let options = Options {
+        representation: Representation::GlobalPca,
+        global_rank: GLOBAL_RANK,
+        ..start.clone()
+    };
+    all.push(("global components", f64::from(GLOBAL_RANK), options));
     all
 }
 

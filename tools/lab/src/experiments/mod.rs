@@ -167,10 +167,15 @@ fn known<'a>(list: &[(&str, &'a str)], name: &str) -> anyhow::Result<&'a str> {
 /// Writes one of the laboratory's scene files, with what it refers to, for people to open and
 /// for [`load::load`].
 fn scene_file(name: &str, folder: &Path, data: &Path) -> anyhow::Result<PathBuf> {
+    write_scene_file(name, known(&SCENES, name)?, folder, data)
+}
+
+/// The same of any text.
+fn write_scene_file(name: &str, text: &str, folder: &Path, data: &Path) -> anyhow::Result<PathBuf> {
     let data = data
         .canonicalize()
         .map_err(|source| Error::refused(data, "--data", "a folder that can be read", source))?;
-    let text = known(&SCENES, name)?.replace("$DATA", &data.to_string_lossy());
+    let text = text.replace("$DATA", &data.to_string_lossy());
     let folder = folder.join("scenes");
     create(&folder)?;
     if text.contains("stain.png") {

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::process::{Command, ExitCode};
 
-use crate::{cargo, data_folder};
+use crate::{build_programs, data_folder, program};
 
 /// Of the window, points; as wide as README.md has room for.
 const WINDOW: &str = "760x473";
@@ -31,31 +31,31 @@ fn draw(root: &Path) -> Result<(), String> {
         .replace("$DATA", &data.to_string_lossy());
     std::fs::write(out.join("suzi_gold_studio.toml"), scene).map_err(failed)?;
 
-    finish(&mut cargo(root, "build --release --workspace --bins"))?;
-    let program = |name: &str, arguments: &str| {
-        let mut command = Command::new(root.join("target/release").join(name));
-        command.args(arguments.split(' ')).current_dir(root);
-        command
-    };
+    build_programs(root)?;
     let legs = format!(
         "experiments interpolation --device cpu --size {LEGS} --samples 1024 --out out/figures"
     );
-    finish(program("lab", &legs).env("RELIGHT_DATA", &data))?;
+    finish(program(root, "lab", &legs).env("RELIGHT_DATA", &data))?;
     let legs = out.join("interpolation/legs.png");
     std::fs::copy(legs, root.join("crates/bake/figures/legs.png")).map_err(failed)?;
 
     let bake =
         "scene out/figures/suzi_gold_studio.toml --root / -o out/figures/suzi_gold_studio.relight";
-    finish(&mut program("bake", bake))?;
-    let mut studio = program("bake", "environment -o out/figures/studio.hdr.relight");
+    finish(&mut program(root, "bake", bake))?;
+    let mut studio = program(
+        root,
+        "bake",
+        "environment -o out/figures/studio.hdr.relight",
+    );
     finish(studio.arg(data.join("env/polyhaven/studio.hdr")))?;
     for layout in ["split", "difference"] {
+        let window = program(root, "viewer", "--device cpu");
         let mut viewer = if std::env::var_os("DISPLAY").is_some() {
-            program("viewer", "--device cpu")
+            window
         } else {
             let mut screen = Command::new("xvfb-run");
-            screen.args(["-a", "target/release/viewer", "--device", "cpu"]);
-            screen.current_dir(root);
+            screen.arg("-a").arg(window.get_program());
+            screen.args(window.get_args()).current_dir(root);
             screen
         };
         // Nobody's settings but the defaults.

@@ -165,6 +165,26 @@ fn test() -> ExitCode {
     }
 }
 
+/// Builds all programs together, which compiles what they share once.
+fn build_programs(root: &Path) -> Result<(), String> {
+    let mut build = cargo(root, "build --release --workspace --bins");
+    match Outcome::of(&mut build) {
+        Outcome::Failed(why) => Err(format!("cargo build: {why}")),
+        Outcome::Passed | Outcome::Skipped(_) => Ok(()),
+    }
+}
+
+/// One of them, which lie where this one does.
+fn program(root: &Path, name: &str, arguments: &str) -> Command {
+    let own = std::env::current_exe().unwrap_or_default();
+    let mut command = Command::new(own.with_file_name(name));
+    command
+        .args(arguments.split(' ').filter(|word| !word.is_empty()))
+        .current_dir(root)
+        .stdin(Stdio::null());
+    command
+}
+
 /// The program of tools/gpu_cost.
 fn gpu_cost(arguments: &[String]) -> ExitCode {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::process::{Command, ExitCode, Stdio};
 
-use crate::{cargo, data_folder, succeeds};
+use crate::{build_programs, cargo, data_folder, program, succeeds};
 
 /// What visibility is compared on, below the folder of meshes.
 const MESHES: [&str; 7] = [
@@ -29,10 +29,13 @@ pub fn run(root: &Path) -> ExitCode {
 fn write(root: &Path) -> Result<(), String> {
     let data = data_folder(root)?.ok_or("no test data: RELIGHT_DATA names no folder")?;
     // First: what it writes into RESULTS.md makes the tree differ from the commit, which it names.
-    let experiments = "run --release --package relight-lab --bin lab -- experiments all --device cpu \
-                       --size 160x120 --samples 256 --out out/results --results RESULTS.md";
-    if !is_done(cargo(root, experiments).env("RELIGHT_DATA", &data)) {
-        return Err("lab experiments all failed".to_owned());
+    build_programs(root)?;
+    let experiments = "experiments all --device cpu --size 160x120 --samples 256 --out out/results \
+                       --results RESULTS.md";
+    let mut lab = program(root, "lab", experiments);
+    match lab.env("RELIGHT_DATA", &data).status() {
+        Ok(status) if status.success() => {}
+        _ => return Err("lab experiments all failed".to_owned()),
     }
     let file = root.join("RESULTS.md");
     let failed = |error: std::io::Error| format!("{}: {error}", file.display());
@@ -50,8 +53,7 @@ fn write(root: &Path) -> Result<(), String> {
 
 /// What compilers of GPUs make of the kernels.
 fn gpu_cost(root: &Path) -> Result<String, String> {
-    let program = "run --release --quiet --package relight-gpu-cost --bin gpu-cost";
-    printed(&mut cargo(root, program))
+    printed(&mut program(root, "gpu-cost", ""))
         .ok_or_else(|| "the root of `cargo xtask gpu-cost` cannot be made here".to_owned())
 }
 
@@ -66,10 +68,6 @@ fn embree(root: &Path, data: &Path) -> Result<String, String> {
     bench.args(["--vertices", "128", "--rounds", "5"]);
     bench.args(MESHES.map(|mesh| data.join("meshes").join(mesh)));
     printed(&mut bench).ok_or_else(|| "`cargo bench --bench visibility` failed".to_owned())
-}
-
-fn is_done(command: &mut Command) -> bool {
-    command.status().is_ok_and(|status| status.success())
 }
 
 /// What a command prints, if it ends well.

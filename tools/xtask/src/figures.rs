@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::process::{Command, ExitCode};
 
-use crate::{build_programs, data_folder, program};
+use crate::{build_programs, data_folder, program, runtime_folder};
 
 /// Of the window, points; as wide as README.md has room for.
 const WINDOW: &str = "760x473";
@@ -61,6 +61,7 @@ fn draw(root: &Path) -> Result<(), String> {
         // Nobody's settings but the defaults.
         viewer
             .env("XDG_CONFIG_HOME", &out)
+            .env("XDG_RUNTIME_DIR", runtime_folder(root))
             .env_remove("WAYLAND_DISPLAY");
         viewer.args(["--layout", layout, "--size", WINDOW, "--window-picture"]);
         viewer.arg(root.join(format!("tools/viewer/figures/{layout}.png")));

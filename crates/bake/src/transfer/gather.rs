@@ -5,7 +5,7 @@ use std::f32::consts::PI;
 use glam::{Mat4, Vec3, Vec4};
 
 use super::lamps::Emitted;
-use super::radiosity::{End, Radiosity, add_colored, hash};
+use super::radiosity::{End, Radiosity, add_colored, hash, limit};
 use crate::simd;
 use crate::visibility::ray::RayCaster;
 
@@ -47,6 +47,7 @@ impl Radiosity {
         let area = 2.0 * PI / rays as f32;
         let lamps = self.lamps(receiver.origin, receiver.normal, rays);
         let mut emitted = Emitted::default();
+        let (mut beyond, mut beyond_factors) = (Vec::new(), Vec::new());
         for ray in self.hemisphere(receiver.normal, rays, seed) {
             let Some(met) = self.meet(caster, receiver.origin, ray.direction) else {
                 continue;
@@ -71,22 +72,23 @@ impl Radiosity {
                     add_colored(sums, known, factor * color);
                 }
             });
+            if sender.beyond != Vec3::ZERO {
+                beyond.push((sender.beyond, weight));
+                beyond_factors.push(factors);
+            }
             // The rest of the emitted light that a point sends on comes by rays to it.
-            let mut beyond = sender.beyond;
+            let mut rest = Vec3::ZERO;
             if let End::Point(point) = sender.end
                 && sender.direct
             {
                 let point = point as usize;
-                let rest = lamps.share(&met, ray.direction, point) - 1.0;
-                beyond += rest * color * self.emitted_at(point);
+                let share = lamps.share(&met, ray.direction, point);
+                rest = (share - 1.0) * color * self.emitted_at(point);
             }
             for (output, (sums, factor)) in sums.chunks_exact_mut(block).zip(factors).enumerate() {
-                let passed = if output < 3 { beyond } else { sender.beyond };
-                self.add_emitted(sums, factor * passed);
                 // Mirrors see what emits where rays meet it.
-                if output >= 3 {
-                    self.add_emitted(sums, factor * sender.emission);
-                }
+                let emitted = if output < 3 { rest } else { sender.emission };
+                self.add_emitted(sums, factor * emitted);
             }
             moments += Mat4::from_cols(row * row.x, row * row.y, row * row.z, row) * weight;
         }
@@ -94,6 +96,17 @@ impl Radiosity {
         emitted += lamps.sent_on(caster, seed);
         for (sums, color) in sums.chunks_exact_mut(block).zip(emitted.0) {
             self.add_emitted(sums, color);
+        }
+        if !beyond.is_empty() {
+            let along =
+                |axis: usize| receiver.normal[axis] * self.emitted_of(&sums[axis * block..]);
+            let rest: Vec3 = (0..3).map(along).sum();
+            limit(&mut beyond, rest.element_sum().max(0.0));
+            for ((radiance, _), factors) in beyond.into_iter().zip(beyond_factors) {
+                for (sums, factor) in sums.chunks_exact_mut(block).zip(factors) {
+                    self.add_emitted(sums, factor * radiance);
+                }
+            }
         }
         if !irradiance {
             let whole = moments.w_axis.w;

@@ -29,12 +29,19 @@ const FEW: u32 = 16;
 /// Radius of the disc, in spacings of points, from which the point that stands for a place is
 /// drawn: neighbours share what lies between them.
 const BLUR: f32 = 0.6;
-/// How far a point may be from what it stands for, in spacings, and what the cosine between their
+/// How far a point may be from what it stands for at most, in spacings, and what the cosine between their
 /// normals must exceed.
 const REACH: f32 = 2.0;
 const ALIKE: f32 = 0.7;
+/// Farther than this part of a point's clearance what it sees changes (Ward, Rubinstein and Clear 1988, "A Ray
+/// Tracing Solution for Diffuse Interreflection"): there it stands for what something is as close to alone. In a
+/// slit the clearance is twice the slit's height, beside a wall four times the distance from it.
+const UNCHANGED: f32 = 0.7;
 /// Surfaces that no point stands for, one after the other, before the nearest point has to.
 const MOST_STEPS: u32 = 4;
+/// Radiance that a ray brings by way of such surfaces is at most so many times the mean over the hemisphere. Seldom does
+/// one meet what something very bright is close to, and would be a spot.
+const MOST_TIMES_MEAN: f32 = 4.0;
 /// Radians by which the sky is blurred that such surfaces see, by one ray.
 const SKY_BLUR: f32 = 0.35;
 /// How far above the surface what stands between neighbours is looked for, as a part of their
@@ -56,6 +63,8 @@ pub(crate) struct Radiosity {
     spiral: Vec<Vec2>,
     pub(super) columns: usize,
     pub(super) ray_offset: f32,
+    /// Of every point, the harmonic mean of how far its rays go, metres.
+    clearances: Vec<f32>,
     /// Irradiance of every point: per channel `columns` numbers.
     pub(super) irradiance: Vec<f32>,
     /// What points send on of what is emitted, as triangles about them.
@@ -133,6 +142,7 @@ impl Radiosity {
                 .collect(),
             columns,
             ray_offset,
+            clearances: Vec::new(),
             irradiance: Vec::new(),
             relays: Emitters::default(),
             bounces: 1,
@@ -140,8 +150,9 @@ impl Radiosity {
             rays: 0,
             time: Duration::ZERO,
         };
-        if all.backs(caster, options.point_rays / FEW) > BACKS {
+        if all.look_around(caster, options.point_rays / FEW) > BACKS {
             all.points = Points::new(&all.surfaces, 2 * options.points, true);
+            all.look_around(caster, options.point_rays / FEW);
         }
         let (direct, senders) = all.first(caster, options, monitor)?;
         all.bounce(direct, &senders, options.bounces, monitor)?;
@@ -149,22 +160,29 @@ impl Radiosity {
         Ok(Some(all))
     }
 
-    /// Part of rays from points, so many from each, that meet backs.
-    fn backs(&mut self, caster: &RayCaster, count: u32) -> f64 {
+    /// Casts so many rays from every point, finds the points' clearances and returns the part of the rays that meet
+    /// backs.
+    fn look_around(&mut self, caster: &RayCaster, count: u32) -> f64 {
         let points = self.points.as_slice();
-        let behind = |(index, point): (usize, &Point)| {
+        let look = |(index, point): (usize, &Point)| {
             let start = Instant::now();
             let origin = point.position + self.ray_offset * point.geometric_normal;
-            let rays = self.hemisphere(point.normal, count, index as u32);
-            let met = rays.filter_map(|ray| self.meet(caster, origin, ray.direction));
-            (met.filter(|met| met.behind).count(), start.elapsed())
+            let (mut backs, mut inverse) = (0, 0.0);
+            for ray in self.hemisphere(point.normal, count, index as u32) {
+                if let Some(met) = self.meet(caster, origin, ray.direction) {
+                    backs += u32::from(met.behind);
+                    inverse += 1.0 / met.position.distance(origin).max(self.ray_offset);
+                }
+            }
+            (backs, count as f32 / inverse, start.elapsed())
         };
-        let found: Vec<_> = points.par_iter().enumerate().map(behind).collect();
+        let found: Vec<_> = points.par_iter().enumerate().map(look).collect();
         let rays = points.len() as u64 * u64::from(count);
         self.rays += rays;
-        self.time += found.iter().map(|(_, time)| *time).sum::<Duration>();
-        let backs: usize = found.iter().map(|(backs, _)| backs).sum();
-        backs as f64 / rays.max(1) as f64
+        self.time += found.iter().map(|(.., time)| *time).sum::<Duration>();
+        self.clearances = found.iter().map(|(_, clearance, _)| *clearance).collect();
+        let backs: u32 = found.iter().map(|(backs, ..)| backs).sum();
+        f64::from(backs) / rays.max(1) as f64
     }
 
     /// What reaches the points at once, and whom else they see.
@@ -190,6 +208,7 @@ impl Radiosity {
                 let mut senders = Vec::new();
                 let lamps = this.lamps(origin, point.normal, count);
                 let mut emitted = Emitted::default();
+                let mut beyond = Vec::new();
                 for ray in this.hemisphere(point.normal, count, index as u32) {
                     let weight = ray.cosine * (2.0 * PI / count as f32);
                     let Some(met) = this.meet(caster, origin, ray.direction) else {
@@ -203,7 +222,9 @@ impl Radiosity {
                     };
                     emitted += lamps.met(&met, ray.direction);
                     let sender = this.sender(caster, &met, weight, ray.number);
-                    this.add_emitted(direct, sender.beyond);
+                    if sender.beyond != Vec3::ZERO {
+                        beyond.push((sender.beyond / weight, weight));
+                    }
                     if let End::Point(point) = sender.end {
                         senders.push((point, sender.weight));
                     } else {
@@ -212,7 +233,12 @@ impl Radiosity {
                     }
                 }
                 emitted += lamps.drawn(caster, index as u32);
-                this.add_emitted(direct, emitted.dot_normal(point.normal));
+                let emitted = emitted.dot_normal(point.normal);
+                this.add_emitted(direct, emitted);
+                limit(&mut beyond, emitted.element_sum());
+                for (radiance, weight) in beyond {
+                    this.add_emitted(direct, radiance * weight);
+                }
                 Ok((senders, start.elapsed()))
             })
             .collect();
@@ -292,8 +318,12 @@ impl Radiosity {
 
     /// Irradiance of a point from what is emitted.
     pub(super) fn emitted_at(&self, point: usize) -> Vec3 {
-        let irradiance = &self.irradiance[point * 3 * self.columns..];
-        Vec3::from([1, 2, 3].map(|channel| irradiance[channel * self.columns - 1]))
+        self.emitted_of(&self.irradiance[point * 3 * self.columns..])
+    }
+
+    /// The column of what is emitted.
+    pub(super) fn emitted_of(&self, values: &[f32]) -> Vec3 {
+        Vec3::from([1, 2, 3].map(|channel| values[channel * self.columns - 1]))
     }
 
     /// Adds a colour to the column of what is emitted.
@@ -354,9 +384,13 @@ impl Radiosity {
         [1.0, -0.5, 0.0].into_iter().find_map(|part| {
             let index = (self.points).nearest(met.position + part * aside, met.normal)?;
             let point = &self.points.as_slice()[index];
-            let near = point.position.distance(met.position) < REACH * self.points.spacing()
+            let distance = point.position.distance(met.position);
+            let near = distance < REACH * self.points.spacing()
                 && point.geometric_normal.dot(met.normal) > ALIKE;
-            (near && !self.parted(caster, met, index)).then_some(index)
+            let clearance = self.clearances[index];
+            let alike =
+                || distance < UNCHANGED * clearance || self.is_close(caster, met, clearance);
+            (near && alike() && !self.parted(caster, met, index)).then_some(index)
         })
     }
 
@@ -388,6 +422,12 @@ impl Radiosity {
                 number: hash(seed, 5 + i),
             }
         })
+    }
+
+    /// Whether something is this close above what a ray met.
+    fn is_close(&self, caster: &RayCaster, met: &Met, clearance: f32) -> bool {
+        let along = |height: f32| met.position + height * met.normal;
+        caster.blocked(along(self.ray_offset), along(clearance))
     }
 
     /// Whether something stands between what a ray met and a point: the other side of a wall or of
@@ -484,6 +524,16 @@ pub(super) fn add_colored(sums: &mut [f32], values: &[f32], weight: Vec3) {
     }
 }
 
+/// Limits what rays bring by way of surfaces that no point stands for: radiance, and what it counts of the
+/// irradiance, whose sum over channels is `rest` without it.
+pub(super) fn limit(beyond: &mut [(Vec3, f32)], rest: f32) {
+    let whole = |sum, (radiance, weight): &(Vec3, f32)| sum + radiance.element_sum() * weight;
+    let most = MOST_TIMES_MEAN / PI * beyond.iter().fold(rest, whole);
+    for (radiance, _) in beyond {
+        *radiance *= (most / radiance.element_sum()).min(1.0);
+    }
+}
+
 /// A 32-bit hash of two numbers (PCG output function, O'Neill 2014).
 pub(super) fn hash(a: u32, b: u32) -> u32 {
     let mut x = a.wrapping_mul(0x9e37_79b9) ^ b.wrapping_mul(0x85eb_ca6b).rotate_left(16);
@@ -534,6 +584,19 @@ pub(super) mod tests {
         mesh.materials.push(plain_material("wall", surface));
         mesh.materials[0].emission = [emission; 3];
         mesh
+    }
+
+    /// Adds a mesh with its material.
+    fn join(mesh: &mut Mesh, other: Mesh) {
+        let base = mesh.vertices.len() as u32;
+        let material = mesh.materials.len() as u16;
+        mesh.vertices.extend(other.vertices);
+        let triangles = other.triangles.iter().map(|triangle| Triangle {
+            vertices: triangle.vertices.map(|vertex| base + vertex),
+            material,
+        });
+        mesh.triangles.extend(triangles);
+        mesh.materials.extend(other.materials);
     }
 
     fn solve(mesh: &Mesh, bounces: Option<u32>) -> (Radiosity, RayCaster) {
@@ -623,14 +686,7 @@ pub(super) mod tests {
         );
         let corner = Vec3::new(-3.0, 0.0, -3.0);
         let floor = squares(&[[corner, 6.0 * Vec3::Z, 6.0 * Vec3::X]], 0.0, 0.0);
-        let base = all.vertices.len() as u32;
-        all.vertices.extend(floor.vertices);
-        all.triangles
-            .extend(floor.triangles.iter().map(|triangle| Triangle {
-                vertices: triangle.vertices.map(|vertex| base + vertex),
-                material: 1,
-            }));
-        all.materials.extend(floor.materials);
+        join(&mut all, floor);
         let (solved, caster) = solve(&all, None);
         let block = 3 * solved.columns;
         for i in 0..60 {
@@ -697,6 +753,33 @@ pub(super) mod tests {
         // What the open floor gets of the sky in the first harmonic, which is constant.
         let outside = PI * (0.25 / PI).sqrt();
         assert!(inside < 0.1 * outside, "{inside} of {outside}");
+    }
+
+    #[test]
+    fn light_does_not_leak_out_of_slits() {
+        // A lamp of 1 m, 4 mm below a ceiling: next to nothing of what its upper side emits gets out.
+        let (x, y, z) = (Vec3::X, Vec3::Y, Vec3::Z);
+        let room = [[Vec3::ZERO, 4.0 * z, 4.0 * x], [2.0 * y, 4.0 * x, 4.0 * z]];
+        let corner = Vec3::new(1.5, 1.996, 1.5);
+        let [dark, lit] = [0.0, 10.0].map(|above| {
+            let mut mesh = squares(&room, 0.5, 0.0);
+            join(&mut mesh, squares(&[[corner, x, z]], 0.5, 10.0));
+            join(&mut mesh, squares(&[[corner, z, x]], 0.5, above));
+            let (solved, caster) = solve(&mesh, None);
+            let block = 3 * solved.columns;
+            let count = 40;
+            let at = |i| Vec3::new(0.2 + 0.09 * i as f32, 1e-4, 1.1);
+            let receivers = (0..count).map(|i| Receiver {
+                origin: at(i),
+                normal: y,
+            });
+            let gathered = receivers.map(|receiver| solved.gather(&caster, &receiver, 128, true));
+            let found: Vec<f32> = gathered
+                .map(|sums| sums[block + solved.columns - 1])
+                .collect();
+            found.iter().sum::<f32>() / count as f32
+        });
+        assert!((lit / dark - 1.0).abs() < 0.03, "{lit} for {dark}");
     }
 
     #[test]

@@ -12,7 +12,7 @@ use crate::layouts::{
     STORAGE, compute_pipeline, image_entries, layout_entry, scene_entries, texture_entry,
 };
 use crate::tiles::{Dispatch, WORKGROUP};
-use crate::{Frame, GpuScene};
+use crate::{Frame, GpuScene, Method};
 
 /// Pixels of a workgroup.
 const WORKGROUP_PIXELS: u32 = WORKGROUP * WORKGROUP;
@@ -39,9 +39,9 @@ pub(crate) struct LobePasses {
     /// Groups 2 of the kernel that finds reflections, and of the others.
     images: [wgpu::BindGroupLayout; 2],
     reflections: [OnceLock<wgpu::ComputePipeline>; 2],
-    diffuse: OnceLock<wgpu::ComputePipeline>,
+    diffuse: [OnceLock<wgpu::ComputePipeline>; 2],
     products: [OnceLock<wgpu::ComputePipeline>; 2],
-    integrals: [OnceLock<wgpu::ComputePipeline>; 2],
+    integrals: [OnceLock<wgpu::ComputePipeline>; 4],
     around: [OnceLock<wgpu::ComputePipeline>; 3],
     image: OnceLock<wgpu::ComputePipeline>,
     shade: OnceLock<wgpu::ComputePipeline>,
@@ -68,6 +68,8 @@ pub(crate) struct Work {
     pub(crate) image: bool,
     /// Whether light bounces.
     pub(crate) bounced: bool,
+    /// Whether one visible fraction stands for all of a lobe.
+    pub(crate) ambient: bool,
 }
 
 impl Work {
@@ -78,6 +80,7 @@ impl Work {
             local_lights: frame.local_lights.len(),
             image: frame.reflections.is_some(),
             bounced: scene.is_bounced(),
+            ambient: frame.method == Method::Ambient,
         }
     }
 }
@@ -113,7 +116,7 @@ impl LobePasses {
                 layout(device, &[visibility, radiance, read(6), written(7)]),
             ],
             reflections: Default::default(),
-            diffuse: OnceLock::new(),
+            diffuse: Default::default(),
             products: Default::default(),
             integrals: Default::default(),
             around: Default::default(),
@@ -179,6 +182,7 @@ impl LobePasses {
         work: Work,
         dispatches: &[Dispatch],
     ) {
+        let ambient = usize::from(work.ambient);
         for dispatch in dispatches {
             debug_assert!(
                 dispatch.workgroups <= slots.tiles,
@@ -199,7 +203,7 @@ impl LobePasses {
                 let next = usize::from(reflection > 0);
                 run(&self.reflections[next], &REFLECTIONS[next], (0, 0));
                 if next == 0 {
-                    run(&self.diffuse, &DIFFUSE, (1, 1));
+                    run(&self.diffuse[ambient], &DIFFUSE[ambient], (1, 1));
                 }
                 if work.bounced || work.image {
                     let kind = usize::from(work.bounced) + 2 * usize::from(work.image) - 1;
@@ -215,9 +219,10 @@ impl LobePasses {
                     [work.distant_lights + work.local_lights, 0]
                 };
                 for (of_image, lights) in [lights, of_image].into_iter().enumerate() {
+                    let kind = of_image + 2 * ambient;
                     for _ in 0..slots::rounds(lights) {
                         run(&self.products[of_image], &PRODUCTS[of_image], (0, 1));
-                        run(&self.integrals[of_image], &INTEGRALS[of_image], (1, 1));
+                        run(&self.integrals[kind], &INTEGRALS[kind], (1, 1));
                     }
                 }
                 if work.image {

@@ -313,7 +313,6 @@ fn packed_lights(frame: &Frame, local: &LocalFrame) -> Vec<gpu::Light> {
 /// All but what tells an instance from others of the picture.
 fn uniforms(scene: &GpuScene, frame: &Frame, local: &LocalFrame) -> gpu::Frame {
     let mut uniform = gpu::Frame::new(&local.view, &scene.atlas, scene.distance_clamp);
-    uniform.ambient = u32::from(frame.method == Method::Ambient);
     match frame.method {
         Method::Ambient => {}
         Method::Polar(options) => uniform.spokes = options.spokes.max(1),

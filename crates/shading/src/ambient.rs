@@ -16,8 +16,18 @@ const COSINE_SHARPNESS: f32 = 2.133;
 /// An estimate of ∫ exp(λ(p·ω − 1)) max(n·ω, 0) \[D(ω) > 0\] dω, for the lobe of sharpness
 /// λ about the unit vector p = `axis` and the unit vector n = `normal`.
 pub fn integrate(field: &impl SignedDistance, sharpness: f32, axis: Vec3, normal: Vec3) -> f32 {
+    let unoccluded = Tables::get().cosine_integral(sharpness, normal.dot(axis));
+    unoccluded * visible_fraction(field, sharpness, axis, normal)
+}
+
+/// The visible fraction of that lobe times the clamped cosine.
+pub(crate) fn visible_fraction(
+    field: &impl SignedDistance,
+    sharpness: f32,
+    axis: Vec3,
+    normal: Vec3,
+) -> f32 {
     let tables = Tables::get();
-    let unoccluded = tables.cosine_integral(sharpness, normal.dot(axis));
     let product = sharpness * axis + COSINE_SHARPNESS * normal;
     let sharpness = product.length();
     let axis = if sharpness > 1e-6 {
@@ -30,7 +40,7 @@ pub fn integrate(field: &impl SignedDistance, sharpness: f32, axis: Vec3, normal
     let limit = field.limit();
     let fraction = tables.hemisphere_fraction(sharpness, field.distance(axis));
     let rest = tables.hemisphere_fraction(sharpness, -limit);
-    unoccluded * ((fraction - rest) / (1.0 - 2.0 * rest)).clamp(0.0, 1.0)
+    ((fraction - rest) / (1.0 - 2.0 * rest)).clamp(0.0, 1.0)
 }
 
 #[cfg(test)]

@@ -31,8 +31,8 @@ pub struct Frame {
     pub light_count: u32,
     /// [`View::corner`].
     pub corner: [f32; 3],
-    /// 1: one visible fraction per lobe stands for where it is visible.
-    pub ambient: u32,
+    /// 0.
+    pub reserved: u32,
     /// Step of the direction from one column to the next.
     pub right: [f32; 3],
     /// Polar: number of spokes.
@@ -466,7 +466,7 @@ impl LimitError {
 
 impl Frame {
     /// The frame of a packed scene seen through `view`, before lights and method are set:
-    /// no lights, `ambient`.
+    /// no lights.
     pub fn new(view: &View, atlas: &AtlasLayout, distance_clamp: f32) -> Self {
         Self {
             atlas_texel: [1.0 / atlas.width as f32, 1.0 / atlas.height as f32],
@@ -483,7 +483,7 @@ impl Frame {
             eye: view.eye.into(),
             light_count: 0,
             corner: view.corner.into(),
-            ambient: 1,
+            reserved: 0,
             right: view.right.into(),
             spokes: 0,
             down: view.down.into(),
@@ -604,7 +604,7 @@ mod tests {
                 eye,
                 light_count,
                 corner,
-                ambient,
+                reserved,
                 right,
                 spokes,
                 down,

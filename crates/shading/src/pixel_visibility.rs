@@ -32,6 +32,10 @@ pub const FIRM: f32 = 0.8;
 pub const LEAST_COSINE: f32 = 0.9;
 /// Most distance from the other's plane, as a part of the distance from the other.
 pub const MOST_SLOPE: f32 = 0.4;
+/// Bits of what is unknown of a fraction, one of which is for 1, and last bits of a share that are left out: workgroups'
+/// memory is what GPUs have least of.
+const UNKNOWN_BITS: u32 = 18;
+const SHARE_BITS: u32 = 17;
 /// Of a lobe that a pixel does not have.
 pub const NONE: f32 = -1.0;
 
@@ -67,6 +71,21 @@ pub struct Asked {
     /// What the lobe can add, in what has been gathered before.
     pub share: f32,
 }
+
+impl Asked {
+    /// With as many bits as are kept.
+    pub(crate) fn rounded(self) -> Self {
+        let share = (self.share.to_bits() + (1 << (SHARE_BITS - 1))) >> SHARE_BITS;
+        Self {
+            unknown: (self.unknown * UNKNOWN_ONE + 0.5).floor() / UNKNOWN_ONE,
+            share: f32::from_bits(share << SHARE_BITS),
+            ..self
+        }
+    }
+}
+
+/// What stands for 1.
+const UNKNOWN_ONE: f32 = (1u32 << (UNKNOWN_BITS - 1)) as f32;
 
 /// The pixels from which each pixel of a tile may take fractions.
 #[derive(Clone, Debug)]
@@ -119,10 +138,11 @@ impl Parents {
         let mut found = vec![[[NONE; 2]; N]; asked.len()];
         for (pixel, asked) in asked.iter().enumerate() {
             for (lobe, asked) in asked.iter().enumerate() {
-                let Some(Asked { known, unknown, .. }) = *asked else {
+                let Some(asked) = *asked else {
                     continue;
                 };
-                if unknown == 0.0 {
+                let Asked { known, unknown, .. } = asked.rounded();
+                if asked.unknown == 0.0 {
                     found[pixel][lobe] = [known, 2.0 * known - 1.0];
                 } else if self.parents[pixel].is_none() {
                     let [distance, radius] = look(pixel, lobe);
@@ -169,6 +189,7 @@ fn interpolate(
             high = high.max(fraction);
         }
     }
+    let asked = asked.rounded();
     let leeway = (SMALL_SHARE / asked.share).clamp(1.0, MOST_LEEWAY);
     let mut part = doubt((high - low) / (AGREEMENT * leeway));
     if low < 0.0 {
@@ -186,7 +207,11 @@ fn interpolate(
         return known;
     }
     let distance = seen.unwrap_or_else(|| look()[0]);
-    known + asked.unknown * part * find(distance)
+    let left = Asked {
+        unknown: asked.unknown * part,
+        ..asked
+    };
+    known + left.rounded().unknown * find(distance)
 }
 
 /// The part of a fraction that a pixel has to find for itself where others differ by a part of what they may.
@@ -237,7 +262,10 @@ pub fn wgsl_constants() -> String {
         + &format!(
             "const PIXEL_SIDE: u32 = {SIDE}u;\n\
              const PIXEL_COUNT: u32 = {PIXELS}u;\n\
-             const PIXEL_LOBES: u32 = {}u;\n",
+             const PIXEL_LOBES: u32 = {}u;\n\
+             const PIXEL_UNKNOWN_BITS: u32 = {UNKNOWN_BITS}u;\n\
+             const PIXEL_UNKNOWN_ONE: f32 = {UNKNOWN_ONE:?};\n\
+             const PIXEL_SHARE_BITS: u32 = {SHARE_BITS}u;\n",
             PIXELS as u32 * crate::slots::WAITING,
         )
 }

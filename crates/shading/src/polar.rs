@@ -118,7 +118,6 @@ pub(crate) fn visible_fraction(
     if distance <= -radius {
         return 0.0;
     }
-    let face_cosine = face.dot(axis);
     let projected = normal - cosine * axis;
     let sine = projected.length();
     let tangent = if sine > 1e-4 {
@@ -129,8 +128,6 @@ pub(crate) fn visible_fraction(
     let bitangent = axis.cross(tangent);
     let shortest = (SHORTEST_STEP * radius).min(SHORTEST_STEP_LIMIT);
     let count = options.spokes as f32;
-    let (radius_sine, radius_cosine) = math::sin_cos(radius);
-    let at_radius = moments(sharpness, radius);
     let mut visible = 0.0;
     let mut whole = 0.0;
     for spoke in 0..options.spokes {
@@ -140,40 +137,25 @@ pub(crate) fn visible_fraction(
         let outward = azimuth.x * tangent + azimuth.y * bitangent;
         // Along the spoke n·ω = cosine cos θ + slope sin θ, which changes sign once.
         let weights = Vec2::new(cosine, sine * azimuth.x);
-        let mut start = 0.0;
-        let mut end = radius;
-        let mut last = weights.dot(at_radius);
-        if cosine < 0.0 {
-            start = math::atan2(-cosine, weights.y);
-        } else if weights.dot(Vec2::new(radius_cosine, radius_sine)) < 0.0
-            // Where the radius is a half turn and the normal is level, rounding tells that sign.
-            || (weights.y < 0.0 && radius > 0.5 * PI)
-        {
-            end = end.min(math::atan2(cosine, -weights.y));
-            last = weights.dot(moments(sharpness, end));
-        }
+        let at = |theta: f32| match theta {
+            0.0 => 0.0,
+            _ => weights.dot(moments(sharpness, theta)),
+        };
+        let [mut start, mut end] = above(weights, radius);
         if start >= end {
             continue;
         }
-        let mut first = 0.0;
-        if start > 0.0 {
-            first = weights.dot(moments(sharpness, start));
-        }
+        let (mut first, mut last) = (at(start), at(end));
         whole += last - first;
         if clipped {
-            let face_slope = face.dot(outward);
-            if face_cosine < 0.0 {
-                let above = math::atan2(-face_cosine, face_slope);
-                if above > start {
-                    start = above;
-                    first = weights.dot(moments(sharpness, start));
-                }
-            } else {
-                let below = math::atan2(face_cosine, -face_slope);
-                if below < end {
-                    end = below;
-                    last = weights.dot(moments(sharpness, end));
-                }
+            let face = above(Vec2::new(face.dot(axis), face.dot(outward)), radius);
+            if face[0] > start {
+                start = face[0];
+                first = at(start);
+            }
+            if face[1] < end {
+                end = face[1];
+                last = at(end);
             }
             if start >= end {
                 continue;
@@ -195,11 +177,10 @@ pub(crate) fn visible_fraction(
                 // would take a seventh off the error at one rim, but draw a grid's gaps
                 // towards half their light, a quarter too dark.
                 let boundary = theta + here / (here - there) * (next - theta);
-                let at_boundary = weights.dot(moments(sharpness, boundary));
                 sum += if here > 0.0 {
-                    at_boundary
+                    at(boundary)
                 } else {
-                    -at_boundary
+                    -at(boundary)
                 };
             }
             theta = next;
@@ -211,6 +192,15 @@ pub(crate) fn visible_fraction(
         (visible / whole).clamp(0.0, 1.0)
     } else {
         0.0
+    }
+}
+
+/// From where to where along a spoke up to `radius` a plane's normal, `weights.x` cos θ + `weights.y` sin θ, is above.
+fn above(weights: Vec2, radius: f32) -> [f32; 2] {
+    if weights.x < 0.0 {
+        [math::atan2(-weights.x, weights.y), radius]
+    } else {
+        [0.0, radius.min(math::atan2(weights.x, -weights.y))]
     }
 }
 

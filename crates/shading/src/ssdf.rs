@@ -73,7 +73,9 @@ pub struct Ssdf<'a> {
     resolution: usize,
     tiles: usize,
     limit: f32,
-    /// Of bytes.
+    /// Radians of a byte times a coefficient of 1.
+    scale: f32,
+    /// Integers of 16 bits, those of vertices interpolated.
     coefficients: [Vec4; MAX_TILES],
 }
 
@@ -113,13 +115,18 @@ impl<'a> Ssdf<'a> {
         let tiles = cluster.tiles as usize;
         let mut coefficients = [Vec4::ZERO; MAX_TILES];
         for (vertex, weight) in weights {
-            let weight = weight * cluster.coefficient_scale * SNORM8_STEP;
             let first = cluster.first_coefficient as usize
                 + (vertex - cluster.first_vertex) as usize * tiles * CHANNELS_PER_TILE;
             for (tile, coefficient) in coefficients[..tiles].iter_mut().enumerate() {
                 let quad = &scene.coefficients[first + tile * CHANNELS_PER_TILE..][..4];
-                *coefficient += weight * Vec4::from_array([0, 1, 2, 3].map(|c| snorm16(quad[c])));
+                *coefficient += weight * Vec4::from_array([0, 1, 2, 3].map(|c| f32::from(quad[c])));
             }
+        }
+        // GPUs have few registers: what is interpolated is as fine as what is stored.
+        let most = f32::from(i16::MAX);
+        for coefficient in &mut coefficients {
+            let whole = coefficient.clamp(Vec4::splat(-most), Vec4::splat(most));
+            *coefficient = whole.map(f32::round_ties_even);
         }
         let tile_length = Basis::tile_length(basis.resolution);
         let first = cluster.first_tile as usize * tile_length;
@@ -128,6 +135,7 @@ impl<'a> Ssdf<'a> {
             resolution: basis.resolution,
             tiles,
             limit: scene.visibility.distance_clamp,
+            scale: cluster.coefficient_scale / most * SNORM8_STEP,
             coefficients,
         }
     }
@@ -159,7 +167,7 @@ impl SignedDistance for Ssdf<'_> {
             let basis = a * weights[0] + b * weights[1] + c * weights[2] + d * weights[3];
             sum += *coefficient * basis;
         }
-        sum.element_sum()
+        sum.element_sum() * self.scale
     }
 
     fn limit(&self) -> f32 {
@@ -184,11 +192,6 @@ fn pair(bytes: &[i8]) -> [Vec4; 2] {
 
 /// What a byte counts where an `rgba8snorm` texture holds it.
 const SNORM8_STEP: f32 = 1.0 / 127.0;
-
-/// As `unpack2x16snorm` reads it.
-fn snorm16(value: i16) -> f32 {
-    (f32::from(value) / 32767.0).max(-1.0)
-}
 
 #[cfg(test)]
 mod tests {

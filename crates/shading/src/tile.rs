@@ -395,7 +395,7 @@ impl<'a, F: SignedDistance> Tile<'a, F> {
             } = waiting.lobe;
             match self.method {
                 Method::Polar(options) => {
-                    let options = options.for_share(waiting.asked.share);
+                    let options = options.for_share(waiting.asked.rounded().share);
                     polar::visible_fraction(
                         pixel.field,
                         sharpness,
@@ -406,8 +406,7 @@ impl<'a, F: SignedDistance> Tile<'a, F> {
                     )
                 }
                 Method::Ambient | Method::Cells(_) => {
-                    ambient::integrate(pixel.field, sharpness, axis, pixel.point.normal)
-                        / waiting.unoccluded.max(f32::MIN_POSITIVE)
+                    ambient::visible_fraction(pixel.field, sharpness, axis, pixel.point.normal)
                 }
             }
         };

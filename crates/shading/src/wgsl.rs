@@ -106,11 +106,14 @@ pub const KERNELS: &[Kernel] = &[
     VERTICES,
     REFLECTIONS[0],
     REFLECTIONS[1],
-    DIFFUSE,
+    DIFFUSE[0],
+    DIFFUSE[1],
     PRODUCTS[0],
     PRODUCTS[1],
     INTEGRALS[0],
     INTEGRALS[1],
+    INTEGRALS[2],
+    INTEGRALS[3],
     AROUND[0],
     AROUND[1],
     AROUND[2],
@@ -137,13 +140,19 @@ pub const VERTICES: Kernel = Kernel {
     constants: &[],
 };
 
-/// What every pixel's Lambertian base shows of lights.
-pub const DIFFUSE: Kernel = Kernel {
-    name: "diffuse",
-    entry: Entry::Diffuse,
-    entry_point: "diffuse_main",
-    constants: &[],
-};
+/// What every pixel's Lambertian base shows of lights; the same by one visible fraction for all of a light.
+pub const DIFFUSE: [Kernel; 2] = [
+    shading(
+        "diffuse",
+        (Entry::Diffuse, "diffuse_main"),
+        &[("PIXEL_AMBIENT", 0.0)],
+    ),
+    shading(
+        "diffuse, ambient",
+        (Entry::Diffuse, "diffuse_main"),
+        &[("PIXEL_AMBIENT", 1.0)],
+    ),
+];
 
 /// The first reflection of every pixel and its lobes, and the next one.
 pub const REFLECTIONS: [Kernel; 2] = [
@@ -173,17 +182,27 @@ pub const PRODUCTS: [Kernel; 2] = [
     ),
 ];
 
-/// What is visible of them; for an image at 1.
-pub const INTEGRALS: [Kernel; 2] = [
+/// What is visible of them, for an image at odd places; from 2 on by one visible fraction for all of a lobe.
+pub const INTEGRALS: [Kernel; 4] = [
     shading(
         "integrals",
         (Entry::Integrals, "integrals_main"),
-        &[("INTEGRALS_OF_IMAGE", 0.0)],
+        &[("INTEGRALS_OF_IMAGE", 0.0), ("PIXEL_AMBIENT", 0.0)],
     ),
     shading(
         "integrals, image",
         (Entry::Integrals, "integrals_main"),
-        &[("INTEGRALS_OF_IMAGE", 1.0)],
+        &[("INTEGRALS_OF_IMAGE", 1.0), ("PIXEL_AMBIENT", 0.0)],
+    ),
+    shading(
+        "integrals, ambient",
+        (Entry::Integrals, "integrals_main"),
+        &[("INTEGRALS_OF_IMAGE", 0.0), ("PIXEL_AMBIENT", 1.0)],
+    ),
+    shading(
+        "integrals, image, ambient",
+        (Entry::Integrals, "integrals_main"),
+        &[("INTEGRALS_OF_IMAGE", 1.0), ("PIXEL_AMBIENT", 1.0)],
     ),
 ];
 

@@ -10,15 +10,13 @@ fn around_main(
     @builtin(local_invocation_index) invocation: u32,
 ) {
     slots_enter(workgroup.x, invocation);
-    let pixel = tile_pixel(invocation);
-    let seen = seen_triangle(pixel);
-    if seen.x >= frames[frame_index].triangle_count {
+    if slots_surface() == 0u {
         return;
     }
-    let triangle = triangles[seen.x];
+    let triangle = triangles[seen_known(tile_pixel(invocation)).x];
     let corners = triangle.xyz;
-    let weights = seen_barycentrics(corners, pixel, seen.y);
-    let ssdf = ssdf_load(clusters[triangle.w >> 16u], corners, weights);
+    let weights = slots_barycentrics();
+    ssdf_load(clusters[triangle.w >> 16u], corners, weights);
     let point = slots_point();
     var diffuse = vec3(0.0);
     if slots_state(slots_gathered_at(SLOTS_SUM).w).reflection == 0u {
@@ -27,12 +25,12 @@ fn around_main(
     specular_count = slots_lobe_count();
     var sum = slots_gathered_value(SLOTS_BESIDE).xyz;
     if AROUND_IMAGE {
-        sum += image_diffused(ssdf, point, diffuse);
+        sum += image_diffused(point, diffuse);
     }
-    if AROUND_BOUNCED && ssdf.cluster.bounced != 0u {
-        let transfer = transfer_load(ssdf.cluster.bounced - 1u, corners, weights);
-        sum += diffuse / PI * transfer_irradiance(transfer, point.normal);
-        sum += transfer_reflected(transfer, ssdf, point.normal);
+    if AROUND_BOUNCED && ssdf_cluster.bounced != 0u {
+        let outputs = transfer_load(ssdf_cluster.bounced - 1u, corners, weights);
+        sum += diffuse / PI * transfer_irradiance(point.normal);
+        sum += transfer_reflected(outputs, point.normal);
     }
     slots_put_value(SLOTS_BESIDE, sum, 0u);
 }

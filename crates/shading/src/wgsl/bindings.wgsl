@@ -12,8 +12,7 @@ struct Frame {
     // The ray of pixel (x, y) has direction, or passes through, corner + (x + 1/2) right +
     // (y + 1/2) down.
     corner: vec3<f32>,
-    // 1: one visible fraction per lobe stands for where it is visible. Pipelines tell other methods apart.
-    ambient: u32,
+    reserved: u32,
     right: vec3<f32>,
     // polar: number of spokes.
     spokes: u32,
@@ -237,8 +236,8 @@ var<private> frame_index: u32;
 // Three vertices, then material | cluster << 16.
 @group(1) @binding(1) var<storage, read> triangles: array<vec4<u32>>;
 @group(1) @binding(2) var<storage, read> clusters: array<Cluster>;
-// Two i16 per word, the first in the low half; c / 32767 is the coefficient.
-@group(1) @binding(3) var<storage, read> coefficients: array<u32>;
+// Two i16 per word, the first in the low half; c / 32767 is the coefficient. A tile at a time.
+@group(1) @binding(3) var<storage, read> coefficients: array<vec2<u32>>;
 @group(1) @binding(4) var<storage, read> materials: array<Material>;
 // textures::PageLayout.
 @group(1) @binding(5) var texels: texture_2d_array<u32>;

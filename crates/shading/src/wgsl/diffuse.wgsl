@@ -8,18 +8,12 @@ fn diffuse_main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
     @builtin(local_invocation_index) invocation: u32,
 ) {
-    slots_enter(workgroup.x, invocation);
-    pixel_enter(invocation);
-    let seen = seen_triangle(tile_pixel(invocation));
+    pixel_enter(workgroup.x, invocation);
     var works = false;
-    if seen.x < frames[frame_index].triangle_count {
+    if slots_surface() != 0u {
         works = slots_gathered_at(SLOTS_DIFFUSE).w != 0u;
-        let position = slots_reflection_value(SLOTS_POSITION).xyz;
-        let normal = slots_reflection_value(SLOTS_NORMAL).xyz;
-        pixel_put(works, position, normal, (triangles[seen.x].w & 0xffffu) + 1u);
-    } else {
-        pixel_put(false, vec3(0.0), vec3(0.0), 0u);
     }
+    pixel_put(works);
     if !pixel_works() {
         return;
     }
@@ -39,14 +33,7 @@ fn diffuse_main(
         }
         pixel_settle();
         if works {
-            var sum = slots_gathered_value(SLOTS_IRRADIANCE).xyz;
-            for (var lobe = 0u; lobe < lobes; lobe++) {
-                let fraction = pixel_fraction(lobe);
-                if fraction >= 0.0 {
-                    sum += fraction * diffuse_whole(diffuse_light(pixel_own, lobe));
-                }
-            }
-            slots_put_value(SLOTS_IRRADIANCE, sum, 0u);
+            diffuse_add(lobes);
         }
     }
     if works {
@@ -59,14 +46,12 @@ fn diffuse_main(
 
 // Asks for the `count` lights of a round, where the corners of the pixel's triangle agree on them known from those.
 fn diffuse_ask(count: u32) {
-    let pixel = tile_pixel(pixel_own);
-    let seen = seen_triangle(pixel);
-    let corners = triangles[seen.x].xyz;
-    let weights = seen_barycentrics(corners, pixel, seen.y);
+    let corners = triangles[seen_known(tile_pixel(pixel_own)).x].xyz;
+    let weights = slots_barycentrics();
     let holds = slots_corners_hold();
     var estimate = slots_gathered_value(SLOTS_IRRADIANCE).xyz;
     for (var lobe = 0u; lobe < count; lobe++) {
-        let light = diffuse_light(pixel_own, lobe);
+        let light = diffuse_light(lobe);
         let whole = spherical_gaussian_integral(light);
         if shade_negligible(whole, estimate) {
             continue;
@@ -74,7 +59,7 @@ fn diffuse_ask(count: u32) {
         let share = shade_share(whole, estimate);
         var known = 0.0;
         var unknown = 0.0;
-        if polar_meets_horizon(light.sharpness, dot(pixel_normals[pixel_own], light.axis)) {
+        if polar_meets_horizon(light.sharpness, dot(slots_reflection_value(SLOTS_NORMAL).xyz, light.axis)) {
             let fractions = vertex_visibility_of(diffuse_first + lobe, holds, corners, weights);
             unknown = vertex_visibility_doubt(fractions, share);
             known = (1.0 - unknown) * fractions.mean;
@@ -84,18 +69,30 @@ fn diffuse_ask(count: u32) {
     }
 }
 
-// What a light could add.
-fn diffuse_whole(light: SphericalGaussian) -> vec3<f32> {
-    return light.amplitude * tables_cosine_integral(light.sharpness, dot(pixel_normals[pixel_own], light.axis));
+// Adds what was found of the lights of a round.
+fn diffuse_add(count: u32) {
+    var sum = slots_gathered_value(SLOTS_IRRADIANCE).xyz;
+    for (var lobe = 0u; lobe < count; lobe++) {
+        let fraction = pixel_fraction(lobe);
+        if fraction >= 0.0 {
+            sum += fraction * diffuse_whole(diffuse_light(lobe));
+        }
+    }
+    slots_put_value(SLOTS_IRRADIANCE, sum, 0u);
 }
 
-fn diffuse_light(pixel: u32, lobe: u32) -> SphericalGaussian {
-    return shade_light(diffuse_first + lobe, pixel_places[pixel].xyz);
+// What a light could add.
+fn diffuse_whole(light: SphericalGaussian) -> vec3<f32> {
+    return light.amplitude * tables_cosine_integral(light.sharpness, dot(slots_reflection_value(SLOTS_NORMAL).xyz, light.axis));
+}
+
+fn diffuse_light(lobe: u32) -> SphericalGaussian {
+    return shade_light(diffuse_first + lobe, slots_reflection_value(SLOTS_POSITION).xyz);
 }
 
 // Axis and sharpness of a lobe.
-fn pixel_axis(pixel: u32, lobe: u32) -> vec4<f32> {
-    let light = diffuse_light(pixel, lobe);
+fn pixel_axis(lobe: u32) -> vec4<f32> {
+    let light = diffuse_light(lobe);
     return vec4(light.axis, light.sharpness);
 }
 

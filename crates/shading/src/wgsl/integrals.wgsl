@@ -3,46 +3,24 @@
 
 override INTEGRALS_OF_IMAGE: bool = false;
 
-// The slot of the tile's first pixel.
-var<private> integrals_first_slot: u32;
-
 @compute @workgroup_size(8, 8)
 fn integrals_main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
     @builtin(local_invocation_index) invocation: u32,
 ) {
-    slots_enter(workgroup.x, 0u);
-    integrals_first_slot = slot;
-    slot += invocation;
-    pixel_enter(invocation);
-    let seen = seen_triangle(tile_pixel(invocation));
+    pixel_enter(workgroup.x, invocation);
     var waiting = 0u;
-    var corners = vec3(0u);
-    if seen.x < frames[frame_index].triangle_count {
-        let triangle = triangles[seen.x];
-        corners = triangle.xyz;
+    if slots_surface() != 0u {
         waiting = slots_state(slots_gathered_at(SLOTS_SUM).w).waiting;
-        let position = slots_reflection_value(SLOTS_POSITION).xyz;
-        let normal = slots_reflection_value(SLOTS_NORMAL).xyz;
-        pixel_put(waiting != 0u, position, normal, (triangle.w & 0xffffu) + 1u);
-    } else {
-        pixel_put(false, vec3(0.0), vec3(0.0), 0u);
     }
+    pixel_put(waiting != 0u);
     if !pixel_works() {
         return;
     }
-    integrals_ask(waiting, corners);
+    integrals_ask(waiting);
     pixel_settle();
-    slot = integrals_first_slot + invocation;
     if waiting != 0u {
-        // As many as there are: compilers unroll what they can count.
-        let places = firstLeadingBit(waiting) + 1u;
-        for (var place = 0u; place < places; place++) {
-            let fraction = pixel_fraction(place);
-            if fraction >= 0.0 {
-                integrals_add(place, fraction);
-            }
-        }
+        integrals_add_all(waiting);
         let after = slots_gathered_at(SLOTS_SUM);
         var state = slots_state(after.w);
         state.waiting = 0u;
@@ -51,8 +29,12 @@ fn integrals_main(
 }
 
 // Asks for what waits, and leaves in SLOTS_SCALED what it could add to an image.
-fn integrals_ask(waiting: u32, corners: vec3<u32>) {
+fn integrals_ask(waiting: u32) {
     let holds = waiting != 0u && slots_corners_hold();
+    var corners = vec3(0u);
+    if waiting != 0u {
+        corners = triangles[seen_known(tile_pixel(pixel_own)).x].xyz;
+    }
     var estimate = vec3(0.0);
     if waiting != 0u {
         estimate = slots_gathered_value(select(SLOTS_SUM, SLOTS_SCALED, INTEGRALS_OF_IMAGE)).xyz;
@@ -107,7 +89,7 @@ fn integrals_of_corners(place: u32, shape: vec4<f32>, holds: bool, corners: vec3
     // What all corners see may be behind the triangle.
     let radius = polar_support_radius(shape.w);
     if fraction > 0.0
-        && polar_is_clipped(radius, axis, pixel_normals[pixel_own], surface_geometric_normal(corners)) {
+        && polar_is_clipped(radius, axis, slots_reflection_value(SLOTS_NORMAL).xyz, surface_geometric_normal(corners)) {
         return VERTEX_VISIBILITY_UNKNOWN;
     }
     return fraction;
@@ -124,6 +106,17 @@ fn integrals_is_everywhere(place: u32) -> bool {
     return INTEGRALS_OF_IMAGE && integrals_light(place) == frames[frame_index].light_count;
 }
 
+fn integrals_add_all(waiting: u32) {
+    // As many as there are: compilers unroll what they can count.
+    let places = firstLeadingBit(waiting) + 1u;
+    for (var place = 0u; place < places; place++) {
+        let fraction = pixel_fraction(place);
+        if fraction >= 0.0 {
+            integrals_add(place, fraction);
+        }
+    }
+}
+
 fn integrals_add(place: u32, fraction: f32) {
     let shape = slots_gathered_value(slots_shape(place));
     let amplitude = slots_gathered_value(slots_amplitude(place)).xyz;
@@ -138,8 +131,7 @@ fn integrals_add(place: u32, fraction: f32) {
 }
 
 // Axis and sharpness of a lobe.
-fn pixel_axis(pixel: u32, place: u32) -> vec4<f32> {
-    slot = integrals_first_slot + pixel;
+fn pixel_axis(place: u32) -> vec4<f32> {
     let shape = slots_gathered_value(slots_shape(place));
     return vec4(surface_to_world(slots_point(), shape.xyz), shape.w);
 }

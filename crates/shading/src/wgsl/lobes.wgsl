@@ -1,6 +1,5 @@
 // A reflection's lobes in private variables, for kernels that hand nothing on: call
-// lobes_of first. They are indexed, so they live in memory, and would be copied at every call.
-// See slots.wgsl for kernels that hand lobes on.
+// lobes_of first. See slots.wgsl for those that do.
 
 var<private> lobes_point: SurfacePoint;
 var<private> lobes_model: Reflection;

@@ -2,22 +2,22 @@
 // of lobes. A kernel says what a lobe is by pixel_axis, and by PIXEL_CLIPS whether nothing is visible behind
 // the plane of a pixel's triangle. A round: pixel_ask for
 // every lobe of the invocation's pixel, pixel_settle, pixel_fraction.
+// Workgroups' memory is what GPUs have least of: places and normals of pixels are read from their slots.
 
-// Of every pixel: where it is, and material + 1; 0: nothing is seen.
-var<workgroup> pixel_places: array<vec4<f32>, PIXEL_COUNT>;
-var<workgroup> pixel_normals: array<vec3<f32>, PIXEL_COUNT>;
-// Of every pixel and lobe: what is known of the visible fraction, to which comes `unknown` times what
-// is found; how deep the axis lies, before that how far it is from where visibility changes; what the lobe can add.
+// Of every lobe and pixel: what is known of the visible fraction, to which comes the unknown part times what
+// is found; how deep the axis lies, before that how far it is from where visibility changes; what is asked, see
+// pixel_packed.
 var<workgroup> pixel_fractions: array<f32, PIXEL_LOBES>;
-var<workgroup> pixel_unknown: array<f32, PIXEL_LOBES>;
 var<workgroup> pixel_depths: array<f32, PIXEL_LOBES>;
-var<workgroup> pixel_shares: array<f32, PIXEL_LOBES>;
-// From its start: lobes to integrate, first of pixels that others may ask, then of the others. From its end: those
-// of the others, to interpolate. Of these, lobes to integrate stay where they are once those before them reach them;
-// the rest become PIXEL_DONE.
-var<workgroup> pixel_queue: array<u32, PIXEL_LOBES>;
+var<workgroup> pixel_asked: array<atomic<u32>, PIXEL_LOBES>;
+// A bit for each of them that is to be integrated at pixels that others may ask, interpolated, or integrated
+// because others disagree.
+var<workgroup> pixel_queues: array<atomic<u32>, 3u * PIXEL_WORDS>;
+// How many bits that are.
 var<workgroup> pixel_queued: array<atomic<u32>, 3>;
 var<workgroup> pixel_work: atomic<u32>;
+// The slot of the tile's first pixel: read again where it is needed, or compilers keep all places in slots in registers.
+var<workgroup> pixel_first_slot: u32;
 var<workgroup> pixel_any_work: u32;
 
 // The invocation's pixel in the tile.
@@ -25,28 +25,36 @@ var<private> pixel_own: u32;
 // Whether it takes fractions from others.
 var<private> pixel_asks: bool;
 
+// 1: one visible fraction per lobe stands for where it is visible.
+override PIXEL_AMBIENT: bool = false;
+
 // How far an axis is that nobody has looked along.
 const PIXEL_UNSEEN: f32 = 10.0;
-const PIXEL_DONE: u32 = 0xffffffffu;
+// Words of a queue.
+const PIXEL_WORDS: u32 = PIXEL_LOBES / 32u;
 const PIXEL_INTEGRATE: u32 = 0u;
 const PIXEL_INTERPOLATE: u32 = 1u;
 const PIXEL_INTEGRATE_REST: u32 = 2u;
 
-// Call these three in order, in uniform control flow.
-fn pixel_enter(invocation: u32) {
+// Call these three in order, in uniform control flow. Enters the slot of the pixel as well.
+fn pixel_enter(workgroup: u32, invocation: u32) {
+    slots_enter(workgroup, 0u);
     pixel_own = invocation;
+    if invocation < 3u * PIXEL_WORDS {
+        atomicStore(&pixel_queues[invocation], 0u);
+    }
     if invocation < 3u {
         atomicStore(&pixel_queued[invocation], 0u);
     }
     if invocation == 0u {
         atomicStore(&pixel_work, 0u);
+        pixel_first_slot = slot;
     }
+    slot += invocation;
     workgroupBarrier();
 }
 
-fn pixel_put(works: bool, position: vec3<f32>, normal: vec3<f32>, surface: u32) {
-    pixel_places[pixel_own] = vec4(position, bitcast<f32>(surface));
-    pixel_normals[pixel_own] = normal;
+fn pixel_put(works: bool) {
     if works {
         atomicStore(&pixel_work, 1u);
     }
@@ -93,51 +101,89 @@ fn pixel_parent(pixel: u32, index: u32) -> PixelParent {
 
 fn pixel_may_ask() -> bool {
     // Further surfaces of pixels that lie side by side do not so in the picture.
-    if frames[frame_index].ambient != 0u || tile_first.y >= frames[frame_index].first_extra_row {
-        return false;
-    }
-    let place = pixel_places[pixel_own];
-    let normal = pixel_normals[pixel_own];
-    for (var index = 0u; index < 4u; index++) {
+    let alone = PIXEL_AMBIENT || tile_first.y >= frames[frame_index].first_extra_row;
+    let place = slots_reflection_value(SLOTS_POSITION).xyz;
+    let normal = slots_reflection_value(SLOTS_NORMAL).xyz;
+    let surface = slots_surface();
+    var asks = !alone;
+    // None if it is told: compilers unroll what they can count.
+    for (var index = 0u; index < select(4u, 0u, alone); index++) {
         let parent = pixel_parent(pixel_own, index);
         if parent.pixel == pixel_own {
-            return false;
-        }
-        if parent.weight > 0.0 {
-            let other = pixel_places[parent.pixel];
-            let between = other.xyz - place.xyz;
-            let same = bitcast<u32>(other.w) == bitcast<u32>(place.w)
-                && dot(normal, pixel_normals[parent.pixel]) >= PIXEL_LEAST_COSINE
+            asks = false;
+        } else if parent.weight > 0.0 {
+            slot = pixel_first_slot + parent.pixel;
+            let between = slots_reflection_value(SLOTS_POSITION).xyz - place;
+            let same = slots_surface() == surface
+                && dot(normal, slots_reflection_value(SLOTS_NORMAL).xyz) >= PIXEL_LEAST_COSINE
                 && abs(dot(normal, between)) <= PIXEL_MOST_SLOPE * length(between);
-            if !same {
-                return false;
-            }
+            asks = asks && same;
         }
     }
-    return true;
+    slot = pixel_first_slot + pixel_own;
+    return asks;
+}
+
+// The unknown part of a fraction, 0 to 1, and what the lobe can add, with as many bits as they need.
+fn pixel_packed(unknown: f32, share: f32) -> u32 {
+    let rounded = (bitcast<u32>(share) + (1u << (PIXEL_SHARE_BITS - 1u))) >> PIXEL_SHARE_BITS;
+    return u32(unknown * PIXEL_UNKNOWN_ONE + 0.5) | (rounded << PIXEL_UNKNOWN_BITS);
+}
+
+fn pixel_unknown(index: u32) -> f32 {
+    return f32(atomicLoad(&pixel_asked[index]) & ((1u << PIXEL_UNKNOWN_BITS) - 1u)) / PIXEL_UNKNOWN_ONE;
+}
+
+fn pixel_share(index: u32) -> f32 {
+    return bitcast<f32>((atomicLoad(&pixel_asked[index]) >> PIXEL_UNKNOWN_BITS) << PIXEL_SHARE_BITS);
 }
 
 // A lobe that the pixel has.
 fn pixel_ask(lobe: u32, known: f32, unknown: f32, share: f32) {
-    let index = pixel_own * SLOTS_WAITING + lobe;
+    let index = lobe * PIXEL_COUNT + pixel_own;
     pixel_fractions[index] = known;
-    pixel_unknown[index] = unknown;
     pixel_depths[index] = 2.0 * known - 1.0;
-    pixel_shares[index] = share;
+    atomicStore(&pixel_asked[index], pixel_packed(unknown, share));
     if unknown > 0.0 {
-        if pixel_asks {
-            let place = atomicAdd(&pixel_queued[PIXEL_INTERPOLATE], 1u);
-            pixel_queue[PIXEL_LOBES - 1u - place] = index;
-        } else {
-            pixel_queue[atomicAdd(&pixel_queued[PIXEL_INTEGRATE], 1u)] = index;
-        }
+        pixel_queue(select(PIXEL_INTEGRATE, PIXEL_INTERPOLATE, pixel_asks), index);
     }
+}
+
+fn pixel_queue(phase: u32, index: u32) {
+    atomicOr(&pixel_queues[phase * PIXEL_WORDS + index / 32u], 1u << (index % 32u));
+    atomicAdd(&pixel_queued[phase], 1u);
+}
+
+// Which lobe of which pixel is number `i` of a queue that has more.
+fn pixel_in_queue(phase: u32, i: u32) -> u32 {
+    var left = i;
+    var found = 0u;
+    for (var word = 0u; word < PIXEL_WORDS; word++) {
+        let bits = atomicLoad(&pixel_queues[phase * PIXEL_WORDS + word]);
+        let count = countOneBits(bits);
+        if left < count {
+            // Which half of the bits has it, and of that.
+            var rest = left;
+            var at = 0u;
+            for (var half = 16u; half > 0u; half /= 2u) {
+                let below = countOneBits(extractBits(bits, at, half));
+                if rest >= below {
+                    rest -= below;
+                    at += half;
+                }
+            }
+            found = word * 32u + at;
+        }
+        // Past what there is in all that follow.
+        left = select(left - count, PIXEL_LOBES, left < count);
+    }
+    return found;
 }
 
 // Before a round: the pixel has none of its lobes, but for those that pixel_ask is called for.
 fn pixel_ask_nothing() {
     for (var lobe = 0u; lobe < SLOTS_WAITING; lobe++) {
-        pixel_fractions[pixel_own * SLOTS_WAITING + lobe] = PIXEL_NONE;
+        pixel_fractions[lobe * PIXEL_COUNT + pixel_own] = PIXEL_NONE;
     }
 }
 
@@ -146,89 +192,88 @@ fn pixel_ask_nothing() {
 fn pixel_settle() {
     for (var phase = PIXEL_INTEGRATE; phase <= PIXEL_INTEGRATE_REST; phase++) {
         workgroupBarrier();
-        let interpolated = atomicLoad(&pixel_queued[PIXEL_INTERPOLATE]);
-        // From the start of the queue, then from its end.
-        var first = min(atomicLoad(&pixel_queued[phase]), PIXEL_LOBES - interpolated);
-        var last = 0u;
-        if phase == PIXEL_INTERPOLATE {
-            first = 0u;
-            last = interpolated;
-        } else if atomicLoad(&pixel_queued[phase]) > first {
-            last = interpolated;
-        }
-        for (var i = pixel_own; i < first + last; i += PIXEL_COUNT) {
-            let at = select(PIXEL_LOBES - 1u - (i - first), i, i < first);
-            let index = pixel_queue[at];
-            if index != PIXEL_DONE {
-                pixel_find(phase, index, at);
-            }
-        }
+        pixel_serve(phase);
     }
     workgroupBarrier();
+    slot = pixel_first_slot + pixel_own;
+    if pixel_own < 3u * PIXEL_WORDS {
+        atomicStore(&pixel_queues[pixel_own], 0u);
+    }
     if pixel_own < 3u {
         atomicStore(&pixel_queued[pixel_own], 0u);
     }
     workgroupBarrier();
 }
 
-// After pixel_settle; less than zero: it was not asked for.
-fn pixel_fraction(lobe: u32) -> f32 {
-    return pixel_fractions[pixel_own * SLOTS_WAITING + lobe];
+// The invocation's part of a queue. Loops within loops have functions of their own: the counters that WGSL's compilers
+// bound loops by live as long as the function does.
+fn pixel_serve(phase: u32) {
+    let count = atomicLoad(&pixel_queued[phase]);
+    for (var i = pixel_own; i < count; i += PIXEL_COUNT) {
+        // As compilers that keep to arrays' ends would write it everywhere.
+        pixel_find(phase, min(pixel_in_queue(phase, i), PIXEL_LOBES - 1u));
+    }
 }
 
-// One lobe of one pixel, which is at that place of the queue.
-fn pixel_find(phase: u32, index: u32, at: u32) {
-    let pixel = index / SLOTS_WAITING;
-    let lobe = index % SLOTS_WAITING;
+// After pixel_settle; less than zero: it was not asked for.
+fn pixel_fraction(lobe: u32) -> f32 {
+    return pixel_fractions[lobe * PIXEL_COUNT + pixel_own];
+}
+
+// One lobe of one pixel, whose slot it enters.
+fn pixel_find(phase: u32, index: u32) {
+    let pixel = index % PIXEL_COUNT;
+    let lobe = index / PIXEL_COUNT;
+    slot = pixel_first_slot + pixel;
     let between = pixel_between(pixel, lobe, select(0u, 4u, phase == PIXEL_INTERPOLATE));
-    var distance = pixel_depths[index];
-    let axis = pixel_axis(pixel, lobe);
-    let radius = polar_support_radius(axis.w);
-    var ssdf: Ssdf;
-    if between.z < 1.0 || phase != PIXEL_INTERPOLATE {
-        ssdf = pixel_ssdf(pixel);
-        if phase != PIXEL_INTEGRATE_REST || distance == PIXEL_UNSEEN {
-            distance = ssdf_distance(ssdf, axis.xyz);
-        }
+    if phase == PIXEL_INTERPOLATE && between.z >= 1.0 {
+        pixel_depths[index] = PIXEL_UNSEEN;
+        pixel_queue(PIXEL_INTEGRATE_REST, index);
+    } else {
+        pixel_look(phase, index, between);
     }
+}
+
+fn pixel_look(phase: u32, index: u32, between: vec3<f32>) {
+    let axis = pixel_axis(index / PIXEL_COUNT);
+    let normal = slots_reflection_value(SLOTS_NORMAL).xyz;
+    var product = axis;
+    if PIXEL_AMBIENT {
+        product = ambient_product(axis.w, axis.xyz, normal);
+    }
+    pixel_load(index % PIXEL_COUNT);
+    var distance = pixel_depths[index];
+    if phase != PIXEL_INTEGRATE_REST || distance == PIXEL_UNSEEN {
+        distance = ssdf_distance(product.xyz);
+    }
+    let radius = polar_support_radius(axis.w);
+    let depth = clamp(distance / radius, -1.0, 1.0);
+    let share = pixel_share(index);
     if phase == PIXEL_INTERPOLATE {
-        var doubt = between.z;
-        if doubt < 1.0 {
-            let aside = abs(clamp(distance / radius, -1.0, 1.0) - between.y);
-            doubt = max(doubt, pixel_doubt(aside / (PIXEL_DEPTH_AGREEMENT * pixel_leeway(index))));
-        } else {
-            distance = PIXEL_UNSEEN;
-        }
+        let aside = abs(depth - between.y);
+        let doubt = max(between.z, pixel_doubt(aside / (PIXEL_DEPTH_AGREEMENT * pixel_leeway(share))));
         pixel_depths[index] = distance;
         pixel_fractions[index] = mix(between.x, pixel_fractions[index], doubt);
-        pixel_unknown[index] *= doubt;
-        // What waits at the end of the queue may not have been read yet.
-        var moved = true;
+        atomicStore(&pixel_asked[index], pixel_packed(pixel_unknown(index) * doubt, share));
         if doubt > 0.0 {
-            let place = atomicAdd(&pixel_queued[PIXEL_INTEGRATE_REST], 1u);
-            moved = place < PIXEL_LOBES - atomicLoad(&pixel_queued[PIXEL_INTERPOLATE]);
-            if moved {
-                pixel_queue[place] = index;
-            }
+            pixel_queue(PIXEL_INTEGRATE_REST, index);
         }
-        if moved {
-            pixel_queue[at] = PIXEL_DONE;
-        }
-        return;
-    }
-    pixel_depths[index] = clamp(distance / radius, -1.0, 1.0);
-    let normal = pixel_normals[pixel];
-    var found = 0.0;
-    if frames[frame_index].ambient != 0u {
-        found = ambient_integrate(ssdf, axis.w, axis.xyz, normal)
-            / max(tables_cosine_integral(axis.w, dot(normal, axis.xyz)), 1.17549435e-38);
     } else {
-        let spokes = polar_spokes(frames[frame_index].spokes, pixel_shares[index]);
-        let face = pixel_face(pixel);
-        let clipped = PIXEL_CLIPS && polar_is_clipped(radius, axis.xyz, normal, face);
-        found = polar_fraction(ssdf, axis.w, axis.xyz, normal, face, clipped, distance, spokes);
+        pixel_depths[index] = depth;
+        var found = 0.0;
+        if PIXEL_AMBIENT {
+            found = ambient_fraction(product.w, distance);
+        } else {
+            let spokes = polar_spokes(frames[frame_index].spokes, share);
+            var face = normal;
+            if PIXEL_CLIPS {
+                face = surface_geometric_normal(triangles[seen_known(tile_pixel(index % PIXEL_COUNT)).x].xyz);
+            }
+            let clipped = PIXEL_CLIPS && polar_is_clipped(radius, axis.xyz, normal, face);
+            found = polar_fraction(axis.w, axis.xyz, normal, face, clipped, distance, spokes);
+        }
+        pixel_fractions[index] += pixel_unknown(index) * found;
     }
-    pixel_fractions[index] += pixel_unknown[index] * found;
 }
 
 // Fraction and depth of a lobe between those of the pixels about one, and the part that it has to find for itself.
@@ -240,7 +285,7 @@ fn pixel_between(pixel: u32, lobe: u32, parents: u32) -> vec3<f32> {
     for (var i = 0u; i < parents; i++) {
         let parent = pixel_parent(pixel, i);
         if parent.weight > 0.0 {
-            let other = parent.pixel * SLOTS_WAITING + lobe;
+            let other = lobe * PIXEL_COUNT + parent.pixel;
             let fraction = pixel_fractions[other];
             mean += parent.weight * vec2(fraction, pixel_depths[other]);
             low = min(low, fraction);
@@ -250,28 +295,20 @@ fn pixel_between(pixel: u32, lobe: u32, parents: u32) -> vec3<f32> {
     if low < 0.0 || parents == 0u {
         return vec3(0.0, 0.0, 1.0);
     }
-    let leeway = pixel_leeway(pixel * SLOTS_WAITING + lobe);
+    let leeway = pixel_leeway(pixel_share(lobe * PIXEL_COUNT + pixel));
     return vec3(mean, pixel_doubt((high - low) / (PIXEL_AGREEMENT * leeway)));
 }
 
-fn pixel_leeway(index: u32) -> f32 {
-    return clamp(PIXEL_SMALL_SHARE / pixel_shares[index], 1.0, PIXEL_MOST_LEEWAY);
+fn pixel_leeway(share: f32) -> f32 {
+    return clamp(PIXEL_SMALL_SHARE / share, 1.0, PIXEL_MOST_LEEWAY);
 }
 
 fn pixel_doubt(part: f32) -> f32 {
     return clamp((part - PIXEL_FIRM) / (1.0 - PIXEL_FIRM), 0.0, 1.0);
 }
 
-// Normal of the triangle under a pixel of the tile.
-fn pixel_face(pixel: u32) -> vec3<f32> {
-    let triangle = triangles[seen_triangle(tile_pixel(pixel)).x];
-    return surface_geometric_normal(triangle.xyz);
-}
-
-// The SSDF of a pixel of the tile.
-fn pixel_ssdf(pixel: u32) -> Ssdf {
-    let at = tile_pixel(pixel);
-    let seen = seen_triangle(at);
-    let triangle = triangles[min(seen.x, frames[frame_index].triangle_count - 1u)];
-    return ssdf_load(clusters[triangle.w >> 16u], triangle.xyz, seen_barycentrics(triangle.xyz, at, seen.y));
+// The SSDF of a pixel of the tile that shows a surface, whose slot is entered.
+fn pixel_load(pixel: u32) {
+    let triangle = triangles[seen_known(tile_pixel(pixel)).x];
+    ssdf_load(clusters[triangle.w >> 16u], triangle.xyz, slots_barycentrics());
 }

@@ -12,25 +12,18 @@ fn polar_meets_horizon(sharpness: f32, cosine: f32) -> bool {
     return cosine > -sin(min(polar_support_radius(sharpness), 0.5 * PI));
 }
 
-fn polar_integrate(
-    ssdf: Ssdf,
-    sharpness: f32,
-    axis: vec3<f32>,
-    normal: vec3<f32>,
-    spokes: u32,
-) -> f32 {
+fn polar_integrate(sharpness: f32, axis: vec3<f32>, normal: vec3<f32>, spokes: u32) -> f32 {
     let cosine = dot(normal, axis);
     if !polar_meets_horizon(sharpness, cosine) {
         return 0.0;
     }
-    let fraction = polar_fraction(ssdf, sharpness, axis, normal, normal, false, ssdf_distance(ssdf, axis), spokes);
+    let fraction = polar_fraction(sharpness, axis, normal, normal, false, ssdf_distance(axis), spokes);
     return tables_cosine_integral(sharpness, cosine) * fraction;
 }
 
 // The visible fraction of a lobe that meets the horizon, `distance` being that of its axis, if it is
 // `clipped` in front of the plane whose normal is `face`.
 fn polar_fraction(
-    ssdf: Ssdf,
     sharpness: f32,
     axis: vec3<f32>,
     normal: vec3<f32>,
@@ -41,90 +34,66 @@ fn polar_fraction(
 ) -> f32 {
     let cosine = dot(normal, axis);
     let radius = polar_support_radius(sharpness);
-    if distance >= radius && !clipped {
-        return 1.0;
-    }
-    if distance <= -radius {
-        return 0.0;
-    }
     let projected = normal - cosine * axis;
     let sine = length(projected);
-    var tangent = polar_any_orthogonal(axis);
-    if sine > 1e-4 {
-        tangent = projected / sine;
-    }
-    let shortest = min(POLAR_SHORTEST_STEP * radius, POLAR_SHORTEST_STEP_LIMIT);
-    let count = f32(spokes);
-    let at_radius = polar_moments(sharpness, radius);
-    var visible = 0.0;
-    var whole = 0.0;
-    for (var spoke = 0u; spoke < spokes; spoke++) {
+    let tangent = select(polar_any_orthogonal(axis), projected / sine, sine > 1e-4);
+    // None where the axis tells it.
+    let seen = distance >= radius && !clipped;
+    let count = select(spokes, 0u, seen || distance <= -radius);
+    var visible = select(0.0, 1.0, seen);
+    var whole = visible;
+    for (var spoke = 0u; spoke < count; spoke++) {
         // To turn a vector by one angle, and to keep the bitangent, takes more registers.
-        let angle = 2.0 * PI * (f32(spoke) + POLAR_PHASE) / count;
+        let angle = 2.0 * PI * (f32(spoke) + POLAR_PHASE) / f32(count);
         let azimuth = vec2(cos(angle), sin(angle));
         let outward = azimuth.x * tangent + azimuth.y * cross(axis, tangent);
         // Along the spoke n·ω = cosine cos θ + slope sin θ, which changes sign once.
         let weights = vec2(cosine, sine * azimuth.x);
-        var start = 0.0;
-        var end = radius;
-        var last = dot(weights, at_radius);
-        if cosine < 0.0 {
-            start = atan2(-cosine, weights.y);
-        } else if dot(weights, vec2(cos(radius), sin(radius))) < 0.0 || (weights.y < 0.0 && radius > 0.5 * PI) {
-            end = min(end, atan2(cosine, -weights.y));
-            last = dot(weights, polar_moments(sharpness, end));
-        }
-        if start >= end {
-            continue;
-        }
-        var first = 0.0;
-        if start > 0.0 {
-            first = dot(weights, polar_moments(sharpness, start));
-        }
-        whole += last - first;
+        let above = polar_above(weights, radius);
+        var ends = above;
         if clipped {
-            let face_cosine = dot(face, axis);
-            let face_slope = dot(face, outward);
-            if face_cosine < 0.0 {
-                let above = atan2(-face_cosine, face_slope);
-                if above > start {
-                    start = above;
-                    first = dot(weights, polar_moments(sharpness, start));
-                }
-            } else {
-                let below = atan2(face_cosine, -face_slope);
-                if below < end {
-                    end = below;
-                    last = dot(weights, polar_moments(sharpness, end));
-                }
-            }
-            if start >= end {
-                continue;
-            }
+            let front = polar_above(vec2(dot(face, axis), dot(face, outward)), radius);
+            ends = vec2(max(above.x, front.x), min(above.y, front.y));
         }
-        var theta = start;
-        var here = distance;
-        if start > 0.0 {
-            here = ssdf_distance(ssdf, axis * cos(start) + outward * sin(start));
+        // Up to where the normal's plane begins and ends, and the face's.
+        var last = 0.0;
+        let first_end = select(1u, 0u, above.x > 0.0);
+        let end_count = select(select(2u, 3u, ends.y < above.y), 0u, above.x >= above.y);
+        for (var i = first_end; i < end_count; i++) {
+            let at = select(select(ends.y, above.y, i == 1u), above.x, i == 0u);
+            last = dot(weights, polar_moments(sharpness, at));
+            whole += select(select(0.0, last, i == 1u), -last, i == 0u);
         }
-        var sum = select(0.0, -first, here > 0.0);
-        while theta + POLAR_RELAXATION * abs(here) < end {
-            let next = min(theta + max(POLAR_RELAXATION * abs(here), shortest), end);
-            let there = ssdf_distance(ssdf, axis * cos(next) + outward * sin(next));
+        var theta = ends.x;
+        var here = 0.0;
+        var shortest = 0.0;
+        while theta + POLAR_RELAXATION * abs(here) < ends.y {
+            let next = min(theta + max(POLAR_RELAXATION * abs(here), shortest), ends.y);
+            var there = distance;
+            if next > 0.0 {
+                there = ssdf_distance(axis * cos(next) + outward * sin(next));
+            }
             if (here > 0.0) != (there > 0.0) {
                 let boundary = theta + here / (here - there) * (next - theta);
-                let at_boundary = dot(weights, polar_moments(sharpness, boundary));
-                sum += select(-at_boundary, at_boundary, here > 0.0);
+                if boundary > 0.0 {
+                    let at_boundary = dot(weights, polar_moments(sharpness, boundary));
+                    visible += select(-at_boundary, at_boundary, here > 0.0);
+                }
             }
             theta = next;
             here = there;
+            shortest = POLAR_SHORTEST_STEP * min(radius, POLAR_SHORTEST_STEP_LIMIT / POLAR_SHORTEST_STEP);
         }
-        visible += select(sum, sum + last, here > 0.0);
+        visible += select(0.0, last, here > 0.0);
     }
-    if whole > 0.0 {
-        return clamp(visible / whole, 0.0, 1.0);
-    }
-    return 0.0;
+    return select(0.0, clamp(visible / max(whole, 1.17549435e-38), 0.0, 1.0), whole > 0.0);
+}
+
+// From where to where along a spoke a plane's normal, weights.x cos θ + weights.y sin θ, is above.
+fn polar_above(weights: vec2<f32>, radius: f32) -> vec2<f32> {
+    let below = weights.x < 0.0;
+    let change = atan2(abs(weights.x), select(-weights.y, weights.y, below));
+    return select(vec2(0.0, min(radius, change)), vec2(change, radius), below);
 }
 
 // Whether a plane of the normal `face`, but not that of `normal`, cuts a lobe of this radius.

@@ -14,6 +14,7 @@ fn reflections_main(
     var state = SlotState(SLOTS_DONE, 0u, 0u);
     if seen.x >= frames[frame_index].triangle_count {
         slots_put_gathered(SLOTS_SUM, vec4(0u, 0u, 0u, slots_word(state)));
+        slots_put_reflection(SLOTS_TANGENT, vec3(0.0), 0u);
         return;
     }
     let triangle = triangles[seen.x];
@@ -38,13 +39,13 @@ fn reflections_main(
         state.reflection = slots_state(before.w).reflection + 1u;
     }
     specular_count = 0u;
-    var reflection = point.appearance.first;
+    var reflection = reflection_first;
     var color = vec3(0.0);
-    if lit && state.reflection < point.appearance.reflections {
-        reflection = surface_reflection(point.appearance, state.reflection);
+    if lit && state.reflection < reflection_count {
+        reflection = surface_reflection(state.reflection);
         color = brdf_lobes(reflection, surface_to_local(point, point.view));
     }
-    slots_put_surface(point, reflection, color);
+    slots_put_surface(point, weights, (triangle.w & 0xffffu) + 1u, reflection, color);
     var next_of_image = SLOTS_DONE;
     if specular_count > 0u {
         state.next = shade_first_light();

@@ -7,8 +7,13 @@ fn seen_triangle(pixel: vec2<u32>) -> vec2<u32> {
     if any(pixel >= textureDimensions(visibility_buffer)) {
         return vec2(frames[frame_index].triangle_count, 0u);
     }
-    let seen = textureLoad(visibility_buffer, pixel, 0).xy;
     // Background, and what belongs to others, wraps to more than there is.
+    return seen_known(pixel);
+}
+
+// The same of a pixel that shows this instance.
+fn seen_known(pixel: vec2<u32>) -> vec2<u32> {
+    let seen = textureLoad(visibility_buffer, pixel, 0).xy;
     return vec2(seen.x - frames[frame_index].first_id, seen.y);
 }
 

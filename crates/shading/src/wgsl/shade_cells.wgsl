@@ -16,27 +16,26 @@ fn cells_main(
     let corners = triangle.xyz;
     let weights = seen_barycentrics(corners, pixel, seen.y);
     let point = surface_point(corners, triangle.w & 0xffffu, weights);
-    let ssdf = ssdf_load(clusters[triangle.w >> 16u], corners, weights);
+    ssdf_load(clusters[triangle.w >> 16u], corners, weights);
     var sum = vec3(0.0);
     if dot(point.normal, point.view) > 0.0 {
         // First, so that lobes that add nothing to it are left out.
         for (var source = 0u; source < frames[frame_index].source_count; source++) {
             sum += textureLoad(source_radiance, pixel, source, 0).xyz;
         }
-        cells_ssdf = ssdf;
         sum = shade_lobes(point, sum);
         if frames[frame_index].prefiltered_levels > 0u {
-            sum += image_diffused(ssdf, point, point.appearance.diffuse);
+            sum += image_diffused(point, point.appearance.diffuse);
         }
-        var transfer: Transfer;
-        if ssdf.cluster.bounced != 0u {
-            transfer = transfer_load(ssdf.cluster.bounced - 1u, corners, weights);
-            sum += point.appearance.diffuse / PI * transfer_irradiance(transfer, point.normal);
+        var outputs = 0u;
+        if ssdf_cluster.bounced != 0u {
+            outputs = transfer_load(ssdf_cluster.bounced - 1u, corners, weights);
+            sum += point.appearance.diffuse / PI * transfer_irradiance(point.normal);
         }
-        for (var k = 0u; k < point.appearance.reflections; k++) {
-            lobes_of(point, surface_reflection(point.appearance, k));
-            if transfer.outputs > 0u {
-                sum += transfer_reflected(transfer, ssdf, point.normal);
+        for (var k = 0u; k < reflection_count; k++) {
+            lobes_of(point, surface_reflection(k));
+            if outputs > 0u {
+                sum += transfer_reflected(outputs, point.normal);
             }
             if frames[frame_index].prefiltered_levels > 0u {
                 sum += shade_image(point.normal);
@@ -87,8 +86,8 @@ fn shade_lobes(point: SurfacePoint, gathered: vec3<f32>) -> vec3<f32> {
         }
     }
     cells_first_light = shade_first_light();
-    for (var k = 0u; k < point.appearance.reflections; k++) {
-        lobes_of(point, surface_reflection(point.appearance, k));
+    for (var k = 0u; k < reflection_count; k++) {
+        lobes_of(point, surface_reflection(k));
         cells_kind = CELLS_PRODUCTS;
         let around = cells_around();
         sum += cells_integrate(around.xyz, around.w, point.normal);

@@ -74,17 +74,23 @@ fn slots_reflection_value(field: u32) -> vec4<f32> {
     return bitcast<vec4<f32>>(slots_reflection_at(field));
 }
 
-// Fills a slot's reflection, its lobes being there; their amplitudes take the colour's sum.
-fn slots_put_surface(point: SurfacePoint, reflection: Reflection, color: vec3<f32>) {
+// Fills a slot's reflection, its lobes being there; their amplitudes take the colour's sum. See slots_surface.
+fn slots_put_surface(
+    point: SurfacePoint,
+    barycentrics: vec3<f32>,
+    surface: u32,
+    reflection: Reflection,
+    color: vec3<f32>,
+) {
     let holds = u32(vertex_visibility_holds(point.vertex_cosine));
-    slots_put_reflection(SLOTS_NORMAL, point.normal, 0u);
-    slots_put_reflection(SLOTS_TANGENT, point.tangent, specular_count | (holds << 8u));
+    slots_put_reflection(SLOTS_NORMAL, point.normal, bitcast<u32>(barycentrics.y));
+    slots_put_reflection(SLOTS_TANGENT, point.tangent, specular_count | (holds << 8u) | (surface << 9u));
     slots_put_reflection(SLOTS_VIEW, surface_to_local(point, point.view), reflection.model);
     slots_put_reflection(SLOTS_SPECULAR, reflection.specular, reflection.ratio);
     slots_put_reflection(SLOTS_GRAZING, reflection.grazing, bitcast<u32>(reflection.alpha.x));
     let scale = max(color.x + color.y + color.z, 1.17549435e-38);
     slots_put_reflection(SLOTS_COLOR, color / scale, bitcast<u32>(reflection.alpha.y));
-    slots_put_reflection(SLOTS_POSITION, point.position, 0u);
+    slots_put_reflection(SLOTS_POSITION, point.position, bitcast<u32>(barycentrics.z));
     for (var j = 0u; j < specular_count; j++) {
         let place = (SLOTS_GREYS + j / 4u) * 64u + slot;
         let grey = bitcast<f32>(slots_reflection_found[place][j % 4u]);
@@ -98,7 +104,19 @@ fn slots_lobe_count() -> u32 {
 }
 
 fn slots_corners_hold() -> bool {
-    return slots_reflection_at(SLOTS_TANGENT).w >= 0x100u;
+    return (slots_reflection_at(SLOTS_TANGENT).w & 0x100u) != 0u;
+}
+
+// One more than the number of what tells surfaces apart; 0: the pixel shows none. Those that lie outside of the image
+// or show others have slots as well.
+fn slots_surface() -> u32 {
+    return slots_reflection_at(SLOTS_TANGENT).w >> 9u;
+}
+
+// Where on its triangle the point is.
+fn slots_barycentrics() -> vec3<f32> {
+    let rest = vec2(slots_reflection_value(SLOTS_NORMAL).w, slots_reflection_value(SLOTS_POSITION).w);
+    return vec3(1.0 - rest.x - rest.y, rest);
 }
 
 // How the surface stands; the rest of the point is nothing.

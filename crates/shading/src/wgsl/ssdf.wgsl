@@ -1,81 +1,104 @@
-// Twin of ssdf.rs.
+// Twin of ssdf.rs. The invocation's SSDF lives in private variables: call ssdf_load first.
 
-// The SSDF of a point.
-struct Ssdf {
-    cluster: Cluster,
-    // Coefficients of MAX_TILES tiles. No array: what is indexed lives in memory.
-    tile_0: vec4<f32>,
-    tile_1: vec4<f32>,
-    tile_2: vec4<f32>,
-    tile_3: vec4<f32>,
-    tile_4: vec4<f32>,
-    tile_5: vec4<f32>,
-    tile_6: vec4<f32>,
-    tile_7: vec4<f32>,
-}
+var<private> ssdf_cluster: Cluster;
+// Coefficients of MAX_TILES tiles, each as an integer of 16 bits, as those of vertices are: half the registers.
+// No array: what is indexed lives in memory.
+var<private> ssdf_tile_0: vec2<u32>;
+var<private> ssdf_tile_1: vec2<u32>;
+var<private> ssdf_tile_2: vec2<u32>;
+var<private> ssdf_tile_3: vec2<u32>;
+var<private> ssdf_tile_4: vec2<u32>;
+var<private> ssdf_tile_5: vec2<u32>;
+var<private> ssdf_tile_6: vec2<u32>;
+var<private> ssdf_tile_7: vec2<u32>;
 
-fn ssdf_load(cluster: Cluster, corners: vec3<u32>, barycentrics: vec3<f32>) -> Ssdf {
-    let weights = barycentrics * cluster.coefficient_scale;
-    let first = cluster.first_word + (corners - cluster.first_vertex) * cluster.tiles * 2u;
-    let tiles = cluster.tiles;
-    return Ssdf(
-        cluster,
-        ssdf_coefficients(first, tiles, 0u, weights),
-        ssdf_coefficients(first, tiles, 1u, weights),
-        ssdf_coefficients(first, tiles, 2u, weights),
-        ssdf_coefficients(first, tiles, 3u, weights),
-        ssdf_coefficients(first, tiles, 4u, weights),
-        ssdf_coefficients(first, tiles, 5u, weights),
-        ssdf_coefficients(first, tiles, 6u, weights),
-        ssdf_coefficients(first, tiles, 7u, weights),
-    );
-}
+// Bits of 2^23, whose last bit is 1, and that with what integers of 16 bits begin at.
+const SSDF_BITS: u32 = 0x4b000000u;
+const SSDF_ZERO: f32 = 8421376.0;
+// Two coefficients of 0.
+const SSDF_ZEROS: u32 = 0x80008000u;
 
-// Of one tile, from the first words of three vertices.
-fn ssdf_coefficients(first: vec3<u32>, tiles: u32, tile: u32, weights: vec3<f32>) -> vec4<f32> {
-    if tile >= tiles {
-        return vec4(0.0);
+fn ssdf_load(cluster: Cluster, corners: vec3<u32>, barycentrics: vec3<f32>) {
+    ssdf_cluster = cluster;
+    let first = cluster.first_word / 2u + (corners - cluster.first_vertex) * cluster.tiles;
+    // A pair at a time, each of which moves the others on: written out, it is an eighth of a shader.
+    ssdf_tile_0 = vec2(SSDF_ZEROS);
+    ssdf_tile_1 = vec2(SSDF_ZEROS);
+    ssdf_tile_2 = vec2(SSDF_ZEROS);
+    ssdf_tile_3 = vec2(SSDF_ZEROS);
+    ssdf_tile_4 = vec2(SSDF_ZEROS);
+    ssdf_tile_5 = vec2(SSDF_ZEROS);
+    ssdf_tile_6 = vec2(SSDF_ZEROS);
+    ssdf_tile_7 = vec2(SSDF_ZEROS);
+    for (var left = (cluster.tiles + 1u) & 0xeu; left > 0u; left -= 2u) {
+        ssdf_tile_7 = ssdf_tile_5;
+        ssdf_tile_6 = ssdf_tile_4;
+        ssdf_tile_5 = ssdf_tile_3;
+        ssdf_tile_4 = ssdf_tile_2;
+        ssdf_tile_3 = ssdf_tile_1;
+        ssdf_tile_2 = ssdf_tile_0;
+        ssdf_tile_0 = ssdf_coefficients(first + left - 2u, barycentrics);
+        ssdf_tile_1 = vec2(SSDF_ZEROS);
+        if left <= cluster.tiles {
+            ssdf_tile_1 = ssdf_coefficients(first + left - 1u, barycentrics);
+        }
     }
-    return weights.x * ssdf_quad(first.x + tile * 2u)
-        + weights.y * ssdf_quad(first.y + tile * 2u)
-        + weights.z * ssdf_quad(first.z + tile * 2u);
 }
 
-fn ssdf_quad(word: u32) -> vec4<f32> {
-    return vec4(unpack2x16snorm(coefficients[word]), unpack2x16snorm(coefficients[word + 1u]));
+// Of one tile, from where it is of three vertices.
+fn ssdf_coefficients(at: vec3<u32>, weights: vec3<f32>) -> vec2<u32> {
+    let sum = weights.x * ssdf_quad(coefficients[at.x] ^ vec2(SSDF_ZEROS))
+        + weights.y * ssdf_quad(coefficients[at.y] ^ vec2(SSDF_ZEROS))
+        + weights.z * ssdf_quad(coefficients[at.z] ^ vec2(SSDF_ZEROS));
+    // Rounded to an integer by what is added.
+    let words = bitcast<vec4<u32>>(clamp(sum, vec4(-32767.0), vec4(32767.0)) + SSDF_ZERO);
+    return (words.xz & vec2(0xffffu)) | (words.yw << vec2(16u));
+}
+
+// Integers from 0 on, less 32768.
+fn ssdf_quad(words: vec2<u32>) -> vec4<f32> {
+    let low = words & vec2(0xffffu);
+    let high = words >> vec2(16u);
+    return bitcast<vec4<f32>>(vec4(low.x, high.x, low.y, high.y) | vec4(SSDF_BITS)) - SSDF_ZERO;
 }
 
 // A cluster's tiles lie side by side in one row of the atlas, each in a gutter of one texel,
 // so that the sampler's bilinear fetch wraps as the octahedral map does. Fetches come by the pair:
 // they do not wait for one another.
-fn ssdf_distance(ssdf: Ssdf, direction: vec3<f32>) -> f32 {
-    let texel = ssdf.cluster.tile_origin + octahedral_encode(direction) * frames[frame_index].basis_resolution;
-    let tiles = ssdf.cluster.tiles;
-    let layer = ssdf.cluster.layer;
-    var distance = dot(ssdf.tile_0, ssdf_fetch(texel, layer, 0.0));
+fn ssdf_distance(direction: vec3<f32>) -> f32 {
+    var texel = ssdf_cluster.tile_origin + octahedral_encode(direction) * frames[frame_index].basis_resolution;
+    let next = vec2(frames[frame_index].basis_resolution + 2.0, 0.0);
+    let tiles = ssdf_cluster.tiles;
+    var distance = dot(ssdf_quad(ssdf_tile_0), ssdf_fetch(texel));
     if tiles > 1u {
-        distance += dot(ssdf.tile_1, ssdf_fetch(texel, layer, 1.0));
+        texel += next;
+        distance += dot(ssdf_quad(ssdf_tile_1), ssdf_fetch(texel));
     }
     if tiles > 2u {
-        distance += dot(ssdf.tile_2, ssdf_fetch(texel, layer, 2.0));
-        distance += dot(ssdf.tile_3, ssdf_fetch(texel, layer, 3.0));
+        texel += next;
+        distance += dot(ssdf_quad(ssdf_tile_2), ssdf_fetch(texel));
+        texel += next;
+        distance += dot(ssdf_quad(ssdf_tile_3), ssdf_fetch(texel));
     }
     if tiles > 4u {
-        distance += dot(ssdf.tile_4, ssdf_fetch(texel, layer, 4.0));
-        distance += dot(ssdf.tile_5, ssdf_fetch(texel, layer, 5.0));
+        texel += next;
+        distance += dot(ssdf_quad(ssdf_tile_4), ssdf_fetch(texel));
+        texel += next;
+        distance += dot(ssdf_quad(ssdf_tile_5), ssdf_fetch(texel));
     }
     if tiles > 6u {
-        distance += dot(ssdf.tile_6, ssdf_fetch(texel, layer, 6.0));
-        distance += dot(ssdf.tile_7, ssdf_fetch(texel, layer, 7.0));
+        texel += next;
+        distance += dot(ssdf_quad(ssdf_tile_6), ssdf_fetch(texel));
+        texel += next;
+        distance += dot(ssdf_quad(ssdf_tile_7), ssdf_fetch(texel));
     }
-    return distance;
+    return distance * (ssdf_cluster.coefficient_scale / 32767.0);
 }
 
 // Past the last tile, whatever is there: its coefficients are zero.
-fn ssdf_fetch(texel: vec2<f32>, layer: u32, tile: f32) -> vec4<f32> {
-    let place = vec2(texel.x + tile * (frames[frame_index].basis_resolution + 2.0), texel.y);
-    let uv = place * frames[frame_index].atlas_texel;
-    return textureSampleLevel(basis_atlas, basis_sampler, uv, layer, 0.0);
+fn ssdf_fetch(texel: vec2<f32>) -> vec4<f32> {
+    let uv = texel * frames[frame_index].atlas_texel;
+    return textureSampleLevel(basis_atlas, basis_sampler, uv, ssdf_cluster.layer, 0.0);
 }
 
 fn ssdf_limit() -> f32 {

@@ -12,18 +12,18 @@ struct Reflection {
     ratio: u32,
 }
 
-// What a point reflects: a Lambertian base, and what surface_reflection makes the reflections of. No
-// array: what is indexed lives in memory.
+// The Lambertian base at one point. Its reflections are those of surface_reflection.
 struct Appearance {
     diffuse: vec3<f32>,
-    reflections: u32,
-    first: Reflection,
-    material: u32,
-    uv: vec2<f32>,
-    // See textures_footprint.
-    footprint: vec4<f32>,
-    view_cosine: f32,
 }
+
+// What surface_reflection knows of the invocation's surface point, as surface_point leaves it. No
+// array: what is indexed lives in memory.
+var<private> reflection_count: u32;
+var<private> reflection_first: Reflection;
+var<private> reflection_material: u32;
+var<private> reflection_uv: vec2<f32>;
+var<private> reflection_view_cosine: f32;
 
 // A point's place and frame, before its material.
 struct SurfaceShape {
@@ -35,8 +35,6 @@ struct SurfaceShape {
     tangent: vec3<f32>,
     view: vec3<f32>,
     uv: vec2<f32>,
-    // See textures_footprint.
-    footprint: vec4<f32>,
     handedness: f32,
 }
 
@@ -86,14 +84,13 @@ fn surface_shape(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32
     var normal = smooth_normal;
     var tangent = surface_orthogonal_unit(vertex_tangent.xyz, normal);
     let handedness = select(1.0, -1.0, vertex_tangent.w < 0.0);
-    var footprint = vec4(0.0);
     if materials[material_index].textured != 0u {
-        footprint = textures_footprint(a, b, c, position);
+        textures_enter(a, b, c, position);
     }
     let normal_texture = materials[material_index].normal_texture;
     if normal_texture.width != 0u {
         let normal_scale = materials[material_index].normal_scale;
-        let mapped = textures_sample(normal_texture, uv, footprint).xyz * 2.0 - 1.0;
+        let mapped = textures_sample(normal_texture, uv).xyz * 2.0 - 1.0;
         let bitangent = cross(normal, tangent) * handedness;
         let scaled = tangent * (mapped.x * normal_scale)
             + bitangent * (mapped.y * normal_scale)
@@ -119,7 +116,6 @@ fn surface_shape(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32
         tangent,
         view,
         uv,
-        footprint,
         handedness,
     );
 }
@@ -131,36 +127,34 @@ fn surface_point(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32
     let view = shape.view;
     let uv = shape.uv;
     let handedness = shape.handedness;
-    let footprint = shape.footprint;
-    var appearance: Appearance;
-    appearance.material = material_index;
-    appearance.uv = uv;
-    appearance.footprint = footprint;
-    appearance.view_cosine = dot(normal, view);
+    reflection_material = material_index;
+    reflection_uv = uv;
+    reflection_view_cosine = dot(normal, view);
     var anisotropic = false;
     // Direction of anisotropy relative to the tangent, and its strength.
     var direction = vec2(1.0, 0.0);
     var strength = 1.0;
     let anisotropy_texture = materials[material_index].anisotropy_texture;
     if anisotropy_texture.width != 0u {
-        let texel = textures_sample(anisotropy_texture, uv, footprint);
+        let texel = textures_sample(anisotropy_texture, uv);
         strength = texel.z;
         direction = texel.xy * 2.0 - 1.0;
         if dot(direction, direction) < SURFACE_DEGENERATE_LENGTH_SQUARED {
             direction = vec2(1.0, 0.0);
         }
     }
+    var appearance: Appearance;
     if materials[material_index].surface == SURFACE_METALLIC_ROUGHNESS {
         var color = materials[material_index].color;
         let color_texture = materials[material_index].base_color_texture;
         if color_texture.width != 0u {
-            color *= textures_sample(color_texture, uv, footprint).xyz;
+            color *= textures_sample(color_texture, uv).xyz;
         }
         var metallic = materials[material_index].metallic;
         var roughness = materials[material_index].roughness;
         let factor_texture = materials[material_index].metallic_roughness_texture;
         if factor_texture.width != 0u {
-            let factors = textures_sample(factor_texture, uv, footprint);
+            let factors = textures_sample(factor_texture, uv);
             metallic *= factors.z;
             roughness *= factors.y;
         }
@@ -178,23 +172,23 @@ fn surface_point(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32
         appearance.diffuse = color * (1.0 - metallic);
         let specular = mix(vec3(SURFACE_DIELECTRIC_F0), color, metallic);
         let alphas = vec2(alpha + (1.0 - alpha) * strength * strength, alpha);
-        appearance.first = surface_clamped(Reflection(specular, MODEL_GGX, vec3(1.0), alphas, 0u));
-        appearance.reflections = 1u;
+        reflection_first = surface_clamped(Reflection(specular, MODEL_GGX, vec3(1.0), alphas, 0u));
+        reflection_count = 1u;
     } else {
         if materials[material_index].surface == SURFACE_LAYERS && anisotropy_texture.width != 0u {
             let bitangent = cross(normal, tangent) * handedness;
             tangent = surface_unit_or(tangent * direction.x + bitangent * direction.y, tangent);
         }
-        appearance.reflections = materials[material_index].layer_count;
-        for (var i = 0u; i < appearance.reflections; i++) {
-            let weight = surface_layer_weight(appearance, i);
-            let reflection = surface_layer_reflection(appearance, i);
-            let below = surface_layer_below(appearance, i, weight, reflection);
-            appearance.diffuse = appearance.diffuse * below + surface_layer_diffuse(appearance, i) * weight;
+        reflection_count = materials[material_index].layer_count;
+        for (var i = 0u; i < reflection_count; i++) {
+            let weight = surface_layer_weight(i);
+            let reflection = surface_layer_reflection(i);
+            let below = surface_layer_below(i, weight, reflection);
+            appearance.diffuse = appearance.diffuse * below + surface_layer_diffuse(i) * weight;
             if i == 0u {
-                appearance.first = surface_weighted(reflection, weight);
+                reflection_first = surface_weighted(reflection, weight);
             } else {
-                appearance.first = surface_below(appearance.first, below);
+                reflection_first = surface_below(reflection_first, below);
             }
             let alpha = surface_clamped(reflection).alpha;
             anisotropic = anisotropic || (reflection.model != MODEL_NONE && alpha.x != alpha.y);
@@ -243,57 +237,57 @@ fn surface_emission(corners: vec3<u32>, material_index: u32, barycentrics: vec3<
     let c = vertices[corners.z];
     let uv = vec2(a.u, a.v) * barycentrics.x + vec2(b.u, b.v) * barycentrics.y + vec2(c.u, c.v) * barycentrics.z;
     let position = a.position * barycentrics.x + b.position * barycentrics.y + c.position * barycentrics.z;
-    return emission * textures_sample(slot, uv, textures_footprint(a, b, c, position)).xyz;
+    textures_enter(a, b, c, position);
+    return emission * textures_sample(slot, uv).xyz;
 }
 
-// Reflection `k`, as the layers above leave it.
-fn surface_reflection(appearance: Appearance, k: u32) -> Reflection {
+// Reflection `k` of the invocation's surface point, as the layers above leave it.
+fn surface_reflection(k: u32) -> Reflection {
     if k == 0u {
-        return appearance.first;
+        return reflection_first;
     }
-    var reflection = surface_weighted(surface_layer_reflection(appearance, k), surface_layer_weight(appearance, k));
-    for (var i = k + 1u; i < appearance.reflections; i++) {
-        let weight = surface_layer_weight(appearance, i);
-        let below = surface_layer_below(appearance, i, weight, surface_layer_reflection(appearance, i));
+    var reflection = surface_weighted(surface_layer_reflection(k), surface_layer_weight(k));
+    for (var i = k + 1u; i < reflection_count; i++) {
+        let below = surface_layer_below(i, surface_layer_weight(i), surface_layer_reflection(i));
         reflection = surface_below(reflection, below);
     }
     return reflection;
 }
 
-fn surface_layer_weight(appearance: Appearance, i: u32) -> f32 {
-    let weight = materials[appearance.material].layers[i].weight;
-    let texture = materials[appearance.material].layers[i].weight_texture;
+fn surface_layer_weight(i: u32) -> f32 {
+    let weight = materials[reflection_material].layers[i].weight;
+    let texture = materials[reflection_material].layers[i].weight_texture;
     if texture.width == 0u {
         return weight;
     }
-    return weight * textures_sample(texture, appearance.uv, appearance.footprint).x;
+    return weight * textures_sample(texture, reflection_uv).x;
 }
 
-fn surface_layer_diffuse(appearance: Appearance, i: u32) -> vec3<f32> {
-    let diffuse = materials[appearance.material].layers[i].diffuse;
-    let texture = materials[appearance.material].layers[i].diffuse_texture;
+fn surface_layer_diffuse(i: u32) -> vec3<f32> {
+    let diffuse = materials[reflection_material].layers[i].diffuse;
+    let texture = materials[reflection_material].layers[i].diffuse_texture;
     if texture.width == 0u {
         return diffuse;
     }
-    return diffuse * textures_sample(texture, appearance.uv, appearance.footprint).xyz;
+    return diffuse * textures_sample(texture, reflection_uv).xyz;
 }
 
 // A layer's reflection by itself, its parameters not yet clamped.
-fn surface_layer_reflection(appearance: Appearance, i: u32) -> Reflection {
+fn surface_layer_reflection(i: u32) -> Reflection {
     var reflection = Reflection(
-        materials[appearance.material].layers[i].specular,
-        materials[appearance.material].layers[i].model,
-        materials[appearance.material].layers[i].grazing,
-        materials[appearance.material].layers[i].alpha,
-        materials[appearance.material].layers[i].ratio,
+        materials[reflection_material].layers[i].specular,
+        materials[reflection_material].layers[i].model,
+        materials[reflection_material].layers[i].grazing,
+        materials[reflection_material].layers[i].alpha,
+        materials[reflection_material].layers[i].ratio,
     );
-    let specular_texture = materials[appearance.material].layers[i].specular_texture;
+    let specular_texture = materials[reflection_material].layers[i].specular_texture;
     if specular_texture.width != 0u {
-        reflection.specular *= textures_sample(specular_texture, appearance.uv, appearance.footprint).xyz;
+        reflection.specular *= textures_sample(specular_texture, reflection_uv).xyz;
     }
-    let roughness_texture = materials[appearance.material].layers[i].roughness_texture;
+    let roughness_texture = materials[reflection_material].layers[i].roughness_texture;
     if roughness_texture.width != 0u {
-        let roughness = textures_sample(roughness_texture, appearance.uv, appearance.footprint).xy;
+        let roughness = textures_sample(roughness_texture, reflection_uv).xy;
         switch reflection.model {
             case MODEL_BLINN_PHONG: {
                 // A quotient by zero need not be infinite here.
@@ -311,14 +305,14 @@ fn surface_layer_reflection(appearance: Appearance, i: u32) -> Reflection {
 }
 
 // What a layer leaves of those below it.
-fn surface_layer_below(appearance: Appearance, i: u32, weight: f32, reflection: Reflection) -> vec3<f32> {
-    switch materials[appearance.material].layers[i].join {
+fn surface_layer_below(i: u32, weight: f32, reflection: Reflection) -> vec3<f32> {
+    switch materials[reflection_material].layers[i].join {
         case JOIN_OVER: {
             return vec3(1.0 - weight);
         }
         case JOIN_COAT: {
             // Colours above 1 pass nothing.
-            let reflected = weight * surface_reflection_color(reflection, appearance.view_cosine);
+            let reflected = weight * surface_reflection_color(reflection, reflection_view_cosine);
             return max(1.0 - reflected, vec3(0.0));
         }
         default: {
@@ -340,7 +334,6 @@ fn surface_below(reflection: Reflection, part: vec3<f32>) -> Reflection {
         reflection.ratio,
     );
 }
-
 
 fn surface_reflection_color(reflection: Reflection, cosine: f32) -> vec3<f32> {
     if !surface_has_fresnel(reflection.model) {

@@ -2,7 +2,9 @@
 
 use relight_shading::surfaces::TILE;
 
-use crate::layouts::{DEPTH_FORMAT, RADIANCE_FORMAT, SAMPLES_FORMAT, VISIBILITY_FORMAT};
+use crate::layouts::{
+    DEPTH_FORMAT, RADIANCE_FORMAT, SAMPLES_FORMAT, VISIBILITY_FORMAT, texture_entry,
+};
 use crate::lobes::{LobePasses, Slots};
 
 /// Images between the passes, all of one size.
@@ -192,11 +194,16 @@ impl Images {
             }
         });
         Self {
-            slots,
             sources: (source_layers > 0).then(|| {
-                let views = [&seen_view, &source_view];
-                group("relight sources' images", layouts.sources, &views)
+                let views = (0..).zip([&seen_view, &source_view]);
+                let views = views.map(|(binding, view)| texture_entry(binding, view));
+                device.create_bind_group(&wgpu::BindGroupDescriptor {
+                    label: Some("relight sources' images"),
+                    layout: layouts.sources,
+                    entries: &views.chain(slots.entries()).collect::<Vec<_>>(),
+                })
             }),
+            slots,
             open,
             source_layers,
             bind_group: group("relight images", layouts.shade, &views),

@@ -169,6 +169,16 @@ pub(crate) fn source_scene_layout(device: &wgpu::Device) -> wgpu::BindGroupLayou
     })
 }
 
+/// A buffer of slots that kernels write.
+pub(crate) fn written(binding: u32) -> wgpu::BindGroupLayoutEntry {
+    let kind = wgpu::BindingType::Buffer {
+        ty: wgpu::BufferBindingType::Storage { read_only: false },
+        has_dynamic_offset: false,
+        min_binding_size: None,
+    };
+    layout_entry(binding, wgpu::ShaderStages::COMPUTE, kind)
+}
+
 /// Group 2 of bindings.wgsl as sources need it.
 pub(crate) fn source_image_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
     let [visibility, ..] = image_entries();
@@ -181,7 +191,7 @@ pub(crate) fn source_image_layout(device: &wgpu::Device) -> wgpu::BindGroupLayou
     let found = layout_entry(1, wgpu::ShaderStages::COMPUTE, found);
     device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
         label: Some("relight source images"),
-        entries: &[visibility, found],
+        entries: &[visibility, found, written(6), written(7)],
     })
 }
 

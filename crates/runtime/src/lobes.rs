@@ -4,12 +4,12 @@
 use std::sync::OnceLock;
 
 use relight_shading::wgsl::{
-    AROUND, DIFFUSE, IMAGES, INTEGRALS, Kernel, PRODUCTS, REFLECTIONS, SHADE,
+    AROUND, DIFFUSE, IMAGES, INTEGRALS, Kernel, PRODUCTS, REFLECTIONS, SEEN_TEXTURES, SHADE,
 };
 use relight_shading::{gpu, slots};
 
 use crate::layouts::{
-    STORAGE, compute_pipeline, image_entries, layout_entry, scene_entries, texture_entry,
+    STORAGE, compute_pipeline, image_entries, layout_entry, scene_entries, texture_entry, written,
 };
 use crate::tiles::{Dispatch, WORKGROUP};
 use crate::{Frame, GpuScene, Method};
@@ -36,8 +36,9 @@ pub(crate) struct LobePasses {
     frame: wgpu::BindGroupLayout,
     /// Groups 1, see [`SCENE_BINDINGS`].
     pub(crate) scenes: [wgpu::BindGroupLayout; 2],
-    /// Groups 2 of the kernel that finds reflections, and of the others.
+    /// Groups 2 of the kernels that find textures and reflections, and of the others.
     images: [wgpu::BindGroupLayout; 2],
+    textures: OnceLock<wgpu::ComputePipeline>,
     reflections: [OnceLock<wgpu::ComputePipeline>; 2],
     diffuse: [OnceLock<wgpu::ComputePipeline>; 2],
     products: [OnceLock<wgpu::ComputePipeline>; 2],
@@ -62,6 +63,7 @@ pub(crate) struct Slots {
 pub(crate) struct Work {
     /// Reflections of a material, at most.
     pub(crate) reflections: u32,
+    pub(crate) textured: bool,
     pub(crate) distant_lights: usize,
     pub(crate) local_lights: usize,
     /// Whether a prefiltered image stands for the distant lights.
@@ -76,6 +78,7 @@ impl Work {
     pub(crate) fn of(frame: &Frame, scene: &GpuScene) -> Self {
         Self {
             reflections: scene.reflections(),
+            textured: scene.is_textured(),
             distant_lights: frame.lights.len(),
             local_lights: frame.local_lights.len(),
             image: frame.reflections.is_some(),
@@ -99,14 +102,6 @@ impl LobePasses {
         };
         let [visibility, radiance, sources] = image_entries();
         let read = |binding| layout_entry(binding, wgpu::ShaderStages::COMPUTE, STORAGE);
-        let written = |binding| {
-            let kind = wgpu::BindingType::Buffer {
-                ty: wgpu::BufferBindingType::Storage { read_only: false },
-                has_dynamic_offset: false,
-                min_binding_size: None,
-            };
-            layout_entry(binding, wgpu::ShaderStages::COMPUTE, kind)
-        };
         Self {
             device: device.clone(),
             frame: frame.clone(),
@@ -115,6 +110,7 @@ impl LobePasses {
                 layout(device, &[visibility, sources, written(6), written(7)]),
                 layout(device, &[visibility, radiance, read(6), written(7)]),
             ],
+            textures: OnceLock::new(),
             reflections: Default::default(),
             diffuse: Default::default(),
             products: Default::default(),
@@ -154,11 +150,7 @@ impl LobePasses {
         let group = |layout, textures: &[usize]| {
             let textures = textures.iter();
             let textures = textures.map(|&binding| texture_entry(binding as u32, images[binding]));
-            let buffers = (6..).zip(&buffers);
-            let buffers = buffers.map(|(binding, buffer)| wgpu::BindGroupEntry {
-                binding,
-                resource: buffer.as_entire_binding(),
-            });
+            let buffers = slot_entries(&buffers);
             self.device.create_bind_group(&wgpu::BindGroupDescriptor {
                 label: Some("relight slots"),
                 layout,
@@ -171,6 +163,23 @@ impl LobePasses {
             groups: [group(first, &[0, 2]), group(others, &[0, 1])],
             buffers,
         }
+    }
+
+    /// Leaves in slots what pixels see of textures, where there are any: groups 0 and 1.
+    pub(crate) fn record_textures(
+        &self,
+        pass: &mut wgpu::ComputePass,
+        (frame, scenes): (&wgpu::BindGroup, &[wgpu::BindGroup; 2]),
+        slots: &Slots,
+        dispatch: Dispatch,
+    ) {
+        let layouts = [&self.frame, &self.scenes[0], &self.images[0]];
+        let make = || compute_pipeline(&self.device, &layouts, &SEEN_TEXTURES);
+        pass.set_pipeline(self.textures.get_or_init(make));
+        pass.set_bind_group(0, frame, &[dispatch.offset]);
+        pass.set_bind_group(1, &scenes[0], &[]);
+        pass.set_bind_group(2, &slots.groups[0], &[]);
+        pass.dispatch_workgroups(dispatch.workgroups, 1, 1);
     }
 
     /// Shades what is seen of instances: groups 0 and 1.
@@ -201,6 +210,10 @@ impl LobePasses {
                 };
             for reflection in 0..work.reflections.max(1) {
                 let next = usize::from(reflection > 0);
+                // Lobes wait later where it is left what is seen of them.
+                if work.textured {
+                    run(&self.textures, &SEEN_TEXTURES, (0, 0));
+                }
                 run(&self.reflections[next], &REFLECTIONS[next], (0, 0));
                 if next == 0 {
                     run(&self.diffuse[ambient], &DIFFUSE[ambient], (1, 1));
@@ -235,10 +248,23 @@ impl LobePasses {
 }
 
 impl Slots {
+    /// Their part of group 2 of bindings.wgsl.
+    pub(crate) fn entries(&self) -> impl Iterator<Item = wgpu::BindGroupEntry<'_>> {
+        slot_entries(&self.buffers)
+    }
+
     /// Workgroups that there are slots for.
     pub(crate) fn tiles(&self) -> u32 {
         self.tiles
     }
+}
+
+fn slot_entries(buffers: &[wgpu::Buffer; 2]) -> impl Iterator<Item = wgpu::BindGroupEntry<'_>> {
+    let buffers = (6..).zip(buffers);
+    buffers.map(|(binding, buffer)| wgpu::BindGroupEntry {
+        binding,
+        resource: buffer.as_entire_binding(),
+    })
 }
 
 fn layout(device: &wgpu::Device, entries: &[wgpu::BindGroupLayoutEntry]) -> wgpu::BindGroupLayout {

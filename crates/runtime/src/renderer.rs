@@ -492,21 +492,29 @@ impl Renderer {
         if resources.dispatches().is_empty() {
             return;
         }
+        let groups = (resources.frame_group(), &scene.lobe_groups);
+        let textured = scene.is_textured();
         if let (Some(group), Ok(scene), Some(images)) =
             (resources.source_group(), &scene.sources, &images.sources)
         {
-            let groups = [group, scene, images];
             let sources = (frame.sources.as_ref()).map_or(0, |sources| sources.count() as u32);
-            let pipeline = self.source_pipeline();
-            dispatch_tiles(pass, pipeline, groups, resources, sources);
+            for dispatch in resources.dispatches() {
+                if textured {
+                    (self.lobes).record_textures(pass, groups, targets.1, *dispatch);
+                }
+                pass.set_pipeline(self.source_pipeline());
+                pass.set_bind_group(0, group, &[dispatch.offset]);
+                pass.set_bind_group(1, scene, &[]);
+                pass.set_bind_group(2, images, &[]);
+                pass.dispatch_workgroups(dispatch.workgroups, 1, sources);
+            }
         }
         let mut dispatch = |pipeline: &wgpu::ComputePipeline, groups: [&wgpu::BindGroup; 3]| {
-            dispatch_tiles(pass, pipeline, groups, resources, 1);
+            dispatch_tiles(pass, pipeline, groups, resources);
         };
-        let frame_group = resources.frame_group();
         #[cfg(feature = "paper")]
         if let shade::Method::Cells(_) = frame.method {
-            let groups = [frame_group, &scene.bind_group, targets.0];
+            let groups = [groups.0, &scene.bind_group, targets.0];
             dispatch(self.cells_pipeline(), groups);
             return;
         }
@@ -520,7 +528,6 @@ impl Renderer {
             pass.dispatch_workgroups(x, y, z);
         }
         let work = lobes::Work::of(frame, scene);
-        let groups = (frame_group, &scene.lobe_groups);
         (self.lobes).record(pass, groups, targets.1, work, resources.dispatches());
     }
 
@@ -685,14 +692,13 @@ fn dispatch_tiles(
     pipeline: &wgpu::ComputePipeline,
     groups: [&wgpu::BindGroup; 3],
     resources: &Resources,
-    layers: u32,
 ) {
     pass.set_pipeline(pipeline);
     pass.set_bind_group(1, groups[1], &[]);
     pass.set_bind_group(2, groups[2], &[]);
     for dispatch in resources.dispatches() {
         pass.set_bind_group(0, groups[0], &[dispatch.offset]);
-        pass.dispatch_workgroups(dispatch.workgroups, 1, layers);
+        pass.dispatch_workgroups(dispatch.workgroups, 1, 1);
     }
 }
 

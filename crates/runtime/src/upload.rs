@@ -290,6 +290,11 @@ impl GpuScene {
         most.unwrap_or(0)
     }
 
+    /// Whether a material has textures.
+    pub(crate) fn is_textured(&self) -> bool {
+        !self.textures.is_empty()
+    }
+
     /// Whether light bounces.
     pub(crate) fn is_bounced(&self) -> bool {
         self.bounced.is_some()

@@ -24,8 +24,10 @@ pub enum Entry {
     /// Visible fractions of lights at vertices: `vertices_mark`, workgroups of 8 × 8 pixels, and
     /// `vertices_main`, workgroups of 64 vertices (x) and four lights (y), for the instance of each tile bound (z).
     Vertices,
-    /// Visibility buffer to a reflection and its lobes: `reflections_main`, as the following five
+    /// Visibility buffer to what it shows of textures: `seen_textures_main`, as the following seven
     /// workgroups of 8 × 8 pixels.
+    SeenTextures,
+    /// Visibility buffer to a reflection and its lobes: `reflections_main`.
     Reflections,
     /// Lambertian base and lights to what it shows of them: `diffuse_main`.
     Diffuse,
@@ -43,8 +45,8 @@ pub enum Entry {
     /// Visibility buffer to linear radiance by cells: `cells_main`, workgroups of 8 × 8 pixels.
     #[cfg(feature = "paper")]
     ShadeCells,
-    /// Visibility buffer to what sources add to the radiance: `sources_main`, workgroups of 8 × 8
-    /// pixels.
+    /// Visibility buffer, and what it shows of textures, to what sources add to the radiance: `sources_main`, workgroups
+    /// of 8 × 8 pixels.
     Sources,
     /// Visibility buffer to where it was in the frame before: `motion_main`, workgroups of 8 × 8 pixels.
     Motion,
@@ -69,6 +71,7 @@ impl Entry {
         Self::SurfaceSamples,
         Self::Surfaces,
         Self::Vertices,
+        Self::SeenTextures,
         Self::Reflections,
         Self::Diffuse,
         Self::Products,
@@ -104,6 +107,7 @@ pub struct Kernel {
 pub const KERNELS: &[Kernel] = &[
     VERTICES_MARK,
     VERTICES,
+    SEEN_TEXTURES,
     REFLECTIONS[0],
     REFLECTIONS[1],
     DIFFUSE[0],
@@ -139,6 +143,10 @@ pub const VERTICES: Kernel = Kernel {
     entry_point: "vertices_main",
     constants: &[],
 };
+
+/// What every pixel sees of its material's textures.
+pub const SEEN_TEXTURES: Kernel =
+    shading("textures", (Entry::SeenTextures, "seen_textures_main"), &[]);
 
 /// What every pixel's Lambertian base shows of lights; the same by one visible fraction for all of a light.
 pub const DIFFUSE: [Kernel; 2] = [
@@ -301,7 +309,7 @@ pub struct Interface {
 /// All of them.
 pub const INTERFACES: &[Interface] = &[
     Interface {
-        what: "where a reflection's lobes are: with the invocation, or where passes hand them on",
+        what: "where a reflection's lobes and what is seen of textures are: with the invocation, or where passes hand them on",
         names: &[
             "lobes_put",
             "lobes_shape",
@@ -310,6 +318,7 @@ pub const INTERFACES: &[Interface] = &[
             "lobes_reflection",
             "lobes_view",
             "lobes_in_world",
+            "surface_texture",
         ],
         files: &["lobes.wgsl", "slots.wgsl"],
     },
@@ -395,6 +404,10 @@ pub fn source(entry: Entry) -> String {
             source += include_str!("wgsl/pixel_visibility.wgsl");
             source += include_str!("wgsl/diffuse.wgsl");
         }
+        Entry::SeenTextures => {
+            source += &library(SLOTS);
+            source += include_str!("wgsl/seen_textures.wgsl");
+        }
         Entry::Reflections => {
             source += &library(SLOTS);
             source += include_str!("wgsl/reflections.wgsl");
@@ -431,7 +444,7 @@ pub fn source(entry: Entry) -> String {
             source += include_str!("wgsl/shade_cells.wgsl");
         }
         Entry::Sources => {
-            source += &library(LOBES);
+            source += &library(SLOTS);
             source += include_str!("wgsl/occluders.wgsl");
             source += include_str!("wgsl/sources.wgsl");
         }

@@ -16,21 +16,26 @@ fn around_main(
     let triangle = triangles[seen_known(tile_pixel(invocation)).x];
     let corners = triangle.xyz;
     let weights = slots_barycentrics();
-    ssdf_load(clusters[triangle.w >> 16u], corners, weights);
-    let point = slots_point();
+    let cluster = triangle.w >> 16u;
     var diffuse = vec3(0.0);
     if slots_state(slots_gathered_at(SLOTS_SUM).w).reflection == 0u {
         diffuse = slots_gathered_value(SLOTS_DIFFUSE).xyz;
     }
     specular_count = slots_lobe_count();
     var sum = slots_gathered_value(SLOTS_BESIDE).xyz;
-    if AROUND_IMAGE {
-        sum += image_diffused(point, diffuse);
+    if AROUND_BOUNCED && clusters[cluster].bounced != 0u {
+        let group = transfer_group(clusters[cluster].bounced - 1u);
+        transfer_load(group, corners, weights);
+        let irradiance = transfer_irradiance(slots_point().normal);
+        sum += diffuse / PI * irradiance;
+        transfer_load_radiance(group, corners, weights, irradiance);
+        // Visibility as late as can be: it takes registers.
+        ssdf_load(clusters[cluster], corners, weights);
+        sum += transfer_reflected(slots_point().normal);
     }
-    if AROUND_BOUNCED && ssdf_cluster.bounced != 0u {
-        let outputs = transfer_load(ssdf_cluster.bounced - 1u, corners, weights);
-        sum += diffuse / PI * transfer_irradiance(point.normal);
-        sum += transfer_reflected(outputs, point.normal);
+    if AROUND_IMAGE {
+        ssdf_load(clusters[cluster], corners, weights);
+        sum += image_diffused(slots_point(), diffuse);
     }
     slots_put_value(SLOTS_BESIDE, sum, 0u);
 }

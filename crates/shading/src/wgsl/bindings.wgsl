@@ -239,6 +239,8 @@ var<private> frame_index: u32;
 // Two i16 per word, the first in the low half; c / 32767 is the coefficient. A tile at a time.
 @group(1) @binding(3) var<storage, read> coefficients: array<vec2<u32>>;
 @group(1) @binding(4) var<storage, read> materials: array<Material>;
+// The same, word by word.
+@group(1) @binding(4) var<storage, read> material_words: array<vec4<u32>>;
 // textures::PageLayout.
 @group(1) @binding(5) var texels: texture_2d_array<u32>;
 // rgba8snorm tiles, each with a one-texel gutter that continues the octahedral map.

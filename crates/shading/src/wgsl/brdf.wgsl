@@ -7,13 +7,18 @@ var<private> specular_count: u32;
 // `wo` is towards the eye.
 fn brdf_lobes(reflection: Reflection, wo: vec3<f32>) -> vec3<f32> {
     specular_count = 0u;
-    let black = all(max(reflection.specular, reflection.grazing) <= vec3(0.0));
-    if reflection.model == MODEL_NONE || black || wo.z <= 0.0 {
+    if !brdf_reflects(reflection, wo) {
         return vec3(0.0);
     }
     let unscaled = brdf_shape(reflection, wo);
     let albedo = brdf_albedo(reflection, wo);
     return (reflection.specular * albedo.x + reflection.grazing * albedo.y) / max(unscaled, 1.17549435e-38);
+}
+
+// Whether there are any.
+fn brdf_reflects(reflection: Reflection, wo: vec3<f32>) -> bool {
+    let black = all(max(reflection.specular, reflection.grazing) <= vec3(0.0));
+    return reflection.model != MODEL_NONE && !black && wo.z > 0.0;
 }
 
 // The sum of what they reflect of a radiance of 1 from everywhere.
@@ -274,31 +279,32 @@ fn brdf_albedo(reflection: Reflection, wo: vec3<f32>) -> vec2<f32> {
     let stride = table.y;
     // Tabulated for a view in the plane of the first roughness and a quarter of the way to
     // that of the second; the rest of the way by swapping them.
-    let along_x = brdf_albedo_lookup(first, stride, position.x, position.y, angle);
-    let ratio = max(alpha.x, alpha.y) / min(alpha.x, alpha.y);
-    if stride == 0u || ratio < BRDF_ISOTROPIC_RATIO {
-        let white = along_x.y * along_x.y;
-        return vec2(along_x.x, white * white);
-    }
-    let along_y = brdf_albedo_lookup(first, stride, position.y, position.x, angle);
-    let quarter = first + 2u * BRDF_ALBEDO_BLOCK;
-    let toward_x = brdf_albedo_lookup(quarter, stride, position.x, position.y, angle);
-    let toward_y = brdf_albedo_lookup(quarter, stride, position.y, position.x, angle);
+    let several = stride != 0u && max(alpha.x, alpha.y) / min(alpha.x, alpha.y) >= BRDF_ISOTROPIC_RATIO;
     // What varies with azimuth is masking, by the roughness that the view is masked by: the
     // cubic in it through the four that are tabulated (Lagrange).
     let squares = wo.xy * wo.xy / max(1.0 - wo.z * wo.z, 1e-12);
     let alpha_squares = alpha * alpha;
-    let projected = sqrt(dot(alpha_squares, squares));
     let azimuth = vec2(BRDF_QUARTER_COSINE, BRDF_QUARTER_SINE);
-    let a = alpha.x;
-    let b = sqrt(dot(alpha_squares, azimuth * azimuth));
-    let c = sqrt(dot(alpha_squares, azimuth.yx * azimuth.yx));
-    let d = alpha.y;
-    let beyond = vec4(projected) - vec4(a, b, c, d);
-    let mean = along_x * (beyond.y / (a - b) * (beyond.z / (a - c)) * (beyond.w / (a - d)))
-        + toward_x * (beyond.x / (b - a) * (beyond.z / (b - c)) * (beyond.w / (b - d)))
-        + toward_y * (beyond.x / (c - a) * (beyond.y / (c - b)) * (beyond.w / (c - d)))
-        + along_y * (beyond.x / (d - a) * (beyond.y / (d - b)) * (beyond.z / (d - c)));
+    let tabulated = vec4(
+        alpha.x,
+        sqrt(dot(alpha_squares, azimuth * azimuth)),
+        sqrt(dot(alpha_squares, azimuth.yx * azimuth.yx)),
+        alpha.y,
+    );
+    let beyond = vec4(sqrt(dot(alpha_squares, squares))) - tabulated;
+    var mean = vec2(0.0);
+    // One place that tables are read: copies of it are most of a shader.
+    for (var i = 0u; i < select(1u, 4u, several); i++) {
+        let block = first + select(0u, 2u * BRDF_ALBEDO_BLOCK, i == 1u || i == 2u);
+        let place = select(position, position.yx, i > 1u);
+        var weight = 1.0;
+        if several {
+            let own = vec4(i) == vec4(0u, 1u, 2u, 3u);
+            let factors = select(beyond / (vec4(tabulated[i]) - tabulated), vec4(1.0), own);
+            weight = factors.x * factors.y * factors.z * factors.w;
+        }
+        mean += brdf_albedo_lookup(block, stride, place.x, place.y, angle) * weight;
+    }
     let white = max(mean.y, 0.0) * max(mean.y, 0.0);
     return vec2(max(mean.x, 0.0), white * white);
 }

@@ -5,18 +5,27 @@
 // What the reflection shows of `light`, as one Gaussian. Of no amplitude where there is nothing
 // to see, or nothing beside `gathered`.
 fn glossy_reflected(light: SphericalGaussian, gathered: vec3<f32>) -> SphericalGaussian {
-    let none = SphericalGaussian(light.axis, light.sharpness, vec3(0.0));
+    let whole = glossy_whole(light);
+    let color = light.amplitude * lobes_color();
+    if whole < GLOSSY_LEAST_MASS || all(GLOSSY_TAIL * whole * color <= SHADE_NEGLIGIBLE * gathered) {
+        return SphericalGaussian(light.axis, light.sharpness, vec3(0.0));
+    }
+    // The part of the light up to which a product is faint.
+    return glossy_joined(light, whole, glossy_faint(color, gathered));
+}
+
+// The integral of all products with a white light.
+fn glossy_whole(light: SphericalGaussian) -> f32 {
     var whole = 0.0;
     for (var j = 0u; j < specular_count; j++) {
         let product = glossy_times(light, j);
         whole += product.amplitude.x * spherical_gaussian_energy(product.sharpness);
     }
-    let color = light.amplitude * lobes_color();
-    if whole < GLOSSY_LEAST_MASS || all(GLOSSY_TAIL * whole * color <= SHADE_NEGLIGIBLE * gathered) {
-        return none;
-    }
-    // The part of the light up to which a product is faint.
-    let faint = glossy_faint(color, gathered);
+    return whole;
+}
+
+// All products as one Gaussian, `whole` being their integral.
+fn glossy_joined(light: SphericalGaussian, whole: f32, faint: f32) -> SphericalGaussian {
     // Directions are differences to one among them, which keeps the digits of narrow lobes.
     var origin = vec3(0.0);
     var used = 0.0;
@@ -27,27 +36,26 @@ fn glossy_reflected(light: SphericalGaussian, gathered: vec3<f32>) -> SphericalG
     for (var j = 0u; j < specular_count; j++) {
         let product = glossy_times(light, j);
         let part = product.amplitude.x * spherical_gaussian_energy(product.sharpness);
-        if part < GLOSSY_LEAST_PART * whole {
-            continue;
+        if part >= GLOSSY_LEAST_PART * whole {
+            if used == 0.0 {
+                origin = product.axis;
+            }
+            used += part;
+            let points = select(5u, 1u, part <= faint || part < GLOSSY_MINOR_PART * whole);
+            let most = GLOSSY_EXCESS * spherical_gaussian_energy(light.sharpness);
+            let scaled = glossy_scaled(product.axis, product.sharpness, part, most, points);
+            total += scaled;
+            let weight = glossy_sum(scaled);
+            let short = glossy_shortening(product.sharpness);
+            let offset = product.axis - origin;
+            rest += weight * short;
+            mean += weight * (1.0 - short) * offset;
+            squares += weight * (1.0 - short) * dot(offset, offset);
         }
-        if used == 0.0 {
-            origin = product.axis;
-        }
-        used += part;
-        let points = select(5u, 1u, part <= faint || part < GLOSSY_MINOR_PART * whole);
-        let most = GLOSSY_EXCESS * spherical_gaussian_energy(light.sharpness);
-        let scaled = glossy_scaled(product.axis, product.sharpness, part, most, points);
-        total += scaled;
-        let weight = glossy_sum(scaled);
-        let short = glossy_shortening(product.sharpness);
-        let offset = product.axis - origin;
-        rest += weight * short;
-        mean += weight * (1.0 - short) * offset;
-        squares += weight * (1.0 - short) * dot(offset, offset);
     }
     let mass = glossy_sum(total);
     if mass < GLOSSY_LEAST_MASS {
-        return none;
+        return SphericalGaussian(light.axis, light.sharpness, vec3(0.0));
     }
     rest /= mass;
     mean /= mass;
@@ -88,12 +96,7 @@ fn glossy_scaled(axis: vec3<f32>, sharpness: f32, part: f32, most: f32, points: 
     for (var i = 0u; i < points; i++) {
         let direction = glossy_point(axis, sharpness, i);
         if direction.z > 0.0 {
-            var lobes = 0.0;
-            for (var j = 0u; j < specular_count; j++) {
-                let shape = lobes_shape(j);
-                let chord = direction - shape.xyz;
-                lobes += lobes_grey(j) * exp(-0.5 * shape.w * dot(chord, chord));
-            }
+            let lobes = glossy_lobes(direction);
             let weight = direction.z * select(GLOSSY_POINT_WEIGHT, GLOSSY_CENTER_WEIGHT, i == 0u);
             let model = models_specular(lobes_reflection(), direction, lobes_view());
             sum += weight * min(part / max(lobes, 1.17549435e-38), most) * model;
@@ -101,6 +104,17 @@ fn glossy_scaled(axis: vec3<f32>, sharpness: f32, part: f32, most: f32, points: 
         }
     }
     return sum / max(whole, GLOSSY_LEAST_COSINE);
+}
+
+// The lobes' value.
+fn glossy_lobes(direction: vec3<f32>) -> f32 {
+    var sum = 0.0;
+    for (var j = 0u; j < specular_count; j++) {
+        let shape = lobes_shape(j);
+        let chord = direction - shape.xyz;
+        sum += lobes_grey(j) * exp(-0.5 * shape.w * dot(chord, chord));
+    }
+    return sum;
 }
 
 // The centre, or a point aside along one of two axes at right angles to it (Duff et al. 2017).

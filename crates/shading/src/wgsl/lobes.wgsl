@@ -9,6 +9,12 @@ var<private> lobes_scale: f32;
 var<private> lobes_shapes: array<vec4<f32>, MAX_SPECULAR_LOBES>;
 var<private> lobes_greys: array<f32, MAX_SPECULAR_LOBES>;
 
+// What the pixel sees of one of its material's textures: base colour, metallic-roughness, normal map, anisotropy; of
+// every layer diffuse and specular colour (3 channels), roughnesses (2), weight (1).
+fn surface_texture(index: u32, texture: TextureSlot, uv: vec2<f32>) -> vec4<f32> {
+    return textures_sample(texture, uv);
+}
+
 fn lobes_of(point: SurfacePoint, reflection: Reflection) {
     lobes_point = point;
     lobes_model = reflection;

@@ -38,20 +38,20 @@ fn reflections_main(
         sum = bitcast<vec3<f32>>(before.xyz);
         state.reflection = slots_state(before.w).reflection + 1u;
     }
-    specular_count = 0u;
     var reflection = reflection_first;
-    var color = vec3(0.0);
-    if lit && state.reflection < reflection_count {
+    var reflects = lit && state.reflection < reflection_count;
+    let wo = surface_to_local(point, point.view);
+    if reflects {
         reflection = surface_reflection(state.reflection);
-        color = brdf_lobes(reflection, surface_to_local(point, point.view));
+        reflects = brdf_reflects(reflection, wo);
     }
-    slots_put_surface(point, weights, (triangle.w & 0xffffu) + 1u, reflection, color);
-    var next_of_image = SLOTS_DONE;
-    if specular_count > 0u {
-        state.next = shade_first_light();
-        next_of_image = 0u;
-    }
+    // All that can be written before the lobes: what waits for them takes registers from them.
+    slots_put_surface(point, weights, (triangle.w & 0xffffu) + 1u, reflection);
+    state.next = select(SLOTS_DONE, shade_first_light(), reflects);
     slots_put_value(SLOTS_SUM, sum, slots_word(state));
-    slots_put_value(SLOTS_SCALED, vec3(0.0), next_of_image);
+    slots_put_value(SLOTS_SCALED, vec3(0.0), select(SLOTS_DONE, 0u, reflects));
     slots_put_value(SLOTS_VISIBLE, vec3(0.0), bitcast<u32>(SLOTS_UNKNOWN));
+    if reflects {
+        slots_put_color(brdf_lobes(reflection, wo), reflection);
+    }
 }

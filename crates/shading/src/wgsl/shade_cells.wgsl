@@ -27,15 +27,17 @@ fn cells_main(
         if frames[frame_index].prefiltered_levels > 0u {
             sum += image_diffused(point, point.appearance.diffuse);
         }
-        var outputs = 0u;
         if ssdf_cluster.bounced != 0u {
-            outputs = transfer_load(ssdf_cluster.bounced - 1u, corners, weights);
-            sum += point.appearance.diffuse / PI * transfer_irradiance(point.normal);
+            let group = transfer_group(ssdf_cluster.bounced - 1u);
+            transfer_load(group, corners, weights);
+            let irradiance = transfer_irradiance(point.normal);
+            sum += point.appearance.diffuse / PI * irradiance;
+            transfer_load_radiance(group, corners, weights, irradiance);
         }
         for (var k = 0u; k < reflection_count; k++) {
             lobes_of(point, surface_reflection(k));
-            if outputs > 0u {
-                sum += transfer_reflected(outputs, point.normal);
+            if ssdf_cluster.bounced != 0u {
+                sum += transfer_reflected(point.normal);
             }
             if frames[frame_index].prefiltered_levels > 0u {
                 sum += shade_image(point.normal);

@@ -74,23 +74,22 @@ fn slots_reflection_value(field: u32) -> vec4<f32> {
     return bitcast<vec4<f32>>(slots_reflection_at(field));
 }
 
-// Fills a slot's reflection, its lobes being there; their amplitudes take the colour's sum. See slots_surface.
-fn slots_put_surface(
-    point: SurfacePoint,
-    barycentrics: vec3<f32>,
-    surface: u32,
-    reflection: Reflection,
-    color: vec3<f32>,
-) {
+// Fills a slot's reflection, but for its lobes and their colour. See slots_surface.
+fn slots_put_surface(point: SurfacePoint, barycentrics: vec3<f32>, surface: u32, reflection: Reflection) {
     let holds = u32(vertex_visibility_holds(point.vertex_cosine));
     slots_put_reflection(SLOTS_NORMAL, point.normal, bitcast<u32>(barycentrics.y));
-    slots_put_reflection(SLOTS_TANGENT, point.tangent, specular_count | (holds << 8u) | (surface << 9u));
+    slots_put_reflection(SLOTS_TANGENT, point.tangent, (holds << 8u) | (surface << 9u));
     slots_put_reflection(SLOTS_VIEW, surface_to_local(point, point.view), reflection.model);
     slots_put_reflection(SLOTS_SPECULAR, reflection.specular, reflection.ratio);
     slots_put_reflection(SLOTS_GRAZING, reflection.grazing, bitcast<u32>(reflection.alpha.x));
+    slots_put_reflection(SLOTS_POSITION, point.position, bitcast<u32>(barycentrics.z));
+}
+
+// Those, the lobes being there: their amplitudes take the colour's sum.
+fn slots_put_color(color: vec3<f32>, reflection: Reflection) {
+    slots_reflection_found[SLOTS_TANGENT * 64u + slot].w |= specular_count;
     let scale = max(color.x + color.y + color.z, 1.17549435e-38);
     slots_put_reflection(SLOTS_COLOR, color / scale, bitcast<u32>(reflection.alpha.y));
-    slots_put_reflection(SLOTS_POSITION, point.position, bitcast<u32>(barycentrics.z));
     for (var j = 0u; j < specular_count; j++) {
         let place = (SLOTS_GREYS + j / 4u) * 64u + slot;
         let grey = bitcast<f32>(slots_reflection_found[place][j % 4u]);
@@ -131,6 +130,52 @@ fn slots_point() -> SurfacePoint {
 fn lobes_put(j: u32, axis: vec3<f32>, sharpness: f32, grey: f32) {
     slots_put_reflection(SLOTS_LOBES + j, axis, bitcast<u32>(sharpness));
     slots_reflection_found[(SLOTS_GREYS + j / 4u) * 64u + slot][j % 4u] = bitcast<u32>(grey);
+}
+
+// What the pixel sees of its material's textures, see surface_texture, is written where lobes wait later and, of many
+// layers, where the reflection's lobes lie later.
+fn slots_put_texture(index: u32, value: vec4<f32>) {
+    let words = bitcast<vec4<u32>>(value);
+    let field = slots_texture(index);
+    let of_layer = index >= SURFACE_OWN_TEXTURES;
+    if of_layer && index % 4u == 3u {
+        slots_put_texture_word(field, 2u, words.x);
+    } else {
+        slots_put_texture_word(field, 0u, words.x);
+        slots_put_texture_word(field, 1u, words.y);
+        if !(of_layer && index % 4u == 2u) {
+            slots_put_texture_word(field, 2u, words.z);
+        }
+    }
+}
+
+fn slots_put_texture_word(field: u32, word: u32, value: u32) {
+    if field < SLOTS_FIELDS {
+        slots_gathered[field * 64u + slot][word] = value;
+    } else {
+        slots_reflection_found[(field - SLOTS_FIELDS) * 64u + slot][word] = value;
+    }
+}
+
+// Its field in both buffers: of a layer three, the last of which has roughnesses and weight.
+fn slots_texture(index: u32) -> u32 {
+    let layer = (index - SURFACE_OWN_TEXTURES) / 4u;
+    let of_layer = SURFACE_OWN_TEXTURES + 3u * layer + min(index % 4u, 2u);
+    return SLOTS_FIRST + select(index, of_layer, index >= SURFACE_OWN_TEXTURES);
+}
+
+fn surface_texture(index: u32, texture: TextureSlot, uv: vec2<f32>) -> vec4<f32> {
+    let field = slots_texture(index);
+    var words = vec4(0u);
+    if field < SLOTS_FIELDS {
+        words = slots_gathered[field * 64u + slot];
+    } else {
+        words = slots_reflection_found[(field - SLOTS_FIELDS) * 64u + slot];
+    }
+    if index >= SURFACE_OWN_TEXTURES && index % 4u == 3u {
+        words.x = words.z;
+    }
+    return bitcast<vec4<f32>>(words);
 }
 
 // As in lobes.wgsl.

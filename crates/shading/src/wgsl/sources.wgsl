@@ -7,7 +7,7 @@ fn sources_main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
     @builtin(local_invocation_index) invocation: u32,
 ) {
-    tile_enter(workgroup.x);
+    slots_enter(workgroup.x, invocation);
     let pixel = tile_pixel(invocation);
     let seen = seen_triangle(pixel);
     if seen.x >= frames[frame_index].triangle_count {
@@ -52,33 +52,26 @@ fn sources_radiance(source: u32, point: SurfacePoint, from_point: vec2<f32>) -> 
     var hidden = false;
     var level = 1u;
     var sum = vec3(0.0);
-    for (var i = first; i < first + SOURCE_POINTS; i++) {
-        if i == first + SOURCE_LEVELS.x && !(seen && hidden) {
-            for (var j = rim; j < first; j++) {
-                let direction = source_points[j].direction;
-                if !(seen && hidden) && surface_to_local(point, direction).z > 0.0 {
-                    if sources_visible(point.geometric_normal, touched, origin, direction, square, vec2(0.0), from_point) {
-                        seen = true;
-                    } else {
-                        hidden = true;
-                    }
-                }
-            }
-            if !hidden {
-                level = 0u;
-                break;
-            }
-            if !seen {
-                break;
-            }
+    // The first points, the rim unless it is known by them that there is an edge, and the rest where there is. One
+    // place that rays are followed: copies of it are most of a shader.
+    for (var step = 0u; step < SOURCE_RIM + SOURCE_POINTS; step++) {
+        let on_rim = step >= SOURCE_LEVELS.x && step < SOURCE_LEVELS.x + SOURCE_RIM;
+        let edge = seen && hidden;
+        if step == SOURCE_LEVELS.x + SOURCE_RIM && !edge {
+            level = u32(hidden);
+            break;
         }
-        let direction = source_points[i].direction;
+        let index = step - select(SOURCE_RIM, 0u, step < SOURCE_LEVELS.x);
+        let entry = select(first + index, rim + step - SOURCE_LEVELS.x, on_rim);
+        let direction = source_points[entry].direction;
         let wi = surface_to_local(point, direction);
-        if wi.z > 0.0 {
-            let place = sources_place(i - first);
+        if wi.z > 0.0 && !(on_rim && edge) {
+            let place = select(sources_place(index), vec2(0.0), on_rim);
             if sources_visible(point.geometric_normal, touched, origin, direction, square, place, from_point) {
                 seen = true;
-                sum += source_points[i].light * (wi.z * models_evaluate(point.appearance, wi, wo));
+                if !on_rim {
+                    sum += source_points[entry].light * (wi.z * models_evaluate(point.appearance, wi, wo));
+                }
             } else {
                 hidden = true;
             }

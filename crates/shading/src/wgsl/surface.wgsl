@@ -90,7 +90,7 @@ fn surface_shape(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32
     let normal_texture = materials[material_index].normal_texture;
     if normal_texture.width != 0u {
         let normal_scale = materials[material_index].normal_scale;
-        let mapped = textures_sample(normal_texture, uv).xyz * 2.0 - 1.0;
+        let mapped = surface_texture(2u, normal_texture, uv).xyz * 2.0 - 1.0;
         let bitangent = cross(normal, tangent) * handedness;
         let scaled = tangent * (mapped.x * normal_scale)
             + bitangent * (mapped.y * normal_scale)
@@ -136,7 +136,7 @@ fn surface_point(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32
     var strength = 1.0;
     let anisotropy_texture = materials[material_index].anisotropy_texture;
     if anisotropy_texture.width != 0u {
-        let texel = textures_sample(anisotropy_texture, uv);
+        let texel = surface_texture(3u, anisotropy_texture, uv);
         strength = texel.z;
         direction = texel.xy * 2.0 - 1.0;
         if dot(direction, direction) < SURFACE_DEGENERATE_LENGTH_SQUARED {
@@ -148,13 +148,13 @@ fn surface_point(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32
         var color = materials[material_index].color;
         let color_texture = materials[material_index].base_color_texture;
         if color_texture.width != 0u {
-            color *= textures_sample(color_texture, uv).xyz;
+            color *= surface_texture(0u, color_texture, uv).xyz;
         }
         var metallic = materials[material_index].metallic;
         var roughness = materials[material_index].roughness;
         let factor_texture = materials[material_index].metallic_roughness_texture;
         if factor_texture.width != 0u {
-            let factors = textures_sample(factor_texture, uv);
+            let factors = surface_texture(1u, factor_texture, uv);
             metallic *= factors.z;
             roughness *= factors.y;
         }
@@ -260,7 +260,7 @@ fn surface_layer_weight(i: u32) -> f32 {
     if texture.width == 0u {
         return weight;
     }
-    return weight * textures_sample(texture, reflection_uv).x;
+    return weight * surface_texture(7u + 4u * i, texture, reflection_uv).x;
 }
 
 fn surface_layer_diffuse(i: u32) -> vec3<f32> {
@@ -269,7 +269,7 @@ fn surface_layer_diffuse(i: u32) -> vec3<f32> {
     if texture.width == 0u {
         return diffuse;
     }
-    return diffuse * textures_sample(texture, reflection_uv).xyz;
+    return diffuse * surface_texture(4u + 4u * i, texture, reflection_uv).xyz;
 }
 
 // A layer's reflection by itself, its parameters not yet clamped.
@@ -283,11 +283,11 @@ fn surface_layer_reflection(i: u32) -> Reflection {
     );
     let specular_texture = materials[reflection_material].layers[i].specular_texture;
     if specular_texture.width != 0u {
-        reflection.specular *= textures_sample(specular_texture, reflection_uv).xyz;
+        reflection.specular *= surface_texture(5u + 4u * i, specular_texture, reflection_uv).xyz;
     }
     let roughness_texture = materials[reflection_material].layers[i].roughness_texture;
     if roughness_texture.width != 0u {
-        let roughness = textures_sample(roughness_texture, reflection_uv).xy;
+        let roughness = surface_texture(6u + 4u * i, roughness_texture, reflection_uv).xy;
         switch reflection.model {
             case MODEL_BLINN_PHONG: {
                 // A quotient by zero need not be infinite here.

@@ -20,42 +20,69 @@ fn transfer_product(index: u32) -> vec3<f32> {
     return textureLoad(transfer_products, place, 0).xyz;
 }
 
-// Fills the colours of a point of group `number`; returns how many it has.
-fn transfer_load(number: u32, corners: vec3<u32>, barycentrics: vec3<f32>) -> u32 {
-    let first = transfer_word(2u * number);
+// A group of bounced light: where its words begin, how many rows its vertices weigh and colours it has, and its colours.
+struct TransferGroup {
+    first: u32,
+    rank: u32,
+    outputs: u32,
+    base: u32,
+}
+
+fn transfer_group(number: u32) -> TransferGroup {
     let shape = transfer_word(2u * number + 1u);
-    let rank = shape & 0xffu;
-    let outputs = shape >> 8u;
     let base = frame_index * frames[frame_index].product_count + number * TRANSFER_STRIDE;
+    return TransferGroup(transfer_word(2u * number), shape & 0xffu, shape >> 8u, base);
+}
+
+// What row `row` counts at a point; the first is of all points.
+fn transfer_weight(group: TransferGroup, row: u32, corners: vec3<u32>, barycentrics: vec3<f32>) -> f32 {
+    if row == 0u {
+        return 1.0;
+    }
+    let words = group.first + corners * ((group.rank + 3u) / 4u) + (row - 1u) / 4u;
+    let byte = (row - 1u) % 4u;
+    return barycentrics.x * transfer_byte(transfer_word(words.x), byte)
+        + barycentrics.y * transfer_byte(transfer_word(words.y), byte)
+        + barycentrics.z * transfer_byte(transfer_word(words.z), byte);
+}
+
+// As unpack4x8snorm reads it.
+fn transfer_byte(word: u32, byte: u32) -> f32 {
+    return max(f32(extractBits(bitcast<i32>(word), 8u * byte, 8u)) / 127.0, -1.0);
+}
+
+// Fills a point's irradiance.
+fn transfer_load(group: TransferGroup, corners: vec3<u32>, barycentrics: vec3<f32>) {
     transfer_x = vec3(0.0);
     transfer_y = vec3(0.0);
     transfer_z = vec3(0.0);
-    transfer_mean = vec3(0.0);
+    for (var row = 0u; row <= group.rank; row++) {
+        let weight = transfer_weight(group, row, corners, barycentrics);
+        let texel = group.base + row * TRANSFER_OUTPUTS;
+        transfer_x += weight * transfer_product(texel);
+        transfer_y += weight * transfer_product(texel + 1u);
+        transfer_z += weight * transfer_product(texel + 2u);
+    }
+}
+
+// Fills what surfaces in a point's way send; where a group has no colours for it, as its irradiance has it. By itself: all at once takes more
+// registers than there are.
+fn transfer_load_radiance(group: TransferGroup, corners: vec3<u32>, barycentrics: vec3<f32>, irradiance: vec3<f32>) {
+    transfer_mean = irradiance / PI;
     transfer_slope_x = vec3(0.0);
     transfer_slope_y = vec3(0.0);
     transfer_slope_z = vec3(0.0);
-    transfer_add(base, 1.0, outputs);
-    let per_vertex = (rank + 3u) / 4u;
-    for (var row = 0u; row < rank; row++) {
-        var weight = 0.0;
-        for (var corner = 0u; corner < 3u; corner++) {
-            let word = transfer_word(first + corners[corner] * per_vertex + row / 4u);
-            weight += barycentrics[corner] * unpack4x8snorm(word)[row % 4u];
-        }
-        transfer_add(base + (row + 1u) * TRANSFER_OUTPUTS, weight, outputs);
+    if group.outputs < TRANSFER_OUTPUTS {
+        return;
     }
-    return outputs;
-}
-
-fn transfer_add(texels: u32, weight: f32, outputs: u32) {
-    transfer_x += weight * transfer_product(texels);
-    transfer_y += weight * transfer_product(texels + 1u);
-    transfer_z += weight * transfer_product(texels + 2u);
-    if outputs == TRANSFER_OUTPUTS {
-        transfer_mean += weight * transfer_product(texels + 3u);
-        transfer_slope_x += weight * transfer_product(texels + 4u);
-        transfer_slope_y += weight * transfer_product(texels + 5u);
-        transfer_slope_z += weight * transfer_product(texels + 6u);
+    transfer_mean = vec3(0.0);
+    for (var row = 0u; row <= group.rank; row++) {
+        let weight = transfer_weight(group, row, corners, barycentrics);
+        let texel = group.base + row * TRANSFER_OUTPUTS;
+        transfer_mean += weight * transfer_product(texel + 3u);
+        transfer_slope_x += weight * transfer_product(texel + 4u);
+        transfer_slope_y += weight * transfer_product(texel + 5u);
+        transfer_slope_z += weight * transfer_product(texel + 6u);
     }
 }
 
@@ -65,23 +92,20 @@ fn transfer_irradiance(normal: vec3<f32>) -> vec3<f32> {
 }
 
 // Mean radiance of what blocks the distance about a direction.
-fn transfer_radiance(outputs: u32, direction: vec3<f32>, normal: vec3<f32>) -> vec3<f32> {
-    if outputs < TRANSFER_OUTPUTS {
-        return transfer_irradiance(normal) / PI;
-    }
+fn transfer_radiance(direction: vec3<f32>) -> vec3<f32> {
     let slope = direction.x * transfer_slope_x + direction.y * transfer_slope_y
         + direction.z * transfer_slope_z;
     return max(transfer_mean + slope, vec3(0.0));
 }
 
 // What a reflection's lobes show of light that other surfaces send.
-fn transfer_reflected(outputs: u32, normal: vec3<f32>) -> vec3<f32> {
+fn transfer_reflected(normal: vec3<f32>) -> vec3<f32> {
     var sum = vec3(0.0);
     for (var j = 0u; j < specular_count; j++) {
         let lobe = lobes_in_world(j);
         let whole = tables_cosine_integral(lobe.sharpness, dot(normal, lobe.axis));
         let visible = ambient_integrate(lobe.sharpness, lobe.axis, normal);
-        let incoming = transfer_radiance(outputs, lobe.axis, normal);
+        let incoming = transfer_radiance(lobe.axis);
         sum += lobe.amplitude * incoming * max(whole - visible, 0.0);
     }
     return sum;

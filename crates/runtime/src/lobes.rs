@@ -43,7 +43,7 @@ pub(crate) struct LobePasses {
     diffuse: [OnceLock<wgpu::ComputePipeline>; 2],
     products: [OnceLock<wgpu::ComputePipeline>; 2],
     integrals: [OnceLock<wgpu::ComputePipeline>; 4],
-    around: [OnceLock<wgpu::ComputePipeline>; 3],
+    around: [OnceLock<wgpu::ComputePipeline>; 2],
     image: OnceLock<wgpu::ComputePipeline>,
     shade: OnceLock<wgpu::ComputePipeline>,
 }
@@ -218,9 +218,10 @@ impl LobePasses {
                 if next == 0 {
                     run(&self.diffuse[ambient], &DIFFUSE[ambient], (1, 1));
                 }
-                if work.bounced || work.image {
-                    let kind = usize::from(work.bounced) + 2 * usize::from(work.image) - 1;
-                    run(&self.around[kind], &AROUND[kind], (1, 1));
+                for (kind, there_is) in [work.bounced, work.image].into_iter().enumerate() {
+                    if there_is {
+                        run(&self.around[kind], &AROUND[kind], (1, 1));
+                    }
                 }
                 if work.reflections == 0 {
                     continue;

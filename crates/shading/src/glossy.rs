@@ -24,6 +24,8 @@ const CENTER_WEIGHT: f32 = 1.0 / 3.0;
 const POINT_WEIGHT: f32 = 1.0 / 6.0;
 /// Largest tangent of the angle between the centre and another point.
 const FARTHEST_POINT: f32 = 2.0;
+/// Points of a Gaussian that look at the model.
+const POINTS: usize = 5;
 /// Least mean cosine over the points of a Gaussian that reflects at all.
 const LEAST_COSINE: f32 = 1e-4;
 /// Least 1 − |mean vector|² of a Gaussian: below, roundings of unit vectors are as large.
@@ -136,7 +138,7 @@ impl<'a> Glossy<'a> {
             let points = if part <= faint || part < MINOR_PART * all {
                 1
             } else {
-                5
+                POINTS
             };
             let most = EXCESS * energy(light.sharpness);
             let scaled = self.scaled(&product, part, most, points);
@@ -247,6 +249,7 @@ pub fn wgsl_constants() -> String {
     reals
         .map(|(name, value)| format!("const GLOSSY_{name}: f32 = {value:?};\n"))
         .concat()
+        + &format!("const GLOSSY_POINTS: u32 = {POINTS}u;\n")
 }
 
 #[cfg(test)]

@@ -44,9 +44,11 @@ pub fn wgsl_constants() -> String {
         ("GREYS", GREYS),
         ("LOBES", LOBES),
         // Of what is gathered. The Lambertian base and its irradiance are where lobes wait later.
+        // SCALED is beside a field of the reflection that lobes are not made of: compilers keep places that both
+        // have in registers.
         ("SUM", 0),
-        ("BESIDE", 1),
-        ("SCALED", 2),
+        ("SCALED", 1),
+        ("BESIDE", 2),
         ("VISIBLE", 3),
         ("DIFFUSE", FIRST),
         ("IRRADIANCE", FIRST + 1),

@@ -120,7 +120,6 @@ pub const KERNELS: &[Kernel] = &[
     INTEGRALS[3],
     AROUND[0],
     AROUND[1],
-    AROUND[2],
     IMAGES,
     SHADE,
     #[cfg(feature = "paper")]
@@ -214,22 +213,17 @@ pub const INTEGRALS: [Kernel; 4] = [
     ),
 ];
 
-/// What is around beside the lights: other surfaces, an image, both.
-pub const AROUND: [Kernel; 3] = [
+/// What is around beside the lights: other surfaces, an image.
+pub const AROUND: [Kernel; 2] = [
     shading(
         "around, bounced light",
         (Entry::Around, "around_main"),
-        &[("AROUND_BOUNCED", 1.0), ("AROUND_IMAGE", 0.0)],
+        &[("AROUND_IMAGE", 0.0)],
     ),
     shading(
         "around, image",
         (Entry::Around, "around_main"),
-        &[("AROUND_BOUNCED", 0.0), ("AROUND_IMAGE", 1.0)],
-    ),
-    shading(
-        "around, both",
-        (Entry::Around, "around_main"),
-        &[("AROUND_BOUNCED", 1.0), ("AROUND_IMAGE", 1.0)],
+        &[("AROUND_IMAGE", 1.0)],
     ),
 ];
 

@@ -1,41 +1,56 @@
-// The entry point that finds what a reflection shows of what is no light: other surfaces, and what
+// The entry point that finds what a reflection shows of what is no light: other surfaces, or what
 // a diffuse base sees of the image beyond the lights. One half-space each is enough for it.
 
-override AROUND_BOUNCED: bool = true;
-override AROUND_IMAGE: bool = true;
+// The image, in place of other surfaces.
+override AROUND_IMAGE: bool = false;
 
 @compute @workgroup_size(8, 8)
 fn around_main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
     @builtin(local_invocation_index) invocation: u32,
 ) {
-    slots_enter(workgroup.x, invocation);
+    slots_enter_again(workgroup.x, invocation);
     if slots_surface() == 0u {
         return;
     }
     let triangle = triangles[seen_known(tile_pixel(invocation)).x];
-    let corners = triangle.xyz;
-    let weights = slots_barycentrics();
-    let cluster = triangle.w >> 16u;
-    var diffuse = vec3(0.0);
-    if slots_state(slots_gathered_at(SLOTS_SUM).w).reflection == 0u {
-        diffuse = slots_gathered_value(SLOTS_DIFFUSE).xyz;
-    }
-    specular_count = slots_lobe_count();
-    var sum = slots_gathered_value(SLOTS_BESIDE).xyz;
-    if AROUND_BOUNCED && clusters[cluster].bounced != 0u {
-        let group = transfer_group(clusters[cluster].bounced - 1u);
-        transfer_load(group, corners, weights);
-        let irradiance = transfer_irradiance(slots_point().normal);
-        sum += diffuse / PI * irradiance;
-        transfer_load_radiance(group, corners, weights, irradiance);
-        // Visibility as late as can be: it takes registers.
-        ssdf_load(clusters[cluster], corners, weights);
-        sum += transfer_reflected(slots_point().normal);
-    }
     if AROUND_IMAGE {
-        ssdf_load(clusters[cluster], corners, weights);
-        sum += image_diffused(slots_point(), diffuse);
+        ssdf_load(clusters[triangle.w >> 16u], triangle.xyz, slots_barycentrics());
+        around_add(image_diffused(slots_point(), around_diffuse()));
+    } else {
+        around_bounced(triangle);
     }
-    slots_put_value(SLOTS_BESIDE, sum, 0u);
+}
+
+// Visibility as late as can be: it takes registers.
+fn around_bounced(triangle: vec4<u32>) {
+    let number = clusters[triangle.w >> 16u].bounced;
+    if number == 0u {
+        return;
+    }
+    let group = transfer_group(number - 1u);
+    transfer_load(group, triangle.xyz, slots_barycentrics());
+    let irradiance = transfer_irradiance(slots_point().normal);
+    around_add(around_diffuse() / PI * irradiance);
+    specular_count = slots_lobe_count();
+    if specular_count > 0u {
+        slots_again();
+        transfer_load_radiance(group, triangle.xyz, slots_barycentrics(), irradiance);
+        slots_again();
+        ssdf_load(clusters[triangle.w >> 16u], triangle.xyz, slots_barycentrics());
+        around_add(transfer_reflected(slots_point().normal));
+    }
+}
+
+// The Lambertian base comes with the first reflection.
+fn around_diffuse() -> vec3<f32> {
+    if slots_state(slots_gathered_at(SLOTS_SUM).w).reflection > 0u {
+        return vec3(0.0);
+    }
+    return slots_gathered_value(SLOTS_DIFFUSE).xyz;
+}
+
+fn around_add(value: vec3<f32>) {
+    slots_again();
+    slots_put_value(SLOTS_BESIDE, slots_gathered_value(SLOTS_BESIDE).xyz + value, 0u);
 }

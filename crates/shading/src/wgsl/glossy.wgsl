@@ -2,16 +2,33 @@
 // lobes_shape and its siblings, in lobes.wgsl or slots.wgsl, read where they are needed: to keep
 // them takes more registers than there are. All in the point's frame.
 
-// What the reflection shows of `light`, as one Gaussian. Of no amplitude where there is nothing
-// to see, or nothing beside `gathered`.
-fn glossy_reflected(light: SphericalGaussian, gathered: vec3<f32>) -> SphericalGaussian {
+// What the reflection shows of a light is one Gaussian: glossy_begin, glossy_add for every point, glossy_end. A loop over
+// points that ends with glossy_end within its last round leaves nothing to be kept through the loops about it, as
+// compilers do with all that is used after a loop.
+
+// Of the products with one light.
+struct GlossySum {
+    // Their integral, those that are left out included, and the part of the light up to which a product is faint.
+    whole: f32,
+    faint: f32,
+    // Directions are differences to one among them, which keeps the digits of narrow lobes.
+    origin: vec3<f32>,
+    used: f32,
+    total: vec3<f32>,
+    rest: f32,
+    squares: f32,
+    mean: vec3<f32>,
+}
+
+var<private> glossy_sum: GlossySum;
+
+// Whether there is anything to see of `light` beside `gathered`.
+fn glossy_begin(light: SphericalGaussian, gathered: vec3<f32>) -> bool {
     let whole = glossy_whole(light);
     let color = light.amplitude * lobes_color();
-    if whole < GLOSSY_LEAST_MASS || all(GLOSSY_TAIL * whole * color <= SHADE_NEGLIGIBLE * gathered) {
-        return SphericalGaussian(light.axis, light.sharpness, vec3(0.0));
-    }
-    // The part of the light up to which a product is faint.
-    return glossy_joined(light, whole, glossy_faint(color, gathered));
+    glossy_sum = GlossySum(whole, glossy_faint(color, gathered), vec3(0.0), 0.0, vec3(0.0), 0.0, 0.0, vec3(0.0));
+    glossy_lobe = GlossyLobe(vec3(0.0), 0.0, vec3(0.0), 0.0, 0.0, 0u);
+    return whole >= GLOSSY_LEAST_MASS && !all(GLOSSY_TAIL * whole * color <= SHADE_NEGLIGIBLE * gathered);
 }
 
 // The integral of all products with a white light.
@@ -24,53 +41,100 @@ fn glossy_whole(light: SphericalGaussian) -> f32 {
     return whole;
 }
 
-// All products as one Gaussian, `whole` being their integral.
-fn glossy_joined(light: SphericalGaussian, whole: f32, faint: f32) -> SphericalGaussian {
-    // Directions are differences to one among them, which keeps the digits of narrow lobes.
-    var origin = vec3(0.0);
-    var used = 0.0;
-    var total = vec3(0.0);
-    var rest = 0.0;
-    var squares = 0.0;
-    var mean = vec3(0.0);
-    for (var j = 0u; j < specular_count; j++) {
-        let product = glossy_times(light, j);
+// Of one lobe: its product, the integral of that, how many points look at the model, what they found and their weight.
+struct GlossyLobe {
+    axis: vec3<f32>,
+    sharpness: f32,
+    sum: vec3<f32>,
+    whole: f32,
+    part: f32,
+    points: u32,
+}
+
+var<private> glossy_lobe: GlossyLobe;
+
+// Points of all lobes, of each GLOSSY_POINTS.
+fn glossy_count() -> u32 {
+    return GLOSSY_POINTS * specular_count;
+}
+
+fn glossy_add(light: SphericalGaussian, index: u32) {
+    let i = index % GLOSSY_POINTS;
+    if i == 0u {
+        let product = glossy_times(light, index / GLOSSY_POINTS);
         let part = product.amplitude.x * spherical_gaussian_energy(product.sharpness);
-        if part >= GLOSSY_LEAST_PART * whole {
-            if used == 0.0 {
-                origin = product.axis;
-            }
-            used += part;
-            let points = select(5u, 1u, part <= faint || part < GLOSSY_MINOR_PART * whole);
-            let most = GLOSSY_EXCESS * spherical_gaussian_energy(light.sharpness);
-            let scaled = glossy_scaled(product.axis, product.sharpness, part, most, points);
-            total += scaled;
-            let weight = glossy_sum(scaled);
-            let short = glossy_shortening(product.sharpness);
-            let offset = product.axis - origin;
-            rest += weight * short;
-            mean += weight * (1.0 - short) * offset;
-            squares += weight * (1.0 - short) * dot(offset, offset);
+        let one = part <= glossy_sum.faint || part < GLOSSY_MINOR_PART * glossy_sum.whole;
+        let none = part < GLOSSY_LEAST_PART * glossy_sum.whole;
+        let points = select(select(GLOSSY_POINTS, 1u, one), 0u, none);
+        glossy_lobe = GlossyLobe(product.axis, product.sharpness, vec3(0.0), 0.0, part, points);
+    }
+    if i < glossy_lobe.points {
+        glossy_look(i, GLOSSY_EXCESS * spherical_gaussian_energy(light.sharpness));
+        if i + 1u == glossy_lobe.points {
+            glossy_join(glossy_lobe.sum / max(glossy_lobe.whole, GLOSSY_LEAST_COSINE));
         }
     }
-    let mass = glossy_sum(total);
+}
+
+// The integral of a product, as one point says that the model makes it: in all at most `most` times the
+// model's value.
+fn glossy_look(i: u32, most: f32) {
+    let direction = glossy_point(glossy_lobe.axis, glossy_lobe.sharpness, i);
+    if direction.z > 0.0 {
+        let lobes = glossy_lobes(direction);
+        let weight = direction.z * select(GLOSSY_POINT_WEIGHT, GLOSSY_CENTER_WEIGHT, i == 0u);
+        let model = models_specular(lobes_reflection(), direction, lobes_view());
+        glossy_lobe.sum += weight * min(glossy_lobe.part / max(lobes, 1.17549435e-38), most) * model;
+        glossy_lobe.whole += weight;
+    }
+}
+
+// What all points say.
+fn glossy_join(scaled: vec3<f32>) {
+    if glossy_sum.used == 0.0 {
+        glossy_sum.origin = glossy_lobe.axis;
+    }
+    glossy_sum.used += glossy_lobe.part;
+    glossy_sum.total += scaled;
+    let weight = glossy_channels(scaled);
+    let short = glossy_shortening(glossy_lobe.sharpness);
+    let offset = glossy_lobe.axis - glossy_sum.origin;
+    glossy_sum.rest += weight * short;
+    glossy_sum.mean += weight * (1.0 - short) * offset;
+    glossy_sum.squares += weight * (1.0 - short) * dot(offset, offset);
+}
+
+// The Gaussian. Of no amplitude where there is nothing to see.
+fn glossy_end(light: SphericalGaussian) -> SphericalGaussian {
+    let mass = glossy_channels(glossy_sum.total);
     if mass < GLOSSY_LEAST_MASS {
         return SphericalGaussian(light.axis, light.sharpness, vec3(0.0));
     }
-    rest /= mass;
-    mean /= mass;
-    squares /= mass;
+    let rest = glossy_sum.rest / mass;
+    let mean = glossy_sum.mean / mass;
+    let squares = glossy_sum.squares / mass;
     // 1 - |m|^2 for the mean vector m = (1 - rest) origin + mean, without the difference of
     // nearly equal numbers: origin . mean is half the sum of squared offsets, below 0.
     let unclamped = rest * (2.0 - rest) + (1.0 - rest) * squares - dot(mean, mean);
     let spread = clamp(unclamped, GLOSSY_LEAST_SPREAD, 1.0);
     let sharpness = sqrt(1.0 - spread) * (2.0 + spread) / spread;
-    let scale = whole / (used * spherical_gaussian_energy(sharpness));
+    let scale = glossy_sum.whole / (glossy_sum.used * spherical_gaussian_energy(sharpness));
     return SphericalGaussian(
-        glossy_unit_or((1.0 - rest) * origin + mean, origin),
+        glossy_unit_or((1.0 - rest) * glossy_sum.origin + mean, glossy_sum.origin),
         sharpness,
-        light.amplitude * total * scale,
+        light.amplitude * glossy_sum.total * scale,
     );
+}
+
+// All of it, for kernels that have registers.
+fn glossy_reflected(light: SphericalGaussian, gathered: vec3<f32>) -> SphericalGaussian {
+    if !glossy_begin(light, gathered) {
+        return SphericalGaussian(light.axis, light.sharpness, vec3(0.0));
+    }
+    for (var i = 0u; i < glossy_count(); i++) {
+        glossy_add(light, i);
+    }
+    return glossy_end(light);
 }
 
 // The product of a white light of this shape and a lobe without its colour.
@@ -86,24 +150,6 @@ fn glossy_times(light: SphericalGaussian, j: u32) -> SphericalGaussian {
 fn glossy_faint(color: vec3<f32>, gathered: vec3<f32>) -> f32 {
     let parts = GLOSSY_FAINT * gathered / max(color, vec3(1.17549435e-38));
     return min(min(parts.x, parts.y), parts.z);
-}
-
-// The integral of a product, `part`, as the model makes it: in all at most `most` times the
-// model's value. Of five points the first `points`.
-fn glossy_scaled(axis: vec3<f32>, sharpness: f32, part: f32, most: f32, points: u32) -> vec3<f32> {
-    var sum = vec3(0.0);
-    var whole = 0.0;
-    for (var i = 0u; i < points; i++) {
-        let direction = glossy_point(axis, sharpness, i);
-        if direction.z > 0.0 {
-            let lobes = glossy_lobes(direction);
-            let weight = direction.z * select(GLOSSY_POINT_WEIGHT, GLOSSY_CENTER_WEIGHT, i == 0u);
-            let model = models_specular(lobes_reflection(), direction, lobes_view());
-            sum += weight * min(part / max(lobes, 1.17549435e-38), most) * model;
-            whole += weight;
-        }
-    }
-    return sum / max(whole, GLOSSY_LEAST_COSINE);
 }
 
 // The lobes' value.
@@ -133,7 +179,7 @@ fn glossy_point(axis: vec3<f32>, sharpness: f32, i: u32) -> vec3<f32> {
     return normalize(axis + select(reach, -reach, (i & 1u) == 0u) * aside);
 }
 
-fn glossy_sum(color: vec3<f32>) -> f32 {
+fn glossy_channels(color: vec3<f32>) -> f32 {
     return color.x + color.y + color.z;
 }
 

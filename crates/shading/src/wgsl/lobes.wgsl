@@ -19,7 +19,7 @@ fn lobes_of(point: SurfacePoint, reflection: Reflection) {
     lobes_point = point;
     lobes_model = reflection;
     let color = brdf_lobes(reflection, lobes_view());
-    lobes_scale = max(glossy_sum(color), 1.17549435e-38);
+    lobes_scale = max(glossy_channels(color), 1.17549435e-38);
     lobes_tint = color / lobes_scale;
 }
 

@@ -84,14 +84,12 @@ fn occluders_meet(index: u32, origin: vec3<f32>, direction: vec3<f32>, nearest: 
 
 // Whether anything may lie within a cone with its tip at `origin`, or cut off there where it has a radius.
 fn occluders_meet_cone(origin: vec3<f32>, radius: f32, axis: vec3<f32>, cosine: f32) -> bool {
-    if cosine <= 0.0 {
-        return true;
-    }
     let sine = sqrt(max(1.0 - cosine * cosine, 0.0));
     let cut = radius * cosine / max(sine, OCCLUDERS_LEAST_SINE);
     let end = arrayLength(&occluder_nodes);
     var place = 0u;
-    while place < end {
+    var met = cosine <= 0.0;
+    while place < end && !met {
         let node = occluder_nodes[place];
         let middle = 0.5 * (node.low + node.high) - origin;
         let around = 0.5 * length(node.high - node.low);
@@ -100,18 +98,22 @@ fn occluders_meet_cone(origin: vec3<f32>, radius: f32, axis: vec3<f32>, cosine: 
         let outside = (across - radius) * cosine - along * sine;
         if outside > around || along < -around {
             place = node.next;
-            continue;
+        } else {
+            met = occluders_leaf_meets_cone(node.triangles, origin, cut, axis, cosine);
+            place++;
         }
-        let first = node.triangles >> OCCLUDERS_COUNT_BITS;
-        let last = first + (node.triangles & OCCLUDERS_MAX_TRIANGLES);
-        for (var i = first; i < last; i++) {
-            if occluders_triangle_meets_cone(i, origin, cut, axis, cosine) {
-                return true;
-            }
-        }
-        place++;
     }
-    return false;
+    return met;
+}
+
+fn occluders_leaf_meets_cone(triangles: u32, origin: vec3<f32>, cut: f32, axis: vec3<f32>, cosine: f32) -> bool {
+    let first = triangles >> OCCLUDERS_COUNT_BITS;
+    let last = first + (triangles & OCCLUDERS_MAX_TRIANGLES);
+    var met = false;
+    for (var i = first; i < last && !met; i++) {
+        met = occluders_triangle_meets_cone(i, origin, cut, axis, cosine);
+    }
+    return met;
 }
 
 // A cone meets a triangle that its axis hits, or an edge of which enters it; its first part, of length
@@ -126,10 +128,14 @@ fn occluders_triangle_meets_cone(
     let ab = occluder_triangles[index].edges[0].xyz;
     let ac = occluder_triangles[index].edges[1].xyz;
     let a = occluder_triangles[index].corner - origin;
-    return occluders_cone_meets_edge(a, ab, cut, axis, cosine)
-        || occluders_cone_meets_edge(a, ac, cut, axis, cosine)
-        || occluders_cone_meets_edge(a + ab, ac - ab, cut, axis, cosine)
-        || occluders_meet(index, origin, axis, 0.0);
+    var met = occluders_meet(index, origin, axis, 0.0);
+    // One place that edges are looked at.
+    for (var edge = 0u; edge < 3u && !met; edge++) {
+        let start = select(a, a + ab, edge == 2u);
+        let along = select(select(ac, ab, edge == 0u), ac - ab, edge == 2u);
+        met = occluders_cone_meets_edge(start, along, cut, axis, cosine);
+    }
+    return met;
 }
 
 // The part of an edge that is in front.

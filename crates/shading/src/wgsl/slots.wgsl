@@ -15,6 +15,26 @@ fn slots_enter(workgroup: u32, invocation: u32) {
     slot = 64u * SLOTS_FIELDS * workgroup + invocation;
 }
 
+// The slot of the workgroup's first invocation, and which of them this is, for slots_again.
+var<workgroup> slots_first: atomic<u32>;
+var<private> slots_own: u32;
+
+// In place of slots_enter, in uniform control flow, in kernels of few registers.
+fn slots_enter_again(workgroup: u32, invocation: u32) {
+    slots_enter(workgroup, invocation);
+    slots_own = invocation;
+    if invocation == 0u {
+        atomicStore(&slots_first, slot);
+    }
+    workgroupBarrier();
+}
+
+// Enters the slot as if for the first time: compilers keep all places in slots that come more than once in registers,
+// three for each word.
+fn slots_again() {
+    slot = atomicLoad(&slots_first) + slots_own;
+}
+
 // How far a pixel is.
 struct SlotState {
     // The first light of the next round; SLOTS_DONE: none.

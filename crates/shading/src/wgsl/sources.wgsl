@@ -7,77 +7,152 @@ fn sources_main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
     @builtin(local_invocation_index) invocation: u32,
 ) {
-    slots_enter(workgroup.x, invocation);
+    slots_enter_again(workgroup.x, invocation);
     let pixel = tile_pixel(invocation);
     let seen = seen_triangle(pixel);
     if seen.x >= frames[frame_index].triangle_count {
         return;
     }
     let triangle = triangles[seen.x];
-    let corners = triangle.xyz;
-    let weights = seen_barycentrics(corners, pixel, seen.y);
-    let point = surface_point(corners, triangle.w & 0xffffu, weights);
-    var sum = vec3(0.0);
-    if dot(point.normal, point.view) > 0.0 {
-        let at = seen_point(pixel, seen.y);
-        sum = sources_radiance(workgroup.z, point, floor(at) + 0.5 - at);
-    }
-    textureStore(source_radiance_found, pixel, workgroup.z, vec4(sum, 1.0));
+    let weights = seen_barycentrics(triangle.xyz, pixel, seen.y);
+    sources_points(workgroup.z, pixel, seen.y, triangle.xyz, triangle.w & 0xffffu, weights);
+    textureStore(source_radiance_found, pixel, workgroup.z, vec4(sources_reflected(workgroup.z, weights), 1.0));
 }
 
-// Radiance of one source from `point` towards the eye, which is above its horizon. `from_point` is the way to the
-// pixel's centre, pixels.
-fn sources_radiance(source: u32, point: SurfacePoint, from_point: vec2<f32>) -> vec3<f32> {
-    let entry = (frame_index * frames[frame_index].source_count + source) * (1u + SOURCE_RIM + SOURCE_POINTS);
-    let cone = source_points[entry];
-    let rim = entry + 1u;
-    let first = rim + SOURCE_RIM;
-    var above = false;
-    for (var i = rim; i < first + SOURCE_LEVELS.x; i++) {
-        above = above || surface_to_local(point, source_points[i].direction).z > 0.0;
+// Points of the source that the invocation's pixel sees, a bit each, then whether they are of the second level, and
+// in the second bit whether there are any: in
+// registers they would be kept through all that comes before and after.
+var<workgroup> sources_seen: array<u32, 64u * (SOURCE_POINTS / 32u + 1u)>;
+
+fn sources_word(word: u32) -> u32 {
+    return 64u * word + slots_own;
+}
+
+// The first of the source's entries.
+fn sources_entry(source: u32) -> u32 {
+    return (frame_index * frames[frame_index].source_count + source) * (1u + SOURCE_RIM + SOURCE_POINTS);
+}
+
+// Finds them, from a pixel's point on a triangle.
+fn sources_points(
+    source: u32,
+    pixel: vec2<u32>,
+    seen_at: u32,
+    corners: vec3<u32>,
+    material: u32,
+    weights: vec3<f32>,
+) {
+    for (var word = 0u; word <= SOURCE_POINTS / 32u; word++) {
+        sources_seen[sources_word(word)] = 0u;
     }
-    if !above {
-        return vec3(0.0);
-    }
-    let wo = surface_to_local(point, point.view);
-    var square = mat2x3<f32>();
-    if frames[frame_index].source_squares != 0u {
-        square = sources_square(point);
-    }
-    let radius = 0.5 * max(length(square[0] + square[1]), length(square[0] - square[1]));
-    let origin = point.position + point.geometric_normal * source_points[first].ray_offset
-        + square * from_point;
-    let touched = occluders_meet_cone(origin, radius, cone.direction, cone.cone_cosine);
-    var seen = false;
-    var hidden = false;
-    var level = 1u;
-    var sum = vec3(0.0);
-    // The first points, the rim unless it is known by them that there is an edge, and the rest where there is. One
-    // place that rays are followed: copies of it are most of a shader.
-    for (var step = 0u; step < SOURCE_RIM + SOURCE_POINTS; step++) {
-        let on_rim = step >= SOURCE_LEVELS.x && step < SOURCE_LEVELS.x + SOURCE_RIM;
-        let edge = seen && hidden;
-        if step == SOURCE_LEVELS.x + SOURCE_RIM && !edge {
-            level = u32(hidden);
-            break;
+    let shape = surface_shape(corners, material, weights);
+    let entry = sources_entry(source);
+    if dot(shape.normal, shape.view) > 0.0 && sources_above(entry + 1u, shape.normal) {
+        let at = seen_point(pixel, seen_at);
+        let from_point = floor(at) + 0.5 - at;
+        var square = mat2x3<f32>();
+        if frames[frame_index].source_squares != 0u {
+            square = sources_square(shape);
         }
+        let radius = 0.5 * max(length(square[0] + square[1]), length(square[0] - square[1]));
+        let offset = source_points[entry + 1u + SOURCE_RIM].ray_offset;
+        let origin = shape.position + shape.geometric_normal * offset + square * from_point;
+        let touched = occluders_meet_cone(origin, radius, source_points[entry].direction, source_points[entry].cone_cosine);
+        sources_rays(entry + 1u, shape.normal, shape.geometric_normal, touched, origin, square, from_point);
+    }
+}
+
+// Whether anything of a source, whose rim begins there, is above the horizon.
+fn sources_above(rim: u32, normal: vec3<f32>) -> bool {
+    var above = false;
+    for (var i = rim; i < rim + SOURCE_RIM + SOURCE_LEVELS.x && !above; i++) {
+        above = dot(source_points[i].direction, normal) > 0.0;
+    }
+    return above;
+}
+
+// The first points, the rim unless it is known by them that there is an edge, and the rest where there is. One
+// place that rays are followed: copies of it are most of a shader.
+fn sources_rays(
+    rim: u32,
+    normal: vec3<f32>,
+    face: vec3<f32>,
+    touched: bool,
+    origin: vec3<f32>,
+    square: mat2x3<f32>,
+    from_point: vec2<f32>,
+) {
+    // Bits: seen, hidden.
+    var found = 0u;
+    var count = SOURCE_LEVELS.x + SOURCE_RIM;
+    for (var step = 0u; step < count; step++) {
+        let on_rim = step >= SOURCE_LEVELS.x && step < SOURCE_LEVELS.x + SOURCE_RIM;
         let index = step - select(SOURCE_RIM, 0u, step < SOURCE_LEVELS.x);
-        let entry = select(first + index, rim + step - SOURCE_LEVELS.x, on_rim);
-        let direction = source_points[entry].direction;
-        let wi = surface_to_local(point, direction);
-        if wi.z > 0.0 && !(on_rim && edge) {
-            let place = select(sources_place(index), vec2(0.0), on_rim);
-            if sources_visible(point.geometric_normal, touched, origin, direction, square, place, from_point) {
-                seen = true;
-                if !on_rim {
-                    sum += source_points[entry].light * (wi.z * models_evaluate(point.appearance, wi, wo));
-                }
-            } else {
-                hidden = true;
+        // The rim comes before the points.
+        let direction = source_points[rim + select(SOURCE_RIM + index, step - SOURCE_LEVELS.x, on_rim)].direction;
+        if dot(direction, normal) > 0.0 && !(on_rim && found == 3u) {
+            let offset = select(sources_place(index), vec2(0.0), on_rim);
+            let visible = sources_visible(face, touched, origin, direction, square, offset, from_point);
+            found |= select(2u, 1u, visible);
+            if visible && !on_rim {
+                sources_seen[sources_word(index / 32u)] |= 1u << (index % 32u);
+                sources_seen[sources_word(SOURCE_POINTS / 32u)] |= 2u;
             }
         }
+        if step + 1u == SOURCE_LEVELS.x + SOURCE_RIM {
+            sources_seen[sources_word(SOURCE_POINTS / 32u)] |= found / 2u;
+            count = select(count, SOURCE_RIM + SOURCE_POINTS, found == 3u);
+        }
     }
-    return sum * source_scales[2u * source + level].xyz;
+}
+
+// Radiance by these points towards the eye.
+fn sources_reflected(source: u32, weights: vec3<f32>) -> vec3<f32> {
+    let level = sources_seen[sources_word(SOURCE_POINTS / 32u)];
+    if level == 0u {
+        return vec3(0.0);
+    }
+    // What the surface is, found again: rays and reflections at once take more registers than there are.
+    slots_again();
+    let triangle = triangles[seen_known(tile_pixel(slot % 64u)).x];
+    let point = surface_point(triangle.xyz, triangle.w & 0xffffu, weights);
+    let wo = surface_to_local(point, point.view);
+    var sum = vec3(0.0);
+    for (var k = 0u; k < max(reflection_count, 1u); k++) {
+        var reflection = reflection_first;
+        if k > 0u {
+            reflection = surface_reflection(k);
+        }
+        let diffuse = select(vec3(0.0), point.appearance.diffuse / PI, k == 0u);
+        sum += sources_shown(sources_entry(source) + 1u + SOURCE_RIM, point, wo, diffuse, reflection);
+    }
+    return sum * source_scales[2u * source + (level & 1u)].xyz;
+}
+
+// What a Lambertian base, and a reflection, show of points.
+fn sources_shown(
+    first: u32,
+    point: SurfacePoint,
+    wo: vec3<f32>,
+    diffuse: vec3<f32>,
+    reflection: Reflection,
+) -> vec3<f32> {
+    var sum = vec3(0.0);
+    var word = 0u;
+    var bits = sources_seen[sources_word(0u)];
+    while word < SOURCE_POINTS / 32u {
+        if bits != 0u {
+            let entry = first + 32u * word + firstTrailingBit(bits);
+            bits &= bits - 1u;
+            let wi = surface_to_local(point, source_points[entry].direction);
+            let shown = diffuse + models_specular(reflection, wi, wo);
+            sum += source_points[entry].light * (max(wi.z, 0.0) * shown);
+        } else {
+            word++;
+            bits = sources_seen[sources_word(min(word, SOURCE_POINTS / 32u - 1u))];
+        }
+    }
+    return sum;
 }
 
 // Whether a source is visible from a place of a pixel, whose centre is at `origin`, on a triangle of the normal `face`:
@@ -107,9 +182,9 @@ fn sources_place(index: u32) -> vec2<f32> {
 }
 
 // The sides of the square that a pixel covers on the plane of a surface.
-fn sources_square(point: SurfacePoint) -> mat2x3<f32> {
-    let steps = camera_steps(point.geometric_normal, point.position);
-    let facing = camera_steps(point.view, point.position);
+fn sources_square(shape: SurfaceShape) -> mat2x3<f32> {
+    let steps = camera_steps(shape.geometric_normal, shape.position);
+    let facing = camera_steps(shape.view, shape.position);
     let longest = SOURCE_LONGEST_SIDE * max(length(facing[0]), length(facing[1]));
     return mat2x3<f32>(
         steps[0] * min(longest / max(length(steps[0]), 1e-20), 1.0),

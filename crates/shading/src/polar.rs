@@ -24,6 +24,8 @@ pub const RELAXATION: f32 = 1.2;
 pub const SHORTEST_STEP: f32 = 0.1;
 /// Upper bound of the shortest step, radians: wide lobes see features of this size.
 pub const SHORTEST_STEP_LIMIT: f32 = 0.1;
+/// Least that a spoke's last step goes, in shortest steps: next to nothing of a lobe is left there.
+pub const LAST_STEP: f32 = 0.5;
 /// Azimuth of the first spoke from the projected normal, in spokes. The integrand is often
 /// symmetric about that plane: a quarter puts no spoke on another's mirror image.
 pub const PHASE: f32 = 0.25;
@@ -168,7 +170,7 @@ pub(crate) fn visible_fraction(
             here = field.distance(axis * cosine + outward * sine);
         }
         let mut sum = if here > 0.0 { -first } else { 0.0 };
-        while theta + RELAXATION * here.abs() < end {
+        while theta + (RELAXATION * here.abs()).max(LAST_STEP * shortest) < end {
             let next = (theta + (RELAXATION * here.abs()).max(shortest)).min(end);
             let (sine_there, cosine_there) = math::sin_cos(next);
             let there = field.distance(axis * cosine_there + outward * sine_there);
@@ -244,6 +246,7 @@ pub fn wgsl_constants() -> String {
          const POLAR_RELAXATION: f32 = {RELAXATION:?};\n\
          const POLAR_SHORTEST_STEP: f32 = {SHORTEST_STEP:?};\n\
          const POLAR_SHORTEST_STEP_LIMIT: f32 = {SHORTEST_STEP_LIMIT:?};\n\
+         const POLAR_LAST_STEP: f32 = {LAST_STEP:?};\n\
          const POLAR_PHASE: f32 = {PHASE:?};\n\
          const POLAR_MOST_SPOKES: f32 = {MOST_SPOKES:?};\n\
          const POLAR_LEAST_SPOKES: f32 = {LEAST_SPOKES:?};\n\

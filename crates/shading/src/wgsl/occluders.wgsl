@@ -106,9 +106,9 @@ fn occluders_meet_cone(origin: vec3<f32>, radius: f32, axis: vec3<f32>, cosine: 
     return met;
 }
 
-fn occluders_leaf_meets_cone(triangles: u32, origin: vec3<f32>, cut: f32, axis: vec3<f32>, cosine: f32) -> bool {
-    let first = triangles >> OCCLUDERS_COUNT_BITS;
-    let last = first + (triangles & OCCLUDERS_MAX_TRIANGLES);
+fn occluders_leaf_meets_cone(leaf: u32, origin: vec3<f32>, cut: f32, axis: vec3<f32>, cosine: f32) -> bool {
+    let first = leaf >> OCCLUDERS_COUNT_BITS;
+    let last = first + (leaf & OCCLUDERS_MAX_TRIANGLES);
     var met = false;
     for (var i = first; i < last && !met; i++) {
         met = occluders_triangle_meets_cone(i, origin, cut, axis, cosine);

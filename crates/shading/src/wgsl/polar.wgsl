@@ -67,7 +67,7 @@ fn polar_fraction(
         var theta = ends.x;
         var here = 0.0;
         var shortest = 0.0;
-        while theta + POLAR_RELAXATION * abs(here) < ends.y {
+        while theta + max(POLAR_RELAXATION * abs(here), POLAR_LAST_STEP * shortest) < ends.y {
             let next = min(theta + max(POLAR_RELAXATION * abs(here), shortest), ends.y);
             var there = distance;
             if next > 0.0 {

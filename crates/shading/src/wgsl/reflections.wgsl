@@ -8,7 +8,7 @@ fn reflections_main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
     @builtin(local_invocation_index) invocation: u32,
 ) {
-    slots_enter(workgroup.x, invocation);
+    slots_enter_again(workgroup.x, invocation);
     let pixel = tile_pixel(invocation);
     let seen = seen_triangle(pixel);
     var state = SlotState(SLOTS_DONE, 0u, 0u);
@@ -17,9 +17,16 @@ fn reflections_main(
         slots_put_reflection(SLOTS_TANGENT, vec3(0.0), 0u);
         return;
     }
+    if REFLECTIONS_FIRST {
+        reflection_wanted = 0u;
+    } else {
+        reflection_wanted = slots_state(slots_gathered_at(SLOTS_SUM).w).reflection + 1u;
+    }
+    state.reflection = reflection_wanted;
     let triangle = triangles[seen.x];
     let weights = seen_barycentrics(triangle.xyz, pixel, seen.y);
     let point = surface_point(triangle.xyz, triangle.w & 0xffffu, weights);
+    slots_again();
     let lit = dot(point.normal, point.view) > 0.0;
     var sum = vec3(0.0);
     if REFLECTIONS_FIRST {
@@ -34,17 +41,12 @@ fn reflections_main(
         slots_put_value(SLOTS_BESIDE, vec3(0.0), 0u);
         slots_put_value(SLOTS_DIFFUSE, diffuse, u32(has_diffuse));
     } else {
-        let before = slots_gathered_at(SLOTS_SUM);
-        sum = bitcast<vec3<f32>>(before.xyz);
-        state.reflection = slots_state(before.w).reflection + 1u;
+        sum = slots_gathered_value(SLOTS_SUM).xyz;
     }
-    var reflection = reflection_first;
     var reflects = lit && state.reflection < reflection_count;
     let wo = surface_to_local(point, point.view);
-    if reflects {
-        reflection = surface_reflection(state.reflection);
-        reflects = brdf_reflects(reflection, wo);
-    }
+    let reflection = reflection_found;
+    reflects = reflects && brdf_reflects(reflection, wo);
     // All that can be written before the lobes: what waits for them takes registers from them.
     slots_put_surface(point, weights, (triangle.w & 0xffffu) + 1u, reflection);
     state.next = select(SLOTS_DONE, shade_first_light(), reflects);

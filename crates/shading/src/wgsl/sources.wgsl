@@ -119,7 +119,7 @@ fn sources_reflected(source: u32, weights: vec3<f32>) -> vec3<f32> {
     let wo = surface_to_local(point, point.view);
     var sum = vec3(0.0);
     for (var k = 0u; k < max(reflection_count, 1u); k++) {
-        var reflection = reflection_first;
+        var reflection = reflection_found;
         if k > 0u {
             reflection = surface_reflection(k);
         }

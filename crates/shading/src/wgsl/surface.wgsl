@@ -17,10 +17,12 @@ struct Appearance {
     diffuse: vec3<f32>,
 }
 
-// What surface_reflection knows of the invocation's surface point, as surface_point leaves it. No
+// What surface_reflection knows of the invocation's surface point, as surface_point leaves it, but for what is wanted. No
 // array: what is indexed lives in memory.
 var<private> reflection_count: u32;
-var<private> reflection_first: Reflection;
+// Reflection number reflection_wanted, as the layers above leave it.
+var<private> reflection_found: Reflection;
+var<private> reflection_wanted: u32;
 var<private> reflection_material: u32;
 var<private> reflection_uv: vec2<f32>;
 var<private> reflection_view_cosine: f32;
@@ -172,7 +174,7 @@ fn surface_point(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32
         appearance.diffuse = color * (1.0 - metallic);
         let specular = mix(vec3(SURFACE_DIELECTRIC_F0), color, metallic);
         let alphas = vec2(alpha + (1.0 - alpha) * strength * strength, alpha);
-        reflection_first = surface_clamped(Reflection(specular, MODEL_GGX, vec3(1.0), alphas, 0u));
+        reflection_found = surface_clamped(Reflection(specular, MODEL_GGX, vec3(1.0), alphas, 0u));
         reflection_count = 1u;
     } else {
         if materials[material_index].surface == SURFACE_LAYERS && anisotropy_texture.width != 0u {
@@ -180,15 +182,16 @@ fn surface_point(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32
             tangent = surface_unit_or(tangent * direction.x + bitangent * direction.y, tangent);
         }
         reflection_count = materials[material_index].layer_count;
+        reflection_found = Reflection();
         for (var i = 0u; i < reflection_count; i++) {
             let weight = surface_layer_weight(i);
             let reflection = surface_layer_reflection(i);
             let below = surface_layer_below(i, weight, reflection);
             appearance.diffuse = appearance.diffuse * below + surface_layer_diffuse(i) * weight;
-            if i == 0u {
-                reflection_first = surface_weighted(reflection, weight);
-            } else {
-                reflection_first = surface_below(reflection_first, below);
+            if i == reflection_wanted {
+                reflection_found = surface_weighted(reflection, weight);
+            } else if i > reflection_wanted {
+                reflection_found = surface_below(reflection_found, below);
             }
             let alpha = surface_clamped(reflection).alpha;
             anisotropic = anisotropic || (reflection.model != MODEL_NONE && alpha.x != alpha.y);
@@ -243,8 +246,8 @@ fn surface_emission(corners: vec3<u32>, material_index: u32, barycentrics: vec3<
 
 // Reflection `k` of the invocation's surface point, as the layers above leave it.
 fn surface_reflection(k: u32) -> Reflection {
-    if k == 0u {
-        return reflection_first;
+    if k == reflection_wanted {
+        return reflection_found;
     }
     var reflection = surface_weighted(surface_layer_reflection(k), surface_layer_weight(k));
     for (var i = k + 1u; i < reflection_count; i++) {

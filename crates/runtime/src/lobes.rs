@@ -60,9 +60,14 @@ pub(crate) struct Slots {
 
 /// What an instance's light and materials make necessary.
 #[derive(Clone, Copy, Debug)]
+#[allow(
+    clippy::struct_excessive_bools,
+    reason = "each says that there is a pass"
+)]
 pub(crate) struct Work {
     /// Reflections of a material, at most.
     pub(crate) reflections: u32,
+    /// Whether a material has textures.
     pub(crate) textured: bool,
     pub(crate) distant_lights: usize,
     pub(crate) local_lights: usize,

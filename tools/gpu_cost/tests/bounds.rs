@@ -25,7 +25,7 @@ const BOUNDS: &[(&str, [u64; 2])] = &[
     ("integrals, image, ambient", [60, 80]),
     ("around, bounced light", [84, 96]),
     ("around, image", [84, 80]),
-    ("images", [60, 72]),
+    ("images", [60, 64]),
     ("shade", [48, 72]),
     ("sources", [84, 120]),
 ];

@@ -2,10 +2,10 @@
 
 const AMBIENT_COSINE_SHARPNESS: f32 = 2.133;
 
-fn ambient_integrate(sharpness: f32, axis: vec3<f32>, normal: vec3<f32>) -> f32 {
+fn ambient_integrate(ssdf: Ssdf, sharpness: f32, axis: vec3<f32>, normal: vec3<f32>) -> f32 {
     let unoccluded = tables_cosine_integral(sharpness, dot(normal, axis));
     let product = ambient_product(sharpness, axis, normal);
-    return unoccluded * ambient_fraction(product.w, ssdf_distance(product.xyz));
+    return unoccluded * ambient_fraction(product.w, ssdf_distance(ssdf, product.xyz));
 }
 
 // Axis and sharpness of a lobe times the clamped cosine.

@@ -15,8 +15,8 @@ fn around_main(
     }
     let triangle = triangles[seen_known(tile_pixel(invocation)).x];
     if AROUND_IMAGE {
-        ssdf_load(clusters[triangle.w >> 16u], triangle.xyz, slots_barycentrics());
-        around_add(image_diffused(slots_point(), around_diffuse()));
+        let ssdf = ssdf_load(clusters[triangle.w >> 16u], triangle.xyz, slots_barycentrics());
+        around_add(image_diffused(ssdf, slots_point(), around_diffuse()));
     } else {
         around_bounced(triangle);
     }
@@ -29,16 +29,16 @@ fn around_bounced(triangle: vec4<u32>) {
         return;
     }
     let group = transfer_group(number - 1u);
-    transfer_load(group, triangle.xyz, slots_barycentrics());
-    let irradiance = transfer_irradiance(slots_point().normal);
+    let transfer = transfer_load(group, triangle.xyz, slots_barycentrics());
+    let irradiance = transfer_irradiance(transfer, slots_point().normal);
     around_add(around_diffuse() / PI * irradiance);
     specular_count = slots_lobe_count();
     if specular_count > 0u {
         slots_again();
-        transfer_load_radiance(group, triangle.xyz, slots_barycentrics(), irradiance);
+        let blocked = transfer_load_radiance(group, triangle.xyz, slots_barycentrics(), irradiance);
         slots_again();
-        ssdf_load(clusters[triangle.w >> 16u], triangle.xyz, slots_barycentrics());
-        around_add(transfer_reflected(slots_point().normal));
+        let ssdf = ssdf_load(clusters[triangle.w >> 16u], triangle.xyz, slots_barycentrics());
+        around_add(transfer_reflected(blocked, ssdf, slots_point().normal));
     }
 }
 

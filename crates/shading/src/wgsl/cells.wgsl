@@ -11,6 +11,7 @@ var<private> cells_single: SphericalGaussian;
 // Range of lights, where they are seen from, and what a Lambertian surface reflects.
 var<private> cells_first_light: u32;
 var<private> cells_point: SurfacePoint;
+var<private> cells_ssdf: Ssdf;
 var<private> cells_diffuse: vec3<f32>;
 
 // The frame of the cells: columns are its axes. Normal in it.
@@ -170,7 +171,7 @@ fn cells_radius() -> f32 {
 // The lesser of the distances to the visibility boundary and to the horizon.
 fn cells_distance(direction: vec3<f32>) -> f32 {
     let horizon = asin(clamp(dot(cells_normal, direction), -1.0, 1.0));
-    return min(ssdf_distance(cells_frame * direction), horizon);
+    return min(ssdf_distance(cells_ssdf, cells_frame * direction), horizon);
 }
 
 // 1 − p·ω of a row of samples, without cancellation.

@@ -1,7 +1,7 @@
 // Twin of what shade.rs knows of prefiltered images.
 
 // What a Lambertian surface reflects of the image beyond the lights.
-fn image_diffused(point: SurfacePoint, diffuse: vec3<f32>) -> vec3<f32> {
+fn image_diffused(ssdf: Ssdf, point: SurfacePoint, diffuse: vec3<f32>) -> vec3<f32> {
     if all(diffuse == vec3(0.0)) {
         return vec3(0.0);
     }
@@ -16,7 +16,7 @@ fn image_diffused(point: SurfacePoint, diffuse: vec3<f32>) -> vec3<f32> {
         }
         let beyond = prefiltered_radiance(frames[frame_index].environment_rotation * axis, SHADE_RING_SHARPNESS);
         whole += tables_cosine_integral(SHADE_RING_SHARPNESS, dot(point.normal, axis));
-        seen += beyond * ambient_integrate(SHADE_RING_SHARPNESS, axis, point.normal);
+        seen += beyond * ambient_integrate(ssdf, SHADE_RING_SHARPNESS, axis, point.normal);
     }
     return diffuse / PI * seen * (PI / whole);
 }

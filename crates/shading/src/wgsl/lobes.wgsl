@@ -1,5 +1,6 @@
 // A reflection's lobes in private variables, for kernels that hand nothing on: call
-// lobes_of first. See slots.wgsl for those that do.
+// lobes_of first. They are indexed, so they live in memory, and would be copied at every call.
+// See slots.wgsl for kernels that hand lobes on.
 
 var<private> lobes_point: SurfacePoint;
 var<private> lobes_model: Reflection;
@@ -11,8 +12,8 @@ var<private> lobes_greys: array<f32, MAX_SPECULAR_LOBES>;
 
 // What the pixel sees of one of its material's textures: base colour, metallic-roughness, normal map, anisotropy; of
 // every layer diffuse and specular colour (3 channels), roughnesses (2), weight (1).
-fn surface_texture(index: u32, texture: TextureSlot, uv: vec2<f32>) -> vec4<f32> {
-    return textures_sample(texture, uv);
+fn surface_texture(index: u32, texture: TextureSlot, uv: vec2<f32>, footprint: vec4<f32>) -> vec4<f32> {
+    return textures_sample(texture, uv, footprint);
 }
 
 fn lobes_of(point: SurfacePoint, reflection: Reflection) {

@@ -4,8 +4,8 @@
 // the surface's frame and above the horizon.
 fn models_evaluate(appearance: Appearance, wi: vec3<f32>, wo: vec3<f32>) -> vec3<f32> {
     var sum = appearance.diffuse / PI;
-    for (var k = 0u; k < reflection_count; k++) {
-        sum += models_specular(surface_reflection(k), wi, wo);
+    for (var k = 0u; k < appearance.reflections; k++) {
+        sum += models_specular(surface_reflection(appearance, k), wi, wo);
     }
     return sum;
 }

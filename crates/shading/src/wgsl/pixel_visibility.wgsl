@@ -241,10 +241,10 @@ fn pixel_look(phase: u32, index: u32, between: vec3<f32>) {
     if PIXEL_AMBIENT {
         product = ambient_product(axis.w, axis.xyz, normal);
     }
-    pixel_load(index % PIXEL_COUNT);
+    let ssdf = pixel_ssdf(index % PIXEL_COUNT);
     var distance = pixel_depths[index];
     if phase != PIXEL_INTEGRATE_REST || distance == PIXEL_UNSEEN {
-        distance = ssdf_distance(product.xyz);
+        distance = ssdf_distance(ssdf, product.xyz);
     }
     let radius = polar_support_radius(axis.w);
     let depth = clamp(distance / radius, -1.0, 1.0);
@@ -270,7 +270,7 @@ fn pixel_look(phase: u32, index: u32, between: vec3<f32>) {
                 face = surface_geometric_normal(triangles[seen_known(tile_pixel(index % PIXEL_COUNT)).x].xyz);
             }
             let clipped = PIXEL_CLIPS && polar_is_clipped(radius, axis.xyz, normal, face);
-            found = polar_fraction(axis.w, axis.xyz, normal, face, clipped, distance, spokes);
+            found = polar_fraction(ssdf, axis.w, axis.xyz, normal, face, clipped, distance, spokes);
         }
         pixel_fractions[index] += pixel_unknown(index) * found;
     }
@@ -308,7 +308,7 @@ fn pixel_doubt(part: f32) -> f32 {
 }
 
 // The SSDF of a pixel of the tile that shows a surface, whose slot is entered.
-fn pixel_load(pixel: u32) {
+fn pixel_ssdf(pixel: u32) -> Ssdf {
     let triangle = triangles[seen_known(tile_pixel(pixel)).x];
-    ssdf_load(clusters[triangle.w >> 16u], triangle.xyz, slots_barycentrics());
+    return ssdf_load(clusters[triangle.w >> 16u], triangle.xyz, slots_barycentrics());
 }

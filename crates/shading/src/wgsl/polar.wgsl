@@ -12,18 +12,25 @@ fn polar_meets_horizon(sharpness: f32, cosine: f32) -> bool {
     return cosine > -sin(min(polar_support_radius(sharpness), 0.5 * PI));
 }
 
-fn polar_integrate(sharpness: f32, axis: vec3<f32>, normal: vec3<f32>, spokes: u32) -> f32 {
+fn polar_integrate(
+    ssdf: Ssdf,
+    sharpness: f32,
+    axis: vec3<f32>,
+    normal: vec3<f32>,
+    spokes: u32,
+) -> f32 {
     let cosine = dot(normal, axis);
     if !polar_meets_horizon(sharpness, cosine) {
         return 0.0;
     }
-    let fraction = polar_fraction(sharpness, axis, normal, normal, false, ssdf_distance(axis), spokes);
+    let fraction = polar_fraction(ssdf, sharpness, axis, normal, normal, false, ssdf_distance(ssdf, axis), spokes);
     return tables_cosine_integral(sharpness, cosine) * fraction;
 }
 
 // The visible fraction of a lobe that meets the horizon, `distance` being that of its axis, if it is
 // `clipped` in front of the plane whose normal is `face`.
 fn polar_fraction(
+    ssdf: Ssdf,
     sharpness: f32,
     axis: vec3<f32>,
     normal: vec3<f32>,
@@ -71,7 +78,7 @@ fn polar_fraction(
             let next = min(theta + max(POLAR_RELAXATION * abs(here), shortest), ends.y);
             var there = distance;
             if next > 0.0 {
-                there = ssdf_distance(axis * cos(next) + outward * sin(next));
+                there = ssdf_distance(ssdf, axis * cos(next) + outward * sin(next));
             }
             if (here > 0.0) != (there > 0.0) {
                 let boundary = theta + here / (here - there) * (next - theta);

@@ -17,15 +17,12 @@ fn reflections_main(
         slots_put_reflection(SLOTS_TANGENT, vec3(0.0), 0u);
         return;
     }
-    if REFLECTIONS_FIRST {
-        reflection_wanted = 0u;
-    } else {
-        reflection_wanted = slots_state(slots_gathered_at(SLOTS_SUM).w).reflection + 1u;
+    if !REFLECTIONS_FIRST {
+        state.reflection = slots_state(slots_gathered_at(SLOTS_SUM).w).reflection + 1u;
     }
-    state.reflection = reflection_wanted;
     let triangle = triangles[seen.x];
     let weights = seen_barycentrics(triangle.xyz, pixel, seen.y);
-    let point = surface_point(triangle.xyz, triangle.w & 0xffffu, weights);
+    let point = surface_point(triangle.xyz, triangle.w & 0xffffu, weights, state.reflection);
     slots_again();
     let lit = dot(point.normal, point.view) > 0.0;
     var sum = vec3(0.0);
@@ -43,9 +40,9 @@ fn reflections_main(
     } else {
         sum = slots_gathered_value(SLOTS_SUM).xyz;
     }
-    var reflects = lit && state.reflection < reflection_count;
+    var reflects = lit && state.reflection < point.appearance.reflections;
     let wo = surface_to_local(point, point.view);
-    let reflection = reflection_found;
+    let reflection = point.appearance.found;
     reflects = reflects && brdf_reflects(reflection, wo);
     // All that can be written before the lobes: what waits for them takes registers from them.
     slots_put_surface(point, weights, (triangle.w & 0xffffu) + 1u, reflection);

@@ -22,7 +22,8 @@ fn seen_textures_main(
     let b = vertices[triangle.y];
     let c = vertices[triangle.z];
     let uv = vec2(a.u, a.v) * weights.x + vec2(b.u, b.v) * weights.y + vec2(c.u, c.v) * weights.z;
-    textures_enter(a, b, c, a.position * weights.x + b.position * weights.y + c.position * weights.z);
+    let position = a.position * weights.x + b.position * weights.y + c.position * weights.z;
+    let footprint = textures_footprint(a, b, c, position);
     let count = SURFACE_OWN_TEXTURES + 4u * seen_textures_word(first + SEEN_TEXTURES_LAYER_COUNT);
     for (var index = 0u; index < count; index++) {
         // Four of the material, and four of each layer.
@@ -30,7 +31,7 @@ fn seen_textures_main(
         let place = select(SEEN_TEXTURES_OWN, SEEN_TEXTURES_LAYERS + layer * SEEN_TEXTURES_LAYER, index >= SURFACE_OWN_TEXTURES);
         let at = first + place + (index % 4u) * SEEN_TEXTURES_SLOT;
         if seen_textures_word(at + 1u) != 0u {
-            slots_put_texture(index, textures_sample(seen_textures_slot(at / 4u), uv));
+            slots_put_texture(index, textures_sample(seen_textures_slot(at / 4u), uv, footprint));
         }
     }
 }

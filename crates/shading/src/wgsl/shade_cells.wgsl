@@ -15,29 +15,31 @@ fn cells_main(
     let triangle = triangles[seen.x];
     let corners = triangle.xyz;
     let weights = seen_barycentrics(corners, pixel, seen.y);
-    let point = surface_point(corners, triangle.w & 0xffffu, weights);
-    ssdf_load(clusters[triangle.w >> 16u], corners, weights);
+    let point = surface_point(corners, triangle.w & 0xffffu, weights, 0u);
+    let ssdf = ssdf_load(clusters[triangle.w >> 16u], corners, weights);
     var sum = vec3(0.0);
     if dot(point.normal, point.view) > 0.0 {
         // First, so that lobes that add nothing to it are left out.
         for (var source = 0u; source < frames[frame_index].source_count; source++) {
             sum += textureLoad(source_radiance, pixel, source, 0).xyz;
         }
+        cells_ssdf = ssdf;
         sum = shade_lobes(point, sum);
         if frames[frame_index].prefiltered_levels > 0u {
-            sum += image_diffused(point, point.appearance.diffuse);
+            sum += image_diffused(ssdf, point, point.appearance.diffuse);
         }
-        if ssdf_cluster.bounced != 0u {
-            let group = transfer_group(ssdf_cluster.bounced - 1u);
-            transfer_load(group, corners, weights);
-            let irradiance = transfer_irradiance(point.normal);
+        var blocked: TransferRadiance;
+        if ssdf.cluster.bounced != 0u {
+            let group = transfer_group(ssdf.cluster.bounced - 1u);
+            let transfer = transfer_load(group, corners, weights);
+            let irradiance = transfer_irradiance(transfer, point.normal);
             sum += point.appearance.diffuse / PI * irradiance;
-            transfer_load_radiance(group, corners, weights, irradiance);
+            blocked = transfer_load_radiance(group, corners, weights, irradiance);
         }
-        for (var k = 0u; k < reflection_count; k++) {
-            lobes_of(point, surface_reflection(k));
-            if ssdf_cluster.bounced != 0u {
-                sum += transfer_reflected(point.normal);
+        for (var k = 0u; k < point.appearance.reflections; k++) {
+            lobes_of(point, surface_reflection(point.appearance, k));
+            if ssdf.cluster.bounced != 0u {
+                sum += transfer_reflected(blocked, ssdf, point.normal);
             }
             if frames[frame_index].prefiltered_levels > 0u {
                 sum += shade_image(point.normal);
@@ -88,8 +90,8 @@ fn shade_lobes(point: SurfacePoint, gathered: vec3<f32>) -> vec3<f32> {
         }
     }
     cells_first_light = shade_first_light();
-    for (var k = 0u; k < reflection_count; k++) {
-        lobes_of(point, surface_reflection(k));
+    for (var k = 0u; k < point.appearance.reflections; k++) {
+        lobes_of(point, surface_reflection(point.appearance, k));
         cells_kind = CELLS_PRODUCTS;
         let around = cells_around();
         sum += cells_integrate(around.xyz, around.w, point.normal);

@@ -115,13 +115,13 @@ fn sources_reflected(source: u32, weights: vec3<f32>) -> vec3<f32> {
     // What the surface is, found again: rays and reflections at once take more registers than there are.
     slots_again();
     let triangle = triangles[seen_known(tile_pixel(slot % 64u)).x];
-    let point = surface_point(triangle.xyz, triangle.w & 0xffffu, weights);
+    let point = surface_point(triangle.xyz, triangle.w & 0xffffu, weights, 0u);
     let wo = surface_to_local(point, point.view);
     var sum = vec3(0.0);
-    for (var k = 0u; k < max(reflection_count, 1u); k++) {
-        var reflection = reflection_found;
+    for (var k = 0u; k < max(point.appearance.reflections, 1u); k++) {
+        var reflection = point.appearance.found;
         if k > 0u {
-            reflection = surface_reflection(k);
+            reflection = surface_reflection(point.appearance, k);
         }
         let diffuse = select(vec3(0.0), point.appearance.diffuse / PI, k == 0u);
         sum += sources_shown(sources_entry(source) + 1u + SOURCE_RIM, point, wo, diffuse, reflection);

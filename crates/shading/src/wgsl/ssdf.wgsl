@@ -1,16 +1,19 @@
-// Twin of ssdf.rs. The invocation's SSDF lives in private variables: call ssdf_load first.
+// Twin of ssdf.rs.
 
-var<private> ssdf_cluster: Cluster;
-// Coefficients of MAX_TILES tiles, each as an integer of 16 bits, as those of vertices are: half the registers.
-// No array: what is indexed lives in memory.
-var<private> ssdf_tile_0: vec2<u32>;
-var<private> ssdf_tile_1: vec2<u32>;
-var<private> ssdf_tile_2: vec2<u32>;
-var<private> ssdf_tile_3: vec2<u32>;
-var<private> ssdf_tile_4: vec2<u32>;
-var<private> ssdf_tile_5: vec2<u32>;
-var<private> ssdf_tile_6: vec2<u32>;
-var<private> ssdf_tile_7: vec2<u32>;
+// The SSDF of a point.
+struct Ssdf {
+    cluster: Cluster,
+    // Coefficients of MAX_TILES tiles, each as an integer of 16 bits, as those of vertices are: half the registers.
+    // No array: what is indexed lives in memory.
+    tile_0: vec2<u32>,
+    tile_1: vec2<u32>,
+    tile_2: vec2<u32>,
+    tile_3: vec2<u32>,
+    tile_4: vec2<u32>,
+    tile_5: vec2<u32>,
+    tile_6: vec2<u32>,
+    tile_7: vec2<u32>,
+}
 
 // Bits of 2^23, whose last bit is 1, and that with what integers of 16 bits begin at.
 const SSDF_BITS: u32 = 0x4b000000u;
@@ -18,31 +21,25 @@ const SSDF_ZERO: f32 = 8421376.0;
 // Two coefficients of 0.
 const SSDF_ZEROS: u32 = 0x80008000u;
 
-fn ssdf_load(cluster: Cluster, corners: vec3<u32>, barycentrics: vec3<f32>) {
-    ssdf_cluster = cluster;
+fn ssdf_load(cluster: Cluster, corners: vec3<u32>, barycentrics: vec3<f32>) -> Ssdf {
     let first = cluster.first_word / 2u + (corners - cluster.first_vertex) * cluster.tiles;
+    let none = vec2(SSDF_ZEROS);
+    var ssdf = Ssdf(cluster, none, none, none, none, none, none, none, none);
     // A pair at a time, each of which moves the others on: written out, it is an eighth of a shader.
-    ssdf_tile_0 = vec2(SSDF_ZEROS);
-    ssdf_tile_1 = vec2(SSDF_ZEROS);
-    ssdf_tile_2 = vec2(SSDF_ZEROS);
-    ssdf_tile_3 = vec2(SSDF_ZEROS);
-    ssdf_tile_4 = vec2(SSDF_ZEROS);
-    ssdf_tile_5 = vec2(SSDF_ZEROS);
-    ssdf_tile_6 = vec2(SSDF_ZEROS);
-    ssdf_tile_7 = vec2(SSDF_ZEROS);
     for (var left = (cluster.tiles + 1u) & 0xeu; left > 0u; left -= 2u) {
-        ssdf_tile_7 = ssdf_tile_5;
-        ssdf_tile_6 = ssdf_tile_4;
-        ssdf_tile_5 = ssdf_tile_3;
-        ssdf_tile_4 = ssdf_tile_2;
-        ssdf_tile_3 = ssdf_tile_1;
-        ssdf_tile_2 = ssdf_tile_0;
-        ssdf_tile_0 = ssdf_coefficients(first + left - 2u, barycentrics);
-        ssdf_tile_1 = vec2(SSDF_ZEROS);
+        ssdf.tile_7 = ssdf.tile_5;
+        ssdf.tile_6 = ssdf.tile_4;
+        ssdf.tile_5 = ssdf.tile_3;
+        ssdf.tile_4 = ssdf.tile_2;
+        ssdf.tile_3 = ssdf.tile_1;
+        ssdf.tile_2 = ssdf.tile_0;
+        ssdf.tile_0 = ssdf_coefficients(first + left - 2u, barycentrics);
+        ssdf.tile_1 = none;
         if left <= cluster.tiles {
-            ssdf_tile_1 = ssdf_coefficients(first + left - 1u, barycentrics);
+            ssdf.tile_1 = ssdf_coefficients(first + left - 1u, barycentrics);
         }
     }
+    return ssdf;
 }
 
 // Of one tile, from where it is of three vertices.
@@ -65,40 +62,41 @@ fn ssdf_quad(words: vec2<u32>) -> vec4<f32> {
 // A cluster's tiles lie side by side in one row of the atlas, each in a gutter of one texel,
 // so that the sampler's bilinear fetch wraps as the octahedral map does. Fetches come by the pair:
 // they do not wait for one another.
-fn ssdf_distance(direction: vec3<f32>) -> f32 {
-    var texel = ssdf_cluster.tile_origin + octahedral_encode(direction) * frames[frame_index].basis_resolution;
+fn ssdf_distance(ssdf: Ssdf, direction: vec3<f32>) -> f32 {
+    var texel = ssdf.cluster.tile_origin + octahedral_encode(direction) * frames[frame_index].basis_resolution;
     let next = vec2(frames[frame_index].basis_resolution + 2.0, 0.0);
-    let tiles = ssdf_cluster.tiles;
-    var distance = dot(ssdf_quad(ssdf_tile_0), ssdf_fetch(texel));
+    let tiles = ssdf.cluster.tiles;
+    let layer = ssdf.cluster.layer;
+    var distance = dot(ssdf_quad(ssdf.tile_0), ssdf_fetch(texel, layer));
     if tiles > 1u {
         texel += next;
-        distance += dot(ssdf_quad(ssdf_tile_1), ssdf_fetch(texel));
+        distance += dot(ssdf_quad(ssdf.tile_1), ssdf_fetch(texel, layer));
     }
     if tiles > 2u {
         texel += next;
-        distance += dot(ssdf_quad(ssdf_tile_2), ssdf_fetch(texel));
+        distance += dot(ssdf_quad(ssdf.tile_2), ssdf_fetch(texel, layer));
         texel += next;
-        distance += dot(ssdf_quad(ssdf_tile_3), ssdf_fetch(texel));
+        distance += dot(ssdf_quad(ssdf.tile_3), ssdf_fetch(texel, layer));
     }
     if tiles > 4u {
         texel += next;
-        distance += dot(ssdf_quad(ssdf_tile_4), ssdf_fetch(texel));
+        distance += dot(ssdf_quad(ssdf.tile_4), ssdf_fetch(texel, layer));
         texel += next;
-        distance += dot(ssdf_quad(ssdf_tile_5), ssdf_fetch(texel));
+        distance += dot(ssdf_quad(ssdf.tile_5), ssdf_fetch(texel, layer));
     }
     if tiles > 6u {
         texel += next;
-        distance += dot(ssdf_quad(ssdf_tile_6), ssdf_fetch(texel));
+        distance += dot(ssdf_quad(ssdf.tile_6), ssdf_fetch(texel, layer));
         texel += next;
-        distance += dot(ssdf_quad(ssdf_tile_7), ssdf_fetch(texel));
+        distance += dot(ssdf_quad(ssdf.tile_7), ssdf_fetch(texel, layer));
     }
-    return distance * (ssdf_cluster.coefficient_scale / 32767.0);
+    return distance * (ssdf.cluster.coefficient_scale / 32767.0);
 }
 
 // Past the last tile, whatever is there: its coefficients are zero.
-fn ssdf_fetch(texel: vec2<f32>) -> vec4<f32> {
+fn ssdf_fetch(texel: vec2<f32>, layer: u32) -> vec4<f32> {
     let uv = texel * frames[frame_index].atlas_texel;
-    return textureSampleLevel(basis_atlas, basis_sampler, uv, ssdf_cluster.layer, 0.0);
+    return textureSampleLevel(basis_atlas, basis_sampler, uv, layer, 0.0);
 }
 
 fn ssdf_limit() -> f32 {

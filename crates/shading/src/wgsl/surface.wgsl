@@ -12,20 +12,20 @@ struct Reflection {
     ratio: u32,
 }
 
-// The Lambertian base at one point. Its reflections are those of surface_reflection.
+// What a point reflects: a Lambertian base, and what surface_reflection makes the reflections of. No
+// array: what is indexed lives in memory.
 struct Appearance {
     diffuse: vec3<f32>,
+    reflections: u32,
+    // Reflection number `wanted`, as the layers above leave it.
+    found: Reflection,
+    wanted: u32,
+    material: u32,
+    uv: vec2<f32>,
+    // See textures_footprint.
+    footprint: vec4<f32>,
+    view_cosine: f32,
 }
-
-// What surface_reflection knows of the invocation's surface point, as surface_point leaves it, but for what is wanted. No
-// array: what is indexed lives in memory.
-var<private> reflection_count: u32;
-// Reflection number reflection_wanted, as the layers above leave it.
-var<private> reflection_found: Reflection;
-var<private> reflection_wanted: u32;
-var<private> reflection_material: u32;
-var<private> reflection_uv: vec2<f32>;
-var<private> reflection_view_cosine: f32;
 
 // A point's place and frame, before its material.
 struct SurfaceShape {
@@ -37,6 +37,8 @@ struct SurfaceShape {
     tangent: vec3<f32>,
     view: vec3<f32>,
     uv: vec2<f32>,
+    // See textures_footprint.
+    footprint: vec4<f32>,
     handedness: f32,
 }
 
@@ -86,13 +88,14 @@ fn surface_shape(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32
     var normal = smooth_normal;
     var tangent = surface_orthogonal_unit(vertex_tangent.xyz, normal);
     let handedness = select(1.0, -1.0, vertex_tangent.w < 0.0);
+    var footprint = vec4(0.0);
     if materials[material_index].textured != 0u {
-        textures_enter(a, b, c, position);
+        footprint = textures_footprint(a, b, c, position);
     }
     let normal_texture = materials[material_index].normal_texture;
     if normal_texture.width != 0u {
         let normal_scale = materials[material_index].normal_scale;
-        let mapped = surface_texture(2u, normal_texture, uv).xyz * 2.0 - 1.0;
+        let mapped = surface_texture(2u, normal_texture, uv, footprint).xyz * 2.0 - 1.0;
         let bitangent = cross(normal, tangent) * handedness;
         let scaled = tangent * (mapped.x * normal_scale)
             + bitangent * (mapped.y * normal_scale)
@@ -118,45 +121,55 @@ fn surface_shape(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32
         tangent,
         view,
         uv,
+        footprint,
         handedness,
     );
 }
 
-fn surface_point(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32>) -> SurfacePoint {
+// At hand is its reflection number `wanted`.
+fn surface_point(
+    corners: vec3<u32>,
+    material_index: u32,
+    barycentrics: vec3<f32>,
+    wanted: u32,
+) -> SurfacePoint {
     let shape = surface_shape(corners, material_index, barycentrics);
     let normal = shape.normal;
     var tangent = shape.tangent;
     let view = shape.view;
     let uv = shape.uv;
     let handedness = shape.handedness;
-    reflection_material = material_index;
-    reflection_uv = uv;
-    reflection_view_cosine = dot(normal, view);
+    let footprint = shape.footprint;
+    var appearance: Appearance;
+    appearance.wanted = wanted;
+    appearance.material = material_index;
+    appearance.uv = uv;
+    appearance.footprint = footprint;
+    appearance.view_cosine = dot(normal, view);
     var anisotropic = false;
     // Direction of anisotropy relative to the tangent, and its strength.
     var direction = vec2(1.0, 0.0);
     var strength = 1.0;
     let anisotropy_texture = materials[material_index].anisotropy_texture;
     if anisotropy_texture.width != 0u {
-        let texel = surface_texture(3u, anisotropy_texture, uv);
+        let texel = surface_texture(3u, anisotropy_texture, uv, footprint);
         strength = texel.z;
         direction = texel.xy * 2.0 - 1.0;
         if dot(direction, direction) < SURFACE_DEGENERATE_LENGTH_SQUARED {
             direction = vec2(1.0, 0.0);
         }
     }
-    var appearance: Appearance;
     if materials[material_index].surface == SURFACE_METALLIC_ROUGHNESS {
         var color = materials[material_index].color;
         let color_texture = materials[material_index].base_color_texture;
         if color_texture.width != 0u {
-            color *= surface_texture(0u, color_texture, uv).xyz;
+            color *= surface_texture(0u, color_texture, uv, footprint).xyz;
         }
         var metallic = materials[material_index].metallic;
         var roughness = materials[material_index].roughness;
         let factor_texture = materials[material_index].metallic_roughness_texture;
         if factor_texture.width != 0u {
-            let factors = surface_texture(1u, factor_texture, uv);
+            let factors = surface_texture(1u, factor_texture, uv, footprint);
             metallic *= factors.z;
             roughness *= factors.y;
         }
@@ -174,24 +187,23 @@ fn surface_point(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32
         appearance.diffuse = color * (1.0 - metallic);
         let specular = mix(vec3(SURFACE_DIELECTRIC_F0), color, metallic);
         let alphas = vec2(alpha + (1.0 - alpha) * strength * strength, alpha);
-        reflection_found = surface_clamped(Reflection(specular, MODEL_GGX, vec3(1.0), alphas, 0u));
-        reflection_count = 1u;
+        appearance.found = surface_clamped(Reflection(specular, MODEL_GGX, vec3(1.0), alphas, 0u));
+        appearance.reflections = 1u;
     } else {
         if materials[material_index].surface == SURFACE_LAYERS && anisotropy_texture.width != 0u {
             let bitangent = cross(normal, tangent) * handedness;
             tangent = surface_unit_or(tangent * direction.x + bitangent * direction.y, tangent);
         }
-        reflection_count = materials[material_index].layer_count;
-        reflection_found = Reflection();
-        for (var i = 0u; i < reflection_count; i++) {
-            let weight = surface_layer_weight(i);
-            let reflection = surface_layer_reflection(i);
-            let below = surface_layer_below(i, weight, reflection);
-            appearance.diffuse = appearance.diffuse * below + surface_layer_diffuse(i) * weight;
-            if i == reflection_wanted {
-                reflection_found = surface_weighted(reflection, weight);
-            } else if i > reflection_wanted {
-                reflection_found = surface_below(reflection_found, below);
+        appearance.reflections = materials[material_index].layer_count;
+        for (var i = 0u; i < appearance.reflections; i++) {
+            let weight = surface_layer_weight(appearance, i);
+            let reflection = surface_layer_reflection(appearance, i);
+            let below = surface_layer_below(appearance, i, weight, reflection);
+            appearance.diffuse = appearance.diffuse * below + surface_layer_diffuse(appearance, i) * weight;
+            if i == wanted {
+                appearance.found = surface_weighted(reflection, weight);
+            } else if i > wanted {
+                appearance.found = surface_below(appearance.found, below);
             }
             let alpha = surface_clamped(reflection).alpha;
             anisotropic = anisotropic || (reflection.model != MODEL_NONE && alpha.x != alpha.y);
@@ -240,57 +252,57 @@ fn surface_emission(corners: vec3<u32>, material_index: u32, barycentrics: vec3<
     let c = vertices[corners.z];
     let uv = vec2(a.u, a.v) * barycentrics.x + vec2(b.u, b.v) * barycentrics.y + vec2(c.u, c.v) * barycentrics.z;
     let position = a.position * barycentrics.x + b.position * barycentrics.y + c.position * barycentrics.z;
-    textures_enter(a, b, c, position);
-    return emission * textures_sample(slot, uv).xyz;
+    return emission * textures_sample(slot, uv, textures_footprint(a, b, c, position)).xyz;
 }
 
-// Reflection `k` of the invocation's surface point, as the layers above leave it.
-fn surface_reflection(k: u32) -> Reflection {
-    if k == reflection_wanted {
-        return reflection_found;
+// Reflection `k`, as the layers above leave it.
+fn surface_reflection(appearance: Appearance, k: u32) -> Reflection {
+    if k == appearance.wanted {
+        return appearance.found;
     }
-    var reflection = surface_weighted(surface_layer_reflection(k), surface_layer_weight(k));
-    for (var i = k + 1u; i < reflection_count; i++) {
-        let below = surface_layer_below(i, surface_layer_weight(i), surface_layer_reflection(i));
+    var reflection = surface_weighted(surface_layer_reflection(appearance, k), surface_layer_weight(appearance, k));
+    for (var i = k + 1u; i < appearance.reflections; i++) {
+        let weight = surface_layer_weight(appearance, i);
+        let below = surface_layer_below(appearance, i, weight, surface_layer_reflection(appearance, i));
         reflection = surface_below(reflection, below);
     }
     return reflection;
 }
 
-fn surface_layer_weight(i: u32) -> f32 {
-    let weight = materials[reflection_material].layers[i].weight;
-    let texture = materials[reflection_material].layers[i].weight_texture;
+fn surface_layer_weight(appearance: Appearance, i: u32) -> f32 {
+    let weight = materials[appearance.material].layers[i].weight;
+    let texture = materials[appearance.material].layers[i].weight_texture;
     if texture.width == 0u {
         return weight;
     }
-    return weight * surface_texture(7u + 4u * i, texture, reflection_uv).x;
+    return weight * surface_texture(7u + 4u * i, texture, appearance.uv, appearance.footprint).x;
 }
 
-fn surface_layer_diffuse(i: u32) -> vec3<f32> {
-    let diffuse = materials[reflection_material].layers[i].diffuse;
-    let texture = materials[reflection_material].layers[i].diffuse_texture;
+fn surface_layer_diffuse(appearance: Appearance, i: u32) -> vec3<f32> {
+    let diffuse = materials[appearance.material].layers[i].diffuse;
+    let texture = materials[appearance.material].layers[i].diffuse_texture;
     if texture.width == 0u {
         return diffuse;
     }
-    return diffuse * surface_texture(4u + 4u * i, texture, reflection_uv).xyz;
+    return diffuse * surface_texture(4u + 4u * i, texture, appearance.uv, appearance.footprint).xyz;
 }
 
 // A layer's reflection by itself, its parameters not yet clamped.
-fn surface_layer_reflection(i: u32) -> Reflection {
+fn surface_layer_reflection(appearance: Appearance, i: u32) -> Reflection {
     var reflection = Reflection(
-        materials[reflection_material].layers[i].specular,
-        materials[reflection_material].layers[i].model,
-        materials[reflection_material].layers[i].grazing,
-        materials[reflection_material].layers[i].alpha,
-        materials[reflection_material].layers[i].ratio,
+        materials[appearance.material].layers[i].specular,
+        materials[appearance.material].layers[i].model,
+        materials[appearance.material].layers[i].grazing,
+        materials[appearance.material].layers[i].alpha,
+        materials[appearance.material].layers[i].ratio,
     );
-    let specular_texture = materials[reflection_material].layers[i].specular_texture;
+    let specular_texture = materials[appearance.material].layers[i].specular_texture;
     if specular_texture.width != 0u {
-        reflection.specular *= surface_texture(5u + 4u * i, specular_texture, reflection_uv).xyz;
+        reflection.specular *= surface_texture(5u + 4u * i, specular_texture, appearance.uv, appearance.footprint).xyz;
     }
-    let roughness_texture = materials[reflection_material].layers[i].roughness_texture;
+    let roughness_texture = materials[appearance.material].layers[i].roughness_texture;
     if roughness_texture.width != 0u {
-        let roughness = surface_texture(6u + 4u * i, roughness_texture, reflection_uv).xy;
+        let roughness = surface_texture(6u + 4u * i, roughness_texture, appearance.uv, appearance.footprint).xy;
         switch reflection.model {
             case MODEL_BLINN_PHONG: {
                 // A quotient by zero need not be infinite here.
@@ -308,14 +320,14 @@ fn surface_layer_reflection(i: u32) -> Reflection {
 }
 
 // What a layer leaves of those below it.
-fn surface_layer_below(i: u32, weight: f32, reflection: Reflection) -> vec3<f32> {
-    switch materials[reflection_material].layers[i].join {
+fn surface_layer_below(appearance: Appearance, i: u32, weight: f32, reflection: Reflection) -> vec3<f32> {
+    switch materials[appearance.material].layers[i].join {
         case JOIN_OVER: {
             return vec3(1.0 - weight);
         }
         case JOIN_COAT: {
             // Colours above 1 pass nothing.
-            let reflected = weight * surface_reflection_color(reflection, reflection_view_cosine);
+            let reflected = weight * surface_reflection_color(reflection, appearance.view_cosine);
             return max(1.0 - reflected, vec3(0.0));
         }
         default: {

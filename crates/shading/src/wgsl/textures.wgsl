@@ -1,19 +1,15 @@
 // Twin of textures.rs.
 
 // How far vertices' texture coordinates go from column to column (xy) and from row to row (zw) of the
-// picture, at the invocation's surface point.
-var<private> textures_footprint: vec4<f32>;
-
-// Finds it.
-fn textures_enter(a: Vertex, b: Vertex, c: Vertex, position: vec3<f32>) {
-    textures_footprint = vec4(0.0);
+// picture, at a point of a triangle.
+fn textures_footprint(a: Vertex, b: Vertex, c: Vertex, position: vec3<f32>) -> vec4<f32> {
     let ab = b.position - a.position;
     let ac = c.position - a.position;
     let normal = cross(ab, ac);
     let area = dot(normal, normal);
     let steps = camera_steps(normal, position);
     if area == 0.0 {
-        return;
+        return vec4(0.0);
     }
     let uv_b = vec2(b.u - a.u, b.v - a.v);
     let uv_c = vec2(c.u - a.u, c.v - a.v);
@@ -22,22 +18,22 @@ fn textures_enter(a: Vertex, b: Vertex, c: Vertex, position: vec3<f32>) {
     let to_x = vec2(dot(normal, cross(x, ac)), dot(normal, cross(ab, x))) / area;
     let to_y = vec2(dot(normal, cross(y, ac)), dot(normal, cross(ab, y))) / area;
     let found = vec4(to_x.x * uv_b + to_x.y * uv_c, to_y.x * uv_b + to_y.y * uv_c);
-    textures_footprint = clamp(found, vec4(-TEXTURES_WIDEST), vec4(TEXTURES_WIDEST));
+    return clamp(found, vec4(-TEXTURES_WIDEST), vec4(TEXTURES_WIDEST));
 }
 
-fn textures_sample(slot: TextureSlot, vertex_uv: vec2<f32>) -> vec4<f32> {
+fn textures_sample(slot: TextureSlot, vertex_uv: vec2<f32>, footprint: vec4<f32>) -> vec4<f32> {
     let uv = vec2(
         dot(slot.transform_u, vec3(vertex_uv, 1.0)),
         dot(slot.transform_v, vec3(vertex_uv, 1.0)),
     );
     let size = vec2(f32(slot.width), f32(slot.height));
     let x = vec2(
-        dot(slot.transform_u.xy, textures_footprint.xy),
-        dot(slot.transform_v.xy, textures_footprint.xy),
+        dot(slot.transform_u.xy, footprint.xy),
+        dot(slot.transform_v.xy, footprint.xy),
     ) * size;
     let y = vec2(
-        dot(slot.transform_u.xy, textures_footprint.zw),
-        dot(slot.transform_v.xy, textures_footprint.zw),
+        dot(slot.transform_u.xy, footprint.zw),
+        dot(slot.transform_v.xy, footprint.zw),
     ) * size;
     // Squares of the ellipse about the unit circle's image.
     let p = x.x * x.x + y.x * y.x;

@@ -1,14 +1,19 @@
-// Twin of transfer.rs. Call ssdf_load first.
+// Twin of transfer.rs.
 
-// No array: what is indexed lives in memory. Irradiance by x, y and z of the normal; what surfaces
-// in the way send, and its slope along x, y and z.
-var<private> transfer_x: vec3<f32>;
-var<private> transfer_y: vec3<f32>;
-var<private> transfer_z: vec3<f32>;
-var<private> transfer_mean: vec3<f32>;
-var<private> transfer_slope_x: vec3<f32>;
-var<private> transfer_slope_y: vec3<f32>;
-var<private> transfer_slope_z: vec3<f32>;
+// Irradiance at a point, by x, y and z of the normal. No array: what is indexed lives in memory.
+struct TransferIrradiance {
+    x: vec3<f32>,
+    y: vec3<f32>,
+    z: vec3<f32>,
+}
+
+// What surfaces in a point's way send, and its slope along x, y and z.
+struct TransferRadiance {
+    mean: vec3<f32>,
+    slope_x: vec3<f32>,
+    slope_y: vec3<f32>,
+    slope_z: vec3<f32>,
+}
 
 fn transfer_word(index: u32) -> u32 {
     let place = vec2(index % TRANSFER_TEXTURE_WIDTH, index / TRANSFER_TEXTURE_WIDTH);
@@ -51,61 +56,62 @@ fn transfer_byte(word: u32, byte: u32) -> f32 {
     return max(f32(extractBits(bitcast<i32>(word), 8u * byte, 8u)) / 127.0, -1.0);
 }
 
-// Fills a point's irradiance.
-fn transfer_load(group: TransferGroup, corners: vec3<u32>, barycentrics: vec3<f32>) {
-    transfer_x = vec3(0.0);
-    transfer_y = vec3(0.0);
-    transfer_z = vec3(0.0);
+fn transfer_load(group: TransferGroup, corners: vec3<u32>, barycentrics: vec3<f32>) -> TransferIrradiance {
+    var sum: TransferIrradiance;
     for (var row = 0u; row <= group.rank; row++) {
         let weight = transfer_weight(group, row, corners, barycentrics);
         let texel = group.base + row * TRANSFER_OUTPUTS;
-        transfer_x += weight * transfer_product(texel);
-        transfer_y += weight * transfer_product(texel + 1u);
-        transfer_z += weight * transfer_product(texel + 2u);
+        sum.x += weight * transfer_product(texel);
+        sum.y += weight * transfer_product(texel + 1u);
+        sum.z += weight * transfer_product(texel + 2u);
     }
+    return sum;
 }
 
-// Fills what surfaces in a point's way send; where a group has no colours for it, as its irradiance has it. By itself: all at once takes more
-// registers than there are.
-fn transfer_load_radiance(group: TransferGroup, corners: vec3<u32>, barycentrics: vec3<f32>, irradiance: vec3<f32>) {
-    transfer_mean = irradiance / PI;
-    transfer_slope_x = vec3(0.0);
-    transfer_slope_y = vec3(0.0);
-    transfer_slope_z = vec3(0.0);
+// Where a group has no colours for it, as its irradiance has it. By itself: all at once takes more registers than there
+// are.
+fn transfer_load_radiance(
+    group: TransferGroup,
+    corners: vec3<u32>,
+    barycentrics: vec3<f32>,
+    irradiance: vec3<f32>,
+) -> TransferRadiance {
+    var sum: TransferRadiance;
     if group.outputs < TRANSFER_OUTPUTS {
-        return;
+        sum.mean = irradiance / PI;
+        return sum;
     }
-    transfer_mean = vec3(0.0);
     for (var row = 0u; row <= group.rank; row++) {
         let weight = transfer_weight(group, row, corners, barycentrics);
         let texel = group.base + row * TRANSFER_OUTPUTS;
-        transfer_mean += weight * transfer_product(texel + 3u);
-        transfer_slope_x += weight * transfer_product(texel + 4u);
-        transfer_slope_y += weight * transfer_product(texel + 5u);
-        transfer_slope_z += weight * transfer_product(texel + 6u);
+        sum.mean += weight * transfer_product(texel + 3u);
+        sum.slope_x += weight * transfer_product(texel + 4u);
+        sum.slope_y += weight * transfer_product(texel + 5u);
+        sum.slope_z += weight * transfer_product(texel + 6u);
     }
+    return sum;
 }
 
-fn transfer_irradiance(normal: vec3<f32>) -> vec3<f32> {
-    let sum = normal.x * transfer_x + normal.y * transfer_y + normal.z * transfer_z;
+fn transfer_irradiance(transfer: TransferIrradiance, normal: vec3<f32>) -> vec3<f32> {
+    let sum = normal.x * transfer.x + normal.y * transfer.y + normal.z * transfer.z;
     return max(sum, vec3(0.0));
 }
 
 // Mean radiance of what blocks the distance about a direction.
-fn transfer_radiance(direction: vec3<f32>) -> vec3<f32> {
-    let slope = direction.x * transfer_slope_x + direction.y * transfer_slope_y
-        + direction.z * transfer_slope_z;
-    return max(transfer_mean + slope, vec3(0.0));
+fn transfer_radiance(transfer: TransferRadiance, direction: vec3<f32>) -> vec3<f32> {
+    let slope = direction.x * transfer.slope_x + direction.y * transfer.slope_y
+        + direction.z * transfer.slope_z;
+    return max(transfer.mean + slope, vec3(0.0));
 }
 
 // What a reflection's lobes show of light that other surfaces send.
-fn transfer_reflected(normal: vec3<f32>) -> vec3<f32> {
+fn transfer_reflected(transfer: TransferRadiance, ssdf: Ssdf, normal: vec3<f32>) -> vec3<f32> {
     var sum = vec3(0.0);
     for (var j = 0u; j < specular_count; j++) {
         let lobe = lobes_in_world(j);
         let whole = tables_cosine_integral(lobe.sharpness, dot(normal, lobe.axis));
-        let visible = ambient_integrate(lobe.sharpness, lobe.axis, normal);
-        let incoming = transfer_radiance(lobe.axis);
+        let visible = ambient_integrate(ssdf, lobe.sharpness, lobe.axis, normal);
+        let incoming = transfer_radiance(transfer, lobe.axis);
         sum += lobe.amplitude * incoming * max(whole - visible, 0.0);
     }
     return sum;

@@ -41,16 +41,16 @@ fn vertices_main(@builtin(global_invocation_id) id: vec3<u32>) {
         return;
     }
     let cluster = clusters[vertices_cluster(vertex)];
-    ssdf_load(cluster, vec3(vertex), vec3(1.0, 0.0, 0.0));
+    let ssdf = ssdf_load(cluster, vec3(vertex), vec3(1.0, 0.0, 0.0));
     let normal = surface_unit_or(vertices[vertex].normal, vec3(0.0, 1.0, 0.0));
     var found = vec4(0.0);
     for (var i = 0u; i < 4u; i++) {
-        found = vec4(found.yzw, vertices_fraction(4u * id.y + i, normal));
+        found = vec4(found.yzw, vertices_fraction(ssdf, 4u * id.y + i, normal));
     }
     textureStore(light_fractions_found, vertex_visibility_place(vertex, id.y), found);
 }
 
-fn vertices_fraction(index: u32, normal: vec3<f32>) -> f32 {
+fn vertices_fraction(ssdf: Ssdf, index: u32, normal: vec3<f32>) -> f32 {
     if index >= frames[frame_index].light_count {
         return VERTEX_VISIBILITY_UNKNOWN;
     }
@@ -59,7 +59,7 @@ fn vertices_fraction(index: u32, normal: vec3<f32>) -> f32 {
     if spokes == 0u {
         return VERTEX_VISIBILITY_UNKNOWN;
     }
-    let visible = polar_integrate(light.sharpness, light.axis, normal, spokes);
+    let visible = polar_integrate(ssdf, light.sharpness, light.axis, normal, spokes);
     let unoccluded = tables_cosine_integral(light.sharpness, dot(normal, light.axis));
     return clamp(visible / max(unoccluded, 1.17549435e-38), 0.0, 1.0);
 }

@@ -15,14 +15,14 @@ fn reflection(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     let query = queries[id.x];
     let triangle = triangles[query.triangle];
-    let point = surface_point(triangle.xyz, triangle.w & 0xffffu, query.barycentrics);
+    let point = surface_point(triangle.xyz, triangle.w & 0xffffu, query.barycentrics, 0u);
     let first = id.x * (4u + MAX_REFLECTIONS * (4u + 2u * MAX_SPECULAR_LOBES));
-    answers[first] = vec4(point.normal, f32(reflection_count));
+    answers[first] = vec4(point.normal, f32(point.appearance.reflections));
     answers[first + 1u] = vec4(point.tangent, 0.0);
     answers[first + 2u] = vec4(point.view, 0.0);
     answers[first + 3u] = vec4(point.appearance.diffuse, 0.0);
-    for (var k = 0u; k < reflection_count; k++) {
-        let reflection = surface_reflection(k);
+    for (var k = 0u; k < point.appearance.reflections; k++) {
+        let reflection = surface_reflection(point.appearance, k);
         lobes_of(point, reflection);
         let start = first + 4u + k * (4u + 2u * MAX_SPECULAR_LOBES);
         answers[start] = vec4(reflection.specular, f32(reflection.model));

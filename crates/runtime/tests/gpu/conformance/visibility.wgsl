@@ -19,11 +19,11 @@ fn probe(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     let query = queries[id.x];
     let triangle = triangles[query.triangle];
-    ssdf_load(clusters[triangle.w >> 16u], triangle.xyz, query.barycentrics);
+    let ssdf = ssdf_load(clusters[triangle.w >> 16u], triangle.xyz, query.barycentrics);
     answers[id.x] = vec4(
-        ssdf_distance(query.axis),
-        polar_integrate(query.sharpness, query.axis, query.normal, frames[frame_index].spokes),
-        ambient_integrate(query.sharpness, query.axis, query.normal),
+        ssdf_distance(ssdf, query.axis),
+        polar_integrate(ssdf, query.sharpness, query.axis, query.normal, frames[frame_index].spokes),
+        ambient_integrate(ssdf, query.sharpness, query.axis, query.normal),
         0.0,
     );
 }

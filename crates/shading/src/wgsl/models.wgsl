@@ -1,16 +1,6 @@
-// Twin of evaluate in models.rs.
+// Twin of evaluate_specular in models.rs.
 
-// BRDF at a point, without the cosine: Lambert plus the specular reflections. Both directions in
-// the surface's frame and above the horizon.
-fn models_evaluate(appearance: Appearance, wi: vec3<f32>, wo: vec3<f32>) -> vec3<f32> {
-    var sum = appearance.diffuse / PI;
-    for (var k = 0u; k < appearance.reflections; k++) {
-        sum += models_specular(surface_reflection(appearance, k), wi, wo);
-    }
-    return sum;
-}
-
-// One specular reflection's value, without the cosine.
+// One specular reflection's value, without the cosine. Both directions in the surface's frame and above the horizon.
 fn models_specular(reflection: Reflection, wi: vec3<f32>, wo: vec3<f32>) -> vec3<f32> {
     let half = normalize(wi + wo);
     let half_cosine = dot(half, wo);

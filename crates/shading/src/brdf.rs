@@ -496,7 +496,7 @@ pub(crate) fn compute_table_values() -> Vec<f32> {
     values
 }
 
-/// The constants of this module, as WGSL, and [`albedo_table`].
+/// The constants of this module and `brdf_albedo_table`, as WGSL.
 pub fn wgsl_constants() -> String {
     let start = Tables::get().values().len();
     let integers = [

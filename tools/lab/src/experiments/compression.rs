@@ -25,7 +25,7 @@ const LOBES: usize = 16;
 /// What fits into so many bytes, with at most so many vertices, where shadows fall. A mesh of
 /// more may have a quarter as many again.
 const TO_A_SIZE: &str = "clusters, refined, to a size";
-const SIZES: [(u64, usize); 2] = [(5_000_000, 50_000), (15_000_000, 200_000)];
+const SIZE: (u64, usize) = (5_000_000, 50_000);
 
 /// Components of a basis for the whole scene.
 const GLOBAL_RANK: u32 = 24;
@@ -73,14 +73,13 @@ fn curves(start: &Options) -> Vec<(&'static str, f64, Options)> {
         };
         all.push(("clusters, default edges", f64::from(aim), options));
     }
-    for (bytes, max_vertices) in SIZES {
-        let options = Options {
-            max_bytes: Some(bytes),
-            max_vertices,
-            ..Options::high()
-        };
-        all.push((TO_A_SIZE, bytes as f64, options));
-    }
+    let (bytes, max_vertices) = SIZE;
+    let options = Options {
+        max_bytes: Some(bytes),
+        max_vertices,
+        ..Options::high()
+    };
+    all.push((TO_A_SIZE, bytes as f64, options));
     let options = Options {
         representation: Representation::GlobalPca,
         global_rank: GLOBAL_RANK,

@@ -363,21 +363,32 @@ impl Bounced {
         (self.colors[IRRADIANCE_OUTPUTS] + slope).max(Vec3::ZERO)
     }
 
+    /// Where most of it comes from.
+    fn towards(&self, normal: Vec3) -> Vec3 {
+        let sums = [0, 1, 2].map(|axis: usize| self.colors[axis].element_sum());
+        Vec3::from(sums).normalize_or(normal)
+    }
+
     /// Radiance towards the eye that `point` reflects of it. Where a specular lobe does not see
-    /// the distance, which `field` tells as in [`ambient`], it sees what blocks it.
+    /// the distance, which `field` tells as in [`ambient`], it sees what blocks it. Of lobes wider than the field
+    /// tells of, that would miss what lies near the horizon: they see all of it in one direction.
     pub fn reflected(&self, point: &SurfacePoint, field: &impl SignedDistance) -> Vec3 {
         if point.normal.dot(point.view) <= 0.0 {
             return Vec3::ZERO;
         }
-        let diffuse = point.appearance.diffuse * FRAC_1_PI;
-        let mut radiance = diffuse * self.irradiance(point.normal);
+        let irradiance = self.irradiance(point.normal);
+        let mut radiance = point.appearance.diffuse * FRAC_1_PI * irradiance;
+        let towards = self.towards(point.normal);
         for reflection in point.appearance.reflections() {
             for lobe in brdf::specular_lobes(point, reflection).as_slice() {
                 let whole =
                     Tables::get().cosine_integral(lobe.sharpness, point.normal.dot(lobe.axis));
                 let visible = ambient::integrate(field, lobe.sharpness, lobe.axis, point.normal);
-                let incoming = self.radiance(lobe.axis, point.normal);
-                radiance += lobe.amplitude * incoming * (whole - visible).max(0.0);
+                let about = self.radiance(lobe.axis, point.normal) * (whole - visible).max(0.0);
+                let along = math::exp(lobe.sharpness * (lobe.axis.dot(towards) - 1.0));
+                let beyond =
+                    ambient::beyond(field.limit(), lobe.sharpness, lobe.axis, point.normal);
+                radiance += lobe.amplitude * about.lerp(along * irradiance, beyond);
             }
         }
         radiance

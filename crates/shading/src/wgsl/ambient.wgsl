@@ -27,3 +27,9 @@ fn ambient_fraction(sharpness: f32, distance: f32) -> f32 {
     let rest = tables_hemisphere_fraction(sharpness, -ssdf_limit());
     return clamp((fraction - rest) / (1.0 - 2.0 * rest), 0.0, 1.0);
 }
+
+// How little ambient_integrate knows of a lobe.
+fn ambient_beyond(sharpness: f32, axis: vec3<f32>, normal: vec3<f32>) -> f32 {
+    let product = ambient_product(sharpness, axis, normal);
+    return min(4.0 * tables_hemisphere_fraction(product.w, -ssdf_limit()), 1.0);
+}

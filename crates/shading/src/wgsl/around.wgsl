@@ -34,6 +34,8 @@ fn around_bounced(triangle: vec4<u32>) {
     around_add(around_diffuse() / PI * irradiance);
     specular_count = slots_lobe_count();
     if specular_count > 0u {
+        let towards = transfer_towards(transfer, slots_point().normal);
+        around_add(transfer_reflected_beyond(irradiance, towards, slots_point().normal));
         slots_again();
         let blocked = transfer_load_radiance(group, triangle.xyz, slots_barycentrics(), irradiance);
         slots_again();

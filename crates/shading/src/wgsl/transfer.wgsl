@@ -111,8 +111,28 @@ fn transfer_reflected(transfer: TransferRadiance, ssdf: Ssdf, normal: vec3<f32>)
         let lobe = lobes_in_world(j);
         let whole = tables_cosine_integral(lobe.sharpness, dot(normal, lobe.axis));
         let visible = ambient_integrate(ssdf, lobe.sharpness, lobe.axis, normal);
-        let incoming = transfer_radiance(transfer, lobe.axis);
-        sum += lobe.amplitude * incoming * max(whole - visible, 0.0);
+        let about = transfer_radiance(transfer, lobe.axis) * max(whole - visible, 0.0);
+        let beyond = ambient_beyond(lobe.sharpness, lobe.axis, normal);
+        sum += lobe.amplitude * about * (1.0 - beyond);
     }
     return sum;
+}
+
+// What those show of it that are wider than SSDFs tell of. By itself, before radiance and SSDF are known: all at once
+// takes more registers than there are.
+fn transfer_reflected_beyond(irradiance: vec3<f32>, towards: vec3<f32>, normal: vec3<f32>) -> vec3<f32> {
+    var sum = vec3(0.0);
+    for (var j = 0u; j < specular_count; j++) {
+        let lobe = lobes_in_world(j);
+        let along = exp(lobe.sharpness * (dot(lobe.axis, towards) - 1.0));
+        sum += lobe.amplitude * (along * ambient_beyond(lobe.sharpness, lobe.axis, normal));
+    }
+    return sum * irradiance;
+}
+
+// Where most of it comes from.
+fn transfer_towards(transfer: TransferIrradiance, normal: vec3<f32>) -> vec3<f32> {
+    let one = vec3(1.0);
+    let sums = vec3(dot(transfer.x, one), dot(transfer.y, one), dot(transfer.z, one));
+    return surface_unit_or(sums, normal);
 }

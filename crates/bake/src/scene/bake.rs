@@ -173,11 +173,15 @@ impl<'a> Bake<'a> {
             stages,
         };
         let asked = options.max_error.is_some() || options.max_bytes.is_some();
-        if asked && options.representation == Representation::ClusteredPca {
+        if options.representation == Representation::ClusteredPca {
             let clock = Instant::now();
-            let chosen = budget::choose_aim(&bake.prepared, &bake.head)?;
-            bake.aim = chosen.aim;
-            bake.head.report.warnings.extend(chosen.warning);
+            if asked {
+                let chosen = budget::choose_aim(&bake.prepared, &bake.head)?;
+                bake.aim = chosen.aim;
+                bake.head.report.warnings.extend(chosen.warning);
+            } else {
+                bake.aim = budget::default_aim(&bake.prepared)?;
+            }
             bake.prepared.reset();
             bake.stages.push(("budget", clock.elapsed()));
         }
@@ -187,6 +191,12 @@ impl<'a> Bake<'a> {
     /// Also casts one ray per texel at every vertex; a difference fails the bake.
     pub fn verify_visibility(&mut self) {
         self.prepared.verify = true;
+    }
+
+    /// The error that clusters aim at, radians.
+    #[cfg(test)]
+    pub(super) fn aim(&self) -> f32 {
+        self.aim
     }
 
     /// Chunks in all, numbered from 0.

@@ -26,6 +26,11 @@ const SURE: f32 = 1.65;
 const PROBE_STEP: u32 = 4;
 /// An error on the surface that compression can keep, in errors of interpolation.
 const LEAST_OVER_INTERPOLATION: f32 = 1.1;
+/// Without an error or a size asked for one chunk of so many tells of interpolation.
+const CHUNKS_A_TRIAL: usize = 20;
+/// The least aim then, in errors of interpolation: compression adds a fiftieth to them, about, and on meshes of rods
+/// and leaves, of which interpolation knows little, halves the file.
+const AIM_OVER_INTERPOLATION: f32 = 0.25;
 /// First trial of a size, radians.
 const FIRST_ERROR: f32 = 0.008;
 /// Aims beyond these change nothing, radians.
@@ -53,6 +58,34 @@ pub(super) struct Chosen {
     pub(super) warning: Option<String>,
 }
 
+/// Without an error or a size to meet, the aim of the options, or a larger one where interpolation between vertices
+/// alone is off by much more: bytes that no picture shows are not spent. Small scenes keep theirs, where finding out
+/// would take longer than it saves.
+pub(super) fn default_aim(prepared: &Prepared) -> Result<f32, Error> {
+    let chunks = &prepared.chunks;
+    let count = (chunks.len() / CHUNKS_A_TRIAL).min(ERROR_CHUNKS);
+    let mut errors = ErrorSums::default();
+    for chunk in spread(chunks.len(), count) {
+        let vertices = prepared.vertices_of(&chunks[chunk]);
+        let ssdfs = prepared.ssdfs(&vertices)?;
+        let exact = |column: usize| ssdfs.column(column).iter().copied().collect();
+        for probe in prepared.probes(&chunks[chunk], PROBE_STEP)? {
+            let corners = probe.places.iter();
+            let columns: Vec<usize> = corners
+                .filter_map(|place| vertices.binary_search(place).ok())
+                .collect();
+            errors.add_probe(&probe, &columns, &exact, &exact, &prepared.weighting);
+        }
+    }
+    let interpolation = errors.errors().interpolation;
+    Ok((prepared.options.aim).max(AIM_OVER_INTERPOLATION * interpolation))
+}
+
+/// `count` of so many chunks, evenly over all.
+fn spread(all: usize, count: usize) -> impl Iterator<Item = usize> {
+    (0..count).map(move |i| (2 * i + 1) * all / (2 * count))
+}
+
 /// The aim that gives what [`super::Options`] ask for. `head` is the asset without clusters.
 pub(super) fn choose_aim(prepared: &Prepared, head: &format::Scene) -> Result<Chosen, Error> {
     let mut warning = None;
@@ -66,9 +99,8 @@ pub(super) fn choose_aim(prepared: &Prepared, head: &format::Scene) -> Result<Ch
         None => (prepared.chunks.len() / 4).clamp(ERROR_CHUNKS / 2, ERROR_CHUNKS),
     };
     let count = prepared.chunks.len().min(most);
-    let chosen = (0..count).map(|i| (2 * i + 1) * prepared.chunks.len() / (2 * count));
     let mut trials = Vec::new();
-    for chunk in chosen {
+    for chunk in spread(prepared.chunks.len(), count) {
         let vertices = prepared.vertices_of(&prepared.chunks[chunk]);
         trials.push(Trial {
             triangles: prepared.chunks[chunk].clone(),
@@ -256,7 +288,15 @@ fn next_aim(found: &[[f32; 2]], expected: f32) -> f32 {
 
 #[cfg(test)]
 mod tests {
+    use glam::{Vec2, Vec3};
+
+    use super::super::bake::Bake;
+    use super::super::load::SceneInput;
     use super::*;
+    use crate::import::plain_material;
+    use crate::mesh::{Mesh, Triangle, Vertex};
+    use crate::monitor::SILENT;
+    use crate::scene::Options;
 
     /// Looks for the aim that gives 0 with at most `TRIALS` trials.
     fn search(expected: f32, miss: impl Fn(f32) -> f32) -> f32 {
@@ -269,6 +309,80 @@ mod tests {
             .into_iter()
             .map(|[_, miss]| miss.abs())
             .fold(f32::INFINITY, f32::min)
+    }
+
+    /// The default aim for triangles, each with vertices of its own.
+    fn aim_for(triangles: &[[Vec3; 3]]) -> f32 {
+        let mut mesh = Mesh::default();
+        for triangle in triangles {
+            let base = mesh.vertices.len() as u32;
+            let normal = (triangle[1] - triangle[0]).cross(triangle[2] - triangle[0]);
+            mesh.vertices.extend(triangle.map(|position| Vertex {
+                position,
+                normal: normal.normalize(),
+                tangent: (triangle[1] - triangle[0]).normalize(),
+                bitangent_sign: 1.0,
+                uv: Vec2::ZERO,
+            }));
+            let vertices = [base, base + 1, base + 2];
+            let material = 0;
+            mesh.triangles.push(Triangle { vertices, material });
+        }
+        let grey = format::Surface::DiffuseSpecular {
+            diffuse: [0.5; 3],
+            specular: format::Specular::None,
+        };
+        mesh.materials.push(plain_material("grey", grey));
+        let input = SceneInput {
+            name: String::new(),
+            object_diagonal: mesh.diagonal(),
+            mesh,
+            camera: None,
+            environment: None,
+            lights: Vec::new(),
+            refinement: None,
+            measured: Vec::new(),
+            warnings: Vec::new(),
+        };
+        let options = Options {
+            sample_resolution: 16,
+            basis_resolution: 16,
+            max_edge: 1.0,
+            ..Options::standard()
+        };
+        let bake = Bake::new(input, &options, SILENT).expect("a scene");
+        assert!(bake.chunk_count() >= CHUNKS_A_TRIAL);
+        bake.aim() / options.aim
+    }
+
+    #[test]
+    fn little_is_spent_where_interpolation_is_far_off() {
+        let at = |x: usize, z: usize| Vec3::new(x as f32, 0.0, z as f32);
+        let plane = (0..150).flat_map(|x| (0..150).map(move |z| [x, z]));
+        let plane: Vec<[Vec3; 3]> = plane
+            .flat_map(|[x, z]| {
+                let [a, b, c, d] = [at(x, z), at(x, z + 1), at(x + 1, z + 1), at(x + 1, z)];
+                [[a, b, c], [a, c, d]]
+            })
+            .collect();
+        assert_eq!(aim_for(&plane), 1.0);
+        // Leaves, in places that are as good as random (Roberts 2018).
+        let number = |index: usize, step: f32| (index as f32 * step).fract();
+        let leaves: Vec<[Vec3; 3]> = (0..8000)
+            .map(|i| {
+                let centre = Vec3::new(
+                    number(i, 0.819_172_5),
+                    number(i, 0.671_043_6),
+                    number(i, 0.549_700_5),
+                );
+                [0, 1, 2].map(|k| {
+                    let [u, v, w] =
+                        [0.754_877_7, 0.569_840_3, 0.618_034].map(|step| number(3 * i + k, step));
+                    centre + 0.1 * (Vec3::new(u, v, w) - 0.5)
+                })
+            })
+            .collect();
+        assert!(aim_for(&leaves) > 2.0);
     }
 
     #[test]

@@ -16,7 +16,8 @@ use relight_runtime::Frame;
 use relight_shading::spherical_gaussian::SphericalGaussian;
 
 use super::report::{Section, Table};
-use super::{Laboratory, camera, error};
+use super::{Laboratory, camera, percent_of};
+use crate::compare::{Comparison, compare};
 
 /// The laboratory's scenes that are measured where none are named.
 const SCENES: [&str; 2] = ["bunny", "walk_1"];
@@ -49,8 +50,8 @@ struct Row {
     compression_error: f32,
     /// Root mean square jump at vertices that clusters share, radians.
     seam_rms: f32,
-    /// Relative RMSE of a diffuse and of a glossy material, noise of the truth removed.
-    errors: [f64; 2],
+    /// Of a diffuse and of a glossy material.
+    found: [Comparison; 2],
     /// Wall-clock seconds of the bake.
     seconds: f64,
 }
@@ -66,8 +67,6 @@ fn curves(start: &Options) -> Vec<(&'static str, f64, Options)> {
     let mut all = Vec::new();
     for aim in [0.01, 0.005, 0.0025] {
         let options = Options {
-            basis_resolution: 64,
-            max_tiles: 4,
             aim,
             ..start.clone()
         };
@@ -141,8 +140,8 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
                 f64::from(row.surface_error).into(),
                 f64::from(row.compression_error).into(),
                 f64::from(row.seam_rms).into(),
-                (100.0 * row.errors[0]).into(),
-                (100.0 * row.errors[1]).into(),
+                percent_of(&row.found[0]),
+                percent_of(&row.found[1]),
                 row.seconds.into(),
             ]);
         }
@@ -193,14 +192,14 @@ fn measure(
         let mut scene = format::read_scene(&bytes, &Limits::default())?;
         let frame = Frame::new(camera(&scene)?, lights);
         let seams = seam::measure(&scene);
-        let mut errors = [0.0; 2];
-        for (index, surface) in surfaces.iter().enumerate() {
-            put_on(&mut scene.materials, surface);
+        let mut compared = |index: usize| -> anyhow::Result<Comparison> {
+            put_on(&mut scene.materials, &surfaces[index]);
             if truths.len() == index {
                 truths.push(laboratory.truth(&scene, &frame)?);
             }
-            errors[index] = error(&laboratory.draw(&scene, &frame)?, &truths[index])?;
-        }
+            Ok(compare(&laboratory.draw(&scene, &frame)?, &truths[index])?)
+        };
+        let found = [compared(0)?, compared(1)?];
         let own = scene.vertices.len() - usize::try_from(seams.pairs)?;
         let fetches: f64 = (scene.clusters.iter())
             .map(|cluster| f64::from(cluster.tiles) * f64::from(cluster.vertex_count))
@@ -215,7 +214,7 @@ fn measure(
             surface_error: scene.report.errors.surface,
             compression_error: scene.report.errors.compression,
             seam_rms: seams.rms,
-            errors,
+            found,
             seconds,
         });
     }
@@ -248,7 +247,7 @@ fn plot(
         let curve = |name: &&str| Curve {
             name: (*name).to_owned(),
             points: (rows.iter().filter(|row| row.curve == *name))
-                .map(|row| [row.bytes_per_vertex(), 100.0 * row.errors[index]])
+                .map(|row| [row.bytes_per_vertex(), 100.0 * row.found[index].noiseless()])
                 .collect(),
         };
         let curves: Vec<Curve> = names.iter().map(curve).collect();

@@ -73,6 +73,7 @@ const SHORT: [(&str, &[&str]); 15] = [
         &[
             "scene",
             "environment",
+            "formerly",
             "ambient",
             "cells",
             "polar",

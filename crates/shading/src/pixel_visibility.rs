@@ -77,7 +77,7 @@ impl Asked {
     pub(crate) fn rounded(self) -> Self {
         let share = (self.share.to_bits() + (1 << (SHARE_BITS - 1))) >> SHARE_BITS;
         Self {
-            unknown: (self.unknown * UNKNOWN_ONE + 0.5).floor() / UNKNOWN_ONE,
+            unknown: kept(self.unknown),
             share: f32::from_bits(share << SHARE_BITS),
             ..self
         }
@@ -214,9 +214,15 @@ fn interpolate(
     known + left.rounded().unknown * find(distance)
 }
 
-/// The part of a fraction that a pixel has to find for itself where others differ by a part of what they may.
+/// The part of a fraction that a pixel has to find for itself where others differ by a part of what they may. With the
+/// bits that are kept of what is unknown, so that both parts make a whole.
 fn doubt(part: f32) -> f32 {
-    ((part - FIRM) / (1.0 - FIRM)).clamp(0.0, 1.0)
+    kept(((part - FIRM) / (1.0 - FIRM)).clamp(0.0, 1.0))
+}
+
+/// What is kept of a part.
+fn kept(part: f32) -> f32 {
+    (part * UNKNOWN_ONE + 0.5).floor() / UNKNOWN_ONE
 }
 
 /// Two coarse columns or rows about another, and the weight of the second.

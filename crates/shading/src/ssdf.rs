@@ -252,16 +252,20 @@ mod tests {
         }
     }
 
-    /// The format's definition, in f64: vertex `vertex` of cluster 1 at texel (x, y).
-    fn defined(scene: &Scene, vertex: usize, x: u32, y: u32) -> f64 {
+    /// The format's definition, in f64, of cluster 1 at texel (x, y), for vertices of these weights, whose coefficients are
+    /// interpolated to integers.
+    fn defined(scene: &Scene, weights: [f64; 3], x: u32, y: u32) -> f64 {
         let texel = (y * RESOLUTION + x) as usize;
         let tile_length = (RESOLUTION * RESOLUTION) as usize * 4;
         (0..8)
             .map(|channel| {
-                let coefficient = scene.coefficients[12 + vertex * 8 + channel];
+                let of = |vertex: usize| {
+                    f64::from(scene.coefficients[12 + vertex * 8 + channel].max(-32_767))
+                };
+                let interpolated: f64 = (0..3).map(|vertex| weights[vertex] * of(vertex)).sum();
                 let tile = 1 + channel / 4;
                 let basis = scene.basis[tile * tile_length + texel * 4 + channel % 4];
-                f64::from(coefficient.max(-32_767)) / 32_767.0 * f64::from(basis.max(-127)) / 127.0
+                interpolated.round_ties_even() / 32_767.0 * f64::from(basis.max(-127)) / 127.0
             })
             .sum::<f64>()
             * f64::from(scene.clusters[1].coefficient_scale)
@@ -270,16 +274,15 @@ mod tests {
     #[test]
     fn texel_centres_hold_the_interpolated_definition() {
         let scene = scene();
-        let weights = Vec3::new(0.2, 0.3, 0.5);
+        // Exact in f32, as are the sums.
+        let weights = Vec3::new(0.25, 0.125, 0.625);
         let basis = Basis::new(&scene);
         let ssdf = Ssdf::interpolate(&scene, &basis, 1, weights);
         assert_eq!(ssdf.limit(), 0.5);
         for y in 0..RESOLUTION {
             for x in 0..RESOLUTION {
                 // The triangle's corners are vertices 2, 0 and 1 of its cluster.
-                let expected = 0.2 * defined(&scene, 2, x, y)
-                    + 0.3 * defined(&scene, 0, x, y)
-                    + 0.5 * defined(&scene, 1, x, y);
+                let expected = defined(&scene, [0.125, 0.625, 0.25], x, y);
                 let found = ssdf.distance(octahedral::texel_direction(x, y, RESOLUTION));
                 assert!(
                     (found - expected as f32).abs() < TOLERANCE,

@@ -303,8 +303,10 @@ fn pixel_leeway(share: f32) -> f32 {
     return clamp(PIXEL_SMALL_SHARE / share, 1.0, PIXEL_MOST_LEEWAY);
 }
 
+// With the bits that are kept of what is unknown, so that both parts make a whole.
 fn pixel_doubt(part: f32) -> f32 {
-    return clamp((part - PIXEL_FIRM) / (1.0 - PIXEL_FIRM), 0.0, 1.0);
+    let doubt = clamp((part - PIXEL_FIRM) / (1.0 - PIXEL_FIRM), 0.0, 1.0);
+    return floor(doubt * PIXEL_UNKNOWN_ONE + 0.5) / PIXEL_UNKNOWN_ONE;
 }
 
 // The SSDF of a pixel of the tile that shows a surface, whose slot is entered.

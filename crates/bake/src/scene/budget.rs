@@ -9,6 +9,7 @@ use relight_format::{self as format, VisibilityErrors};
 use super::assemble::{Cluster, assemble};
 use super::bounce::ChunkLight;
 use super::error::Error;
+use super::plan::columns;
 use super::sample::Prepared;
 use super::surface::{ErrorSums, Probe};
 
@@ -70,10 +71,7 @@ pub(super) fn default_aim(prepared: &Prepared) -> Result<f32, Error> {
         let ssdfs = prepared.ssdfs(&vertices)?;
         let exact = |column: usize| ssdfs.column(column).iter().copied().collect();
         for probe in prepared.probes(&chunks[chunk], PROBE_STEP)? {
-            let corners = probe.places.iter();
-            let columns: Vec<usize> = corners
-                .filter_map(|place| vertices.binary_search(place).ok())
-                .collect();
+            let columns = columns(&probe.places, &vertices);
             errors.add_probe(&probe, &columns, &exact, &exact, &prepared.weighting);
         }
     }

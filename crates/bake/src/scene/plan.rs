@@ -248,7 +248,7 @@ fn cheapest(start: u32, most: u32, with_tiles: impl Fn(u32) -> Tried) -> Tried {
 }
 
 /// Where `members` are among the ascending `vertices`.
-fn columns(members: &[u32], vertices: &[u32]) -> Vec<usize> {
+pub(super) fn columns(members: &[u32], vertices: &[u32]) -> Vec<usize> {
     let place = |vertex| vertices.binary_search(vertex).ok();
     members.iter().filter_map(place).collect()
 }

@@ -34,8 +34,8 @@ const BLUR: f32 = 0.6;
 const REACH: f32 = 2.0;
 const ALIKE: f32 = 0.7;
 /// Farther than this part of a point's clearance what it sees changes (Ward, Rubinstein and Clear 1988, "A Ray
-/// Tracing Solution for Diffuse Interreflection"): there it stands for what something is as close to alone. In a
-/// slit the clearance is twice the slit's height, beside a wall four times the distance from it.
+/// Tracing Solution for Diffuse Interreflection"): there a point in a slit stands for what something is as close to
+/// alone. The clearance is twice the slit's height.
 const UNCHANGED: f32 = 0.7;
 /// Surfaces that no point stands for, one after the other, before the nearest point has to.
 const MOST_STEPS: u32 = 4;
@@ -63,7 +63,8 @@ pub(crate) struct Radiosity {
     spiral: Vec<Vec2>,
     pub(super) columns: usize,
     pub(super) ray_offset: f32,
-    /// Of every point, the harmonic mean of how far its rays go, metres.
+    /// Of every point that something is above within it, the harmonic mean of how far its rays go, metres; without
+    /// bound of others: what is beside a wall differs less from what is farther away than rays by chance do.
     clearances: Vec<f32>,
     /// Irradiance of every point: per channel `columns` numbers.
     pub(super) irradiance: Vec<f32>,
@@ -174,7 +175,11 @@ impl Radiosity {
                     inverse += 1.0 / met.position.distance(origin).max(self.ray_offset);
                 }
             }
-            (backs, count as f32 / inverse, start.elapsed())
+            let clearance = count as f32 / inverse;
+            let above = origin + clearance * point.geometric_normal;
+            let covered = clearance.is_finite() && caster.blocked(origin, above);
+            let clearance = if covered { clearance } else { f32::INFINITY };
+            (backs, clearance, start.elapsed())
         };
         let found: Vec<_> = points.par_iter().enumerate().map(look).collect();
         let rays = points.len() as u64 * u64::from(count);

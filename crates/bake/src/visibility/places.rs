@@ -8,7 +8,8 @@
 //!
 //! Where other surfaces cross or touch a triangle, its corners may lie in them or behind them.
 //! Such a corner is sampled where the part of the triangle ends that people see: a ray from its
-//! centre towards the corner tells where.
+//! centre towards the corner tells where. Corners that no crossing tells of but nothing is seen
+//! from, as in cracks, are sampled at a point of the triangle that sees something, if there is one.
 
 use relight_format::math;
 use std::collections::HashMap;
@@ -19,7 +20,7 @@ use rayon::prelude::*;
 mod emerging;
 
 use super::ray::RayCaster;
-use emerging::Emerging;
+use emerging::{Emerging, sees};
 
 /// Triangles whose fronts enclose more than this, radians, are two sides of a thin thing.
 const THIN: f64 = 330.0 / 180.0 * std::f64::consts::PI;
@@ -35,7 +36,7 @@ pub struct Places {
     pub origins: Vec<Vec3>,
     /// The place of every corner of every triangle.
     pub corners: Vec<[u32; 3]>,
-    /// Corners that are sampled elsewhere since they lie on or behind other surfaces.
+    /// Corners that are sampled elsewhere since they lie on or behind other surfaces, or see nothing.
     pub(crate) moved_corners: usize,
 }
 
@@ -59,20 +60,20 @@ impl Places {
             })
             .collect();
         let members = Members::new(&of, places);
-        let ends: Vec<Option<Vec3>> = (0..triangles.len())
+        let emerging = |triangle: usize| Emerging {
+            caster,
+            offset,
+            corners: [0, 1, 2].map(|k| corner(3 * triangle + k)),
+            normal: normals[triangle].normalize_or_zero(),
+        };
+        let mut ends: Vec<Option<Vec3>> = (0..triangles.len())
             .into_par_iter()
             .flat_map_iter(|triangle| {
                 let around = |k: usize| {
                     let members = members.of(of[3 * triangle + k]).iter();
                     members.map(|&member| normals[member as usize / 3])
                 };
-                let emerging = Emerging {
-                    caster,
-                    offset,
-                    corners: [0, 1, 2].map(|k| corner(3 * triangle + k)),
-                    normal: normals[triangle].normalize_or_zero(),
-                };
-                emerging.ends(around)
+                emerging(triangle).ends(around)
             })
             .collect();
         let mut sums = vec![Vec3::ZERO; places];
@@ -87,6 +88,21 @@ impl Places {
         let mut origins: Vec<Vec3> = (starts.iter().zip(&sums))
             .map(|(start, sum)| *start + offset * sum.normalize_or_zero())
             .collect();
+        // Where nothing is seen from, though no crossing tells so, the triangles may see something all the same.
+        let dark: Vec<bool> = (origins.par_iter().zip(&sums))
+            .map(|(origin, sum)| *sum != Vec3::ZERO && !sees(caster, *origin, *sum))
+            .collect();
+        let elsewhere = |(triangle, ends): (usize, &mut [Option<Vec3>])| {
+            let is_dark = |k: &usize| ends[*k].is_none() && dark[of[3 * triangle + k] as usize];
+            let corners: Vec<usize> = (0..3).filter(is_dark).collect();
+            if normals[triangle] != Vec3::ZERO && !corners.is_empty() {
+                let from = emerging(triangle).seen_from();
+                for k in corners {
+                    ends[k] = from[k];
+                }
+            }
+        };
+        ends.par_chunks_exact_mut(3).enumerate().for_each(elsewhere);
         for place in 0..members.count() {
             let moved = members.of(place).iter();
             let mut moved: Vec<(Vec3, usize)> = moved
@@ -472,6 +488,29 @@ mod tests {
                 triangle.map(|vertex| divided.places[vertex as usize]),
                 *corners
             );
+        }
+    }
+
+    #[test]
+    fn corners_that_see_nothing_are_sampled_where_their_triangle_does() {
+        // A plate lies over one corner of a floor, too high to touch it.
+        let height = 3.0 * OFFSET;
+        let plate = [[3.0, 3.0], [5.0, 3.0], [5.0, 5.0], [3.0, 5.0]];
+        let (positions, triangles) = squares(&[FLOOR, plate.map(|[x, z]| [x, height, z])]);
+        let places = places(&positions, &triangles);
+        for (triangle, corners) in triangles.iter().zip(&places.corners).take(2) {
+            for (vertex, place) in triangle.iter().zip(corners) {
+                let position = Vec3::from(positions[*vertex as usize]);
+                let origin = places.origins[*place as usize];
+                if position.x + position.z > 7.0 {
+                    assert!(origin.xz().min_element() < 3.0, "{position}: {origin}");
+                } else {
+                    assert!(
+                        origin.distance(position) < 1.1 * OFFSET,
+                        "{position}: {origin}"
+                    );
+                }
+            }
         }
     }
 

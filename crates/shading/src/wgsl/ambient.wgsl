@@ -31,5 +31,6 @@ fn ambient_fraction(sharpness: f32, distance: f32) -> f32 {
 // How little ambient_integrate knows of a lobe.
 fn ambient_beyond(sharpness: f32, axis: vec3<f32>, normal: vec3<f32>) -> f32 {
     let product = ambient_product(sharpness, axis, normal);
-    return min(4.0 * tables_hemisphere_fraction(product.w, -ssdf_limit()), 1.0);
+    let part = min(4.0 * tables_hemisphere_fraction(product.w, -ssdf_limit()), 1.0);
+    return part * part;
 }

@@ -24,6 +24,20 @@ const CENTRES: [[f32; 3]; 4] = [
 /// Rays per side of the map that tells how open a point lies.
 const EXPOSURE_RESOLUTION: u32 = 8;
 
+/// Of a few directions over the hemisphere about a normal, those that are open.
+fn open_rays(caster: &RayCaster, origin: Vec3, normal: Vec3) -> impl Iterator<Item = Vec3> {
+    let count = EXPOSURE_RESOLUTION;
+    let directions =
+        (0..count * count).map(move |i| octahedral::texel_direction(i % count, i / count, count));
+    directions
+        .filter(move |&direction| direction.dot(normal) > 0.0 && !caster.any_hit(origin, direction))
+}
+
+/// Whether something is seen in a few directions over the hemisphere about a normal.
+pub(super) fn sees(caster: &RayCaster, origin: Vec3, normal: Vec3) -> bool {
+    open_rays(caster, origin, normal).next().is_some()
+}
+
 /// A triangle that may be partly behind others.
 pub(super) struct Emerging<'a> {
     pub(super) caster: &'a RayCaster,
@@ -52,16 +66,8 @@ impl Emerging<'_> {
             return ends;
         }
         // What people see of the triangle may be near one of its corners alone.
-        let exposure = |weights: [f32; 3]| {
-            let origin = self.at(weights) + self.offset * self.normal;
-            let count = EXPOSURE_RESOLUTION;
-            let texels = (0..count * count).map(|i| [i % count, i / count]);
-            let open = texels.filter(|&[x, y]| {
-                let direction = octahedral::texel_direction(x, y, count);
-                direction.dot(self.normal) > 0.0 && !self.caster.any_hit(origin, direction)
-            });
-            open.count()
-        };
+        let exposure =
+            |weights: [f32; 3]| open_rays(self.caster, self.above(weights), self.normal).count();
         let mut best = (0, exposure(CENTRES[0]));
         for (index, weights) in CENTRES.into_iter().enumerate().skip(1) {
             let open = exposure(weights);
@@ -74,6 +80,21 @@ impl Emerging<'_> {
         } else {
             from(CENTRES[best.0])
         }
+    }
+
+    /// For every corner, the nearest of a few points of the triangle that see something.
+    pub(super) fn seen_from(&self) -> [Option<Vec3>; 3] {
+        let points = CENTRES.map(|weights| self.above(weights));
+        let see = points.map(|point| sees(self.caster, point, self.normal));
+        [0, 1, 2].map(|k| {
+            let order = [k + 1, 0, (k + 1) % 3 + 1, (k + 2) % 3 + 1];
+            order.into_iter().find(|&i| see[i]).map(|i| points[i])
+        })
+    }
+
+    /// Where rays from a point of the triangle begin.
+    fn above(&self, weights: [f32; 3]) -> Vec3 {
+        self.at(weights) + self.offset * self.normal
     }
 
     pub(super) fn at(&self, weights: [f32; 3]) -> Vec3 {

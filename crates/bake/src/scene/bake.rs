@@ -116,7 +116,10 @@ impl<'a> Bake<'a> {
         let object_diagonal = input.object_diagonal;
         let mut warnings = input.warnings.clone();
         warnings.extend(far_off);
-        warnings.extend(highlights::warnings(&input.mesh.materials));
+        warnings.extend(highlights::warnings(
+            &input.mesh.materials,
+            &input.mesh.textures,
+        ));
         let mut mesh = refined(input, options, &contours, ray_offset, monitor)?;
         for warning in mesh.warnings.drain(..) {
             if !warnings.contains(&warning) {

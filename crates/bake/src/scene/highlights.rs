@@ -1,7 +1,7 @@
 //! Whether spherical Gaussians can follow a material's highlights: a bad picture is announced.
 
 use glam::{Vec2, Vec3};
-use relight_format::{Material, Surface, math};
+use relight_format::{Material, Surface, Texture, TextureSlot, math};
 use relight_shading::accuracy::accuracy;
 use relight_shading::surface::{
     MIN_ALPHA, Model, Reflection, metallic_roughness_alpha, visit_layers,
@@ -11,57 +11,120 @@ use relight_shading::surface::{
 const NEAR_RATIO: f32 = 4.0;
 /// Part of a highlight's light, sent elsewhere than by the model, from which bands are seen in it.
 const VISIBLE: f64 = 0.25;
+/// Textures are looked at in so many places along each side of theirs.
+const TEXTURE_SIDE: u32 = 16;
+/// Steps of the binary logarithm of roughnesses that textures have: what lies between is as its neighbours are.
+const LOG_STEPS: f32 = 4.0;
 /// Angles of the views that it is measured for: from the normal, and the azimuths, radians.
 const INCIDENCE: f32 = 0.8;
 const AZIMUTHS: [f32; 3] = [0.0, 0.8, 1.5];
 
-/// Warnings of materials whose highlights are streaks too thin for lobes. What textures say of roughness is not looked at.
-pub(super) fn warnings(materials: &[Material]) -> Vec<String> {
-    let mut measured: Vec<(Model, Vec2, f64)> = Vec::new();
+/// Warnings of materials whose highlights are streaks too thin for lobes, in a quarter of the places at least where
+/// textures tell of roughness.
+pub(super) fn warnings(materials: &[Material], textures: &[Texture]) -> Vec<String> {
+    let mut known: Vec<(Model, Vec2, f64)> = Vec::new();
+    let mut look = |reflection: &Reflection| {
+        let Reflection { model, alpha, .. } = *reflection;
+        if alpha.max_element() <= NEAR_RATIO * alpha.min_element() {
+            return 0.0;
+        }
+        let same = known
+            .iter()
+            .find(|known| (known.0, known.1) == (model, alpha));
+        same.map(|known| known.2).unwrap_or_else(|| {
+            let misplaced = misplaced(reflection);
+            known.push((model, alpha, misplaced));
+            misplaced
+        })
+    };
     let mut warnings = Vec::new();
     for material in materials {
-        let mut worst = (0.0, Vec2::ONE);
-        let mut look = |reflection: &Reflection| {
-            let Reflection { model, alpha, .. } = *reflection;
-            if alpha.max_element() <= NEAR_RATIO * alpha.min_element() {
-                return;
+        let (misplaced, alpha) = match &material.surface {
+            Surface::MetallicRoughness { .. } => {
+                let places = metallic_roughness_alphas(material, textures).into_iter();
+                let mut places: Vec<_> = places
+                    .map(|alpha| (look(&Reflection::new(Model::Ggx, Vec3::ONE, alpha)), alpha))
+                    .collect();
+                places.sort_by(|a, b| a.0.total_cmp(&b.0));
+                places[places.len() * 3 / 4]
             }
-            let known = measured
-                .iter()
-                .find(|known| (known.0, known.1) == (model, alpha));
-            let misplaced = known.map_or_else(|| misplaced(reflection), |known| known.2);
-            if known.is_none() {
-                measured.push((model, alpha, misplaced));
-            }
-            if misplaced > worst.0 {
-                worst = (misplaced, alpha);
+            _ => {
+                let mut worst = (0.0, Vec2::ONE);
+                visit_layers(material, |layer| {
+                    let misplaced = look(&layer.reflection);
+                    if misplaced > worst.0 {
+                        worst = (misplaced, layer.reflection.alpha);
+                    }
+                });
+                worst
             }
         };
-        match material.surface {
-            Surface::MetallicRoughness {
-                roughness,
-                anisotropy_strength,
-                ..
-            } => {
-                let alpha = metallic_roughness_alpha(roughness, anisotropy_strength);
-                let alpha = alpha.max(Vec2::splat(MIN_ALPHA));
-                look(&Reflection::new(Model::Ggx, Vec3::ONE, alpha));
-            }
-            _ => visit_layers(material, |layer| look(&layer.reflection)),
-        }
-        let (misplaced, alpha) = worst;
         if misplaced > VISIBLE {
             warnings.push(format!(
                 "material {:?}: roughnesses of {} and {} lie so far apart that {:.0} % of the light of its \
                  highlights goes elsewhere than it should, which shows as bands; at most 8 times apart they are drawn well",
                 material.name,
-                alpha.x,
-                alpha.y,
+                hundredths(alpha.x),
+                hundredths(alpha.y),
                 100.0 * misplaced,
             ));
         }
     }
     warnings
+}
+
+/// Roughnesses of a metallic-roughness surface: one, or what textures make of it in places all over them.
+fn metallic_roughness_alphas(material: &Material, textures: &[Texture]) -> Vec<Vec2> {
+    let Surface::MetallicRoughness {
+        roughness,
+        anisotropy_strength,
+        ..
+    } = material.surface
+    else {
+        return Vec::new();
+    };
+    let slots = [
+        &material.metallic_roughness_texture,
+        &material.anisotropy_texture,
+    ];
+    let alphas = |roughness, strength| {
+        metallic_roughness_alpha(roughness, strength).max(Vec2::splat(MIN_ALPHA))
+    };
+    if anisotropy_strength == 0.0 || slots == [&None, &None] {
+        return vec![alphas(roughness, anisotropy_strength)];
+    }
+    let places = (0..TEXTURE_SIDE).flat_map(|y| (0..TEXTURE_SIDE).map(move |x| [x, y]));
+    places
+        .map(|place| {
+            let uv = place.map(|i| (i as f32 + 0.5) / TEXTURE_SIDE as f32);
+            let channel = |slot: &Option<TextureSlot>, channel: usize| {
+                let texel = slot.as_ref().and_then(|slot| texel(slot, textures, uv));
+                texel.map_or(1.0, |texel| f32::from(texel[channel]) / 255.0)
+            };
+            let alpha = alphas(
+                roughness * channel(slots[0], 1),
+                anisotropy_strength * channel(slots[1], 2),
+            );
+            let step = |x: f32| math::exp2((LOG_STEPS * math::log2(x)).round() / LOG_STEPS);
+            Vec2::from(alpha.to_array().map(step))
+        })
+        .collect()
+}
+
+/// The texel that a slot has for texture coordinates.
+fn texel(slot: &TextureSlot, textures: &[Texture], [u, v]: [f32; 2]) -> Option<[u8; 4]> {
+    let texture = textures.get(slot.texture as usize)?;
+    let [x, y] = slot
+        .transform
+        .map(|[a, b, c]| (a * u + b * v + c).rem_euclid(1.0));
+    let at = |x: f32, size: u32| ((x * size as f32) as u32).min(size - 1) as usize;
+    let index = at(y, texture.height) * texture.width as usize + at(x, texture.width);
+    texture.texels.as_chunks::<4>().0.get(index).copied()
+}
+
+/// As people are told.
+fn hundredths(x: f32) -> f32 {
+    (100.0 * x).round() / 100.0
 }
 
 /// Part of the light that lobes send elsewhere, a mean over views.
@@ -95,12 +158,47 @@ mod tests {
     #[test]
     fn streaks_that_lobes_cannot_follow_are_announced() {
         for alpha in [[0.3, 0.3], [0.08, 0.4], [0.8, 0.1]] {
-            assert_eq!(warnings(&[brushed(alpha)]), [""; 0]);
+            assert_eq!(warnings(&[brushed(alpha)], &[]), [""; 0]);
         }
         let thin = [brushed([0.02, 0.8]), brushed([0.5, 0.5])];
-        let [warning] = &warnings(&thin)[..] else {
+        let [warning] = &warnings(&thin, &[])[..] else {
             panic!("one warning of {thin:?}");
         };
         assert!(warning.starts_with("material \"brushed\": roughnesses of 0.02 and 0.8"));
+    }
+    #[test]
+    fn what_textures_say_of_roughness_counts() {
+        let surface = Surface::MetallicRoughness {
+            base_color: [1.0; 3],
+            metallic: 1.0,
+            roughness: 1.0,
+            anisotropy_strength: 1.0,
+            anisotropy_rotation: 0.0,
+        };
+        let mut material = plain_material("lamp", surface);
+        material.metallic_roughness_texture = Some(TextureSlot::whole(0));
+        // Roughness 0.3, which is 0.09 squared, in so many of eight columns.
+        let texture = |thin: usize| Texture {
+            width: 8,
+            height: 1,
+            encoding: relight_format::TextureEncoding::Linear,
+            texels: (0..8)
+                .flat_map(|x| [255, if x < thin { 77 } else { 255 }, 255, 255])
+                .collect(),
+        };
+        assert_eq!(warnings(&[material.clone()], &[texture(1)]), [""; 0]);
+        let [warning] = &warnings(&[material.clone()], &[texture(4)])[..] else {
+            panic!("one warning");
+        };
+        assert!(warning.starts_with("material \"lamp\": roughnesses of 1 and 0.09"));
+        material.anisotropy_texture = Some(TextureSlot::whole(1));
+        let textures = [
+            texture(8),
+            Texture {
+                texels: vec![0; 32],
+                ..texture(8)
+            },
+        ];
+        assert_eq!(warnings(&[material], &textures), [""; 0]);
     }
 }

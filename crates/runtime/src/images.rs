@@ -1,9 +1,10 @@
 //! The images between the passes of a frame.
 
+use relight_shading::sources::{SEEN_COLUMNS, SEEN_TEXELS};
 use relight_shading::surfaces::TILE;
 
 use crate::layouts::{
-    DEPTH_FORMAT, RADIANCE_FORMAT, SAMPLES_FORMAT, VISIBILITY_FORMAT, texture_entry,
+    DEPTH_FORMAT, RADIANCE_FORMAT, SAMPLES_FORMAT, SOURCES_FORMAT, VISIBILITY_FORMAT, texture_entry,
 };
 use crate::lobes::{LobePasses, Slots};
 
@@ -26,12 +27,12 @@ pub(crate) struct Images {
     pub(crate) bind_group: wgpu::BindGroup,
     /// What the passes that shade by lobes hand on.
     pub(crate) slots: Slots,
-    /// Group 2 of the pass for sources, if there was one.
-    pub(crate) sources: Option<wgpu::BindGroup>,
+    /// Groups 2 of the passes for sources, if there was one, see [`LobePasses::source_images`].
+    pub(crate) sources: Option<[wgpu::BindGroup; 2]>,
     /// What catches shadows.
     pub(crate) open: Option<OpenImage>,
     /// Sources that there is room for.
-    pub(crate) source_layers: u32,
+    pub(crate) source_count: u32,
     /// Group 1 of the pass for surfaces, with antialiasing.
     pub(crate) surfaces: Option<wgpu::BindGroup>,
 }
@@ -59,7 +60,6 @@ pub(crate) struct Needs {
 /// Layouts of the groups that images are in.
 pub(crate) struct ImageLayouts<'a> {
     pub(crate) shade: &'a wgpu::BindGroupLayout,
-    pub(crate) sources: &'a wgpu::BindGroupLayout,
     pub(crate) surfaces: &'a wgpu::BindGroupLayout,
     pub(crate) lobes: &'a LobePasses,
     /// Slots that there is to be room for.
@@ -85,17 +85,17 @@ impl Images {
         needs: Needs,
     ) -> Self {
         let Needs {
-            sources: source_layers,
+            sources: source_count,
             antialias,
             open,
         } = needs;
-        let layered = |label, format, usage, samples, [width, height]: [u32; 2], layers| {
+        let texture = |label, format, usage, samples, [width, height]: [u32; 2]| {
             device.create_texture(&wgpu::TextureDescriptor {
                 label: Some(label),
                 size: wgpu::Extent3d {
                     width,
                     height,
-                    depth_or_array_layers: layers,
+                    depth_or_array_layers: 1,
                 },
                 mip_level_count: 1,
                 sample_count: samples,
@@ -105,8 +105,6 @@ impl Images {
                 view_formats: &[],
             })
         };
-        let texture =
-            |label, format, usage, samples, size| layered(label, format, usage, samples, size, 1);
         let bound = wgpu::TextureUsages::TEXTURE_BINDING;
         let drawn = wgpu::TextureUsages::RENDER_ATTACHMENT | bound;
         let copied = wgpu::TextureUsages::COPY_SRC;
@@ -167,46 +165,67 @@ impl Images {
             visibility = Some(ids);
             surfaces = None;
         }
-        let source_radiance = layered(
-            "relight source radiance",
-            RADIANCE_FORMAT,
-            written,
-            1,
-            if source_layers > 0 { shaded } else { [1; 2] },
-            source_layers.max(1),
-        );
-        let source_view = source_radiance.create_view(&wgpu::TextureViewDescriptor {
-            dimension: Some(wgpu::TextureViewDimension::D2Array),
-            ..Default::default()
-        });
-        let views = [&seen_view, &radiance_view, &source_view];
-        let slots = layouts.lobes.slots(layouts.slots, views);
+        let slots = layouts
+            .lobes
+            .slots(layouts.slots, [&seen_view, &radiance_view]);
+        let group_of_cells = |label, radiance: &wgpu::TextureView, slots: &Slots| {
+            let [_, gathered] = slots.entries();
+            let textures = (0..).zip([&seen_view, radiance]);
+            let textures = textures.map(|(binding, view)| texture_entry(binding, view));
+            device.create_bind_group(&wgpu::BindGroupDescriptor {
+                label: Some(label),
+                layout: layouts.shade,
+                entries: &textures.chain([gathered]).collect::<Vec<_>>(),
+            })
+        };
         let open = open.then(|| {
             let usage = usage | copied;
             let radiance = texture("relight open radiance", RADIANCE_FORMAT, usage, 1, shaded);
             let view = view(&radiance);
-            let views = [&seen_view, &view, &source_view];
             OpenImage {
-                slots: layouts.lobes.beside(&slots, views),
-                bind_group: group("relight open images", layouts.shade, &views),
+                slots: layouts.lobes.beside(&slots, [&seen_view, &view]),
+                bind_group: group_of_cells("relight open images", &view, &slots),
                 radiance,
                 view,
             }
         });
-        Self {
-            sources: (source_layers > 0).then(|| {
-                let views = (0..).zip([&seen_view, &source_view]);
-                let views = views.map(|(binding, view)| texture_entry(binding, view));
+        let bind_group = group_of_cells("relight images", &radiance_view, &slots);
+        let sources = (source_count > 0).then(|| {
+            let groups = layouts.slots * source_count;
+            let size = [
+                SEEN_COLUMNS * SEEN_TEXELS * TILE * TILE,
+                groups.div_ceil(SEEN_COLUMNS),
+            ];
+            let points = texture(
+                "relight points of sources",
+                SOURCES_FORMAT,
+                written,
+                1,
+                size,
+            );
+            let points = view(&points);
+            let [reflections, gathered] = slots.entries();
+            let [seen, shown] = &layouts.lobes.source_images;
+            let group = |layout, entries: &[wgpu::BindGroupEntry]| {
                 device.create_bind_group(&wgpu::BindGroupDescriptor {
                     label: Some("relight sources' images"),
-                    layout: layouts.sources,
-                    entries: &views.chain(slots.entries()).collect::<Vec<_>>(),
+                    layout,
+                    entries,
                 })
-            }),
+            };
+            let images = [texture_entry(0, &seen_view), texture_entry(1, &points)];
+            let [visibility, found] = images;
+            [
+                group(seen, &[visibility, found, reflections.clone()]),
+                group(shown, &[texture_entry(2, &points), reflections, gathered]),
+            ]
+        });
+        Self {
+            sources,
             slots,
             open,
-            source_layers,
-            bind_group: group("relight images", layouts.shade, &views),
+            source_count,
+            bind_group,
             visibility,
             seen_view,
             drawn_view,

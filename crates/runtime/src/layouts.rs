@@ -9,6 +9,7 @@ pub(crate) const SAMPLES_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba
 /// Format of the depth buffer.
 pub(crate) const DEPTH_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
 /// Format of the linear image.
+pub(crate) const SOURCES_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba32Uint;
 pub(crate) const RADIANCE_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba32Float;
 
 /// Bindings of group 1 that kernels of vertices need.
@@ -158,14 +159,12 @@ pub(crate) fn source_frame_layout(device: &wgpu::Device) -> wgpu::BindGroupLayou
     })
 }
 
-/// Group 1 of bindings.wgsl as sources need it.
+/// Group 1 of bindings.wgsl as the points of sources need it.
 pub(crate) fn source_scene_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
     let entry = |binding| layout_entry(binding, wgpu::ShaderStages::COMPUTE, STORAGE);
-    let texels = scene_entries().into_iter().find(|entry| entry.binding == 5);
-    let entries = [0, 1, 4, 8, 9].map(entry).into_iter().chain(texels);
     device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
         label: Some("relight occluders"),
-        entries: &entries.collect::<Vec<_>>(),
+        entries: &[0, 1, 8, 9].map(entry),
     })
 }
 
@@ -179,20 +178,28 @@ pub(crate) fn written(binding: u32) -> wgpu::BindGroupLayoutEntry {
     layout_entry(binding, wgpu::ShaderStages::COMPUTE, kind)
 }
 
-/// Group 2 of bindings.wgsl as sources need it.
-pub(crate) fn source_image_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+/// Groups 2 of bindings.wgsl as the points of sources need it, and what is shown of them.
+pub(crate) fn source_image_layouts(device: &wgpu::Device) -> [wgpu::BindGroupLayout; 2] {
+    let compute = wgpu::ShaderStages::COMPUTE;
     let [visibility, ..] = image_entries();
     let found = wgpu::BindingType::StorageTexture {
         access: wgpu::StorageTextureAccess::WriteOnly,
-        format: RADIANCE_FORMAT,
-        view_dimension: wgpu::TextureViewDimension::D2Array,
+        format: SOURCES_FORMAT,
+        view_dimension: wgpu::TextureViewDimension::D2,
     };
-    // Groups of images bind one after the other.
-    let found = layout_entry(1, wgpu::ShaderStages::COMPUTE, found);
-    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-        label: Some("relight source images"),
-        entries: &[visibility, found, written(6), written(7)],
-    })
+    let found = layout_entry(1, compute, found);
+    let seen = layout_entry(2, compute, visibility.ty);
+    let reflection = layout_entry(6, compute, STORAGE);
+    let layout = |entries: &[wgpu::BindGroupLayoutEntry]| {
+        device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+            label: Some("relight source images"),
+            entries,
+        })
+    };
+    [
+        layout(&[visibility, found, reflection]),
+        layout(&[seen, reflection, written(7)]),
+    ]
 }
 
 /// Group 0 of bindings.wgsl as vertices need it.
@@ -222,7 +229,7 @@ pub(crate) fn vertex_scene_layout(device: &wgpu::Device) -> wgpu::BindGroupLayou
 
 /// Group 2 of bindings.wgsl as vertices need it.
 pub(crate) fn vertex_image_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
-    let [visibility, found, ..] = image_entries();
+    let [visibility, found] = image_entries();
     let states = wgpu::BindingType::Buffer {
         ty: wgpu::BufferBindingType::Storage { read_only: false },
         has_dynamic_offset: false,
@@ -273,17 +280,19 @@ pub(crate) fn surface_image_layout(device: &wgpu::Device) -> wgpu::BindGroupLayo
     })
 }
 
-/// Group 2 of bindings.wgsl.
+/// Group 2 of bindings.wgsl as cells need it.
 pub(crate) fn image_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    let [visibility, radiance] = image_entries();
     device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
         label: Some("relight images"),
-        entries: &image_entries(),
+        entries: &[visibility, radiance, written(7)],
     })
 }
 
-pub(crate) fn image_entries() -> [wgpu::BindGroupLayoutEntry; 3] {
-    let texture = |sample_type| wgpu::BindingType::Texture {
-        sample_type,
+/// The visibility buffer and radiance.
+pub(crate) fn image_entries() -> [wgpu::BindGroupLayoutEntry; 2] {
+    let visibility = wgpu::BindingType::Texture {
+        sample_type: wgpu::TextureSampleType::Uint,
         view_dimension: wgpu::TextureViewDimension::D2,
         multisampled: false,
     };
@@ -292,17 +301,10 @@ pub(crate) fn image_entries() -> [wgpu::BindGroupLayoutEntry; 3] {
         format: RADIANCE_FORMAT,
         view_dimension: wgpu::TextureViewDimension::D2,
     };
-    let sources = wgpu::TextureSampleType::Float { filterable: false };
-    let layers = wgpu::BindingType::Texture {
-        sample_type: sources,
-        view_dimension: wgpu::TextureViewDimension::D2Array,
-        multisampled: false,
-    };
     let compute = wgpu::ShaderStages::COMPUTE;
     [
-        layout_entry(0, compute, texture(wgpu::TextureSampleType::Uint)),
+        layout_entry(0, compute, visibility),
         layout_entry(1, compute, radiance),
-        layout_entry(2, compute, layers),
     ]
 }
 

@@ -5,11 +5,13 @@ use std::sync::OnceLock;
 
 use relight_shading::wgsl::{
     AROUND, DIFFUSE, IMAGES, INTEGRALS, Kernel, PRODUCTS, REFLECTIONS, SEEN_TEXTURES, SHADE,
+    SOURCES, SOURCES_SHOWN,
 };
 use relight_shading::{gpu, slots};
 
 use crate::layouts::{
-    STORAGE, compute_pipeline, image_entries, layout_entry, scene_entries, texture_entry, written,
+    STORAGE, buffer_entry, compute_pipeline, image_entries, layout_entry, scene_entries,
+    source_image_layouts, texture_entry, written,
 };
 use crate::tiles::{Dispatch, WORKGROUP};
 use crate::{Frame, GpuScene, Method};
@@ -46,6 +48,12 @@ pub(crate) struct LobePasses {
     around: [OnceLock<wgpu::ComputePipeline>; 2],
     image: OnceLock<wgpu::ComputePipeline>,
     shade: OnceLock<wgpu::ComputePipeline>,
+    /// Groups 0 and 1 of the passes for sources.
+    pub(crate) sources: [wgpu::BindGroupLayout; 2],
+    /// Groups 2 of that for their points and of that for what is shown of them.
+    pub(crate) source_images: [wgpu::BindGroupLayout; 2],
+    source_points: OnceLock<wgpu::ComputePipeline>,
+    sources_shown: OnceLock<wgpu::ComputePipeline>,
 }
 
 /// Slots of one view.
@@ -64,7 +72,7 @@ pub(crate) struct Slots {
     clippy::struct_excessive_bools,
     reason = "each says that there is a pass"
 )]
-pub(crate) struct Work {
+pub(crate) struct Work<'a> {
     /// Reflections of a material, at most.
     pub(crate) reflections: u32,
     /// Whether a material has textures.
@@ -77,11 +85,24 @@ pub(crate) struct Work {
     pub(crate) bounced: bool,
     /// Whether one visible fraction stands for all of a lobe.
     pub(crate) ambient: bool,
+    /// Suns, lamps and windows, if there are any.
+    pub(crate) sources: Option<SourceWork<'a>>,
 }
 
-impl Work {
-    pub(crate) fn of(frame: &Frame, scene: &GpuScene) -> Self {
+/// What passes for sources are given.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct SourceWork<'a> {
+    pub(crate) count: u32,
+    /// Groups 0 and 1.
+    pub(crate) groups: [&'a wgpu::BindGroup; 2],
+    /// Groups 2, as [`LobePasses::source_images`].
+    pub(crate) images: &'a [wgpu::BindGroup; 2],
+}
+
+impl<'a> Work<'a> {
+    pub(crate) fn of(frame: &Frame, scene: &GpuScene, sources: Option<SourceWork<'a>>) -> Self {
         Self {
+            sources,
             reflections: scene.reflections(),
             textured: scene.is_textured(),
             distant_lights: frame.lights.len(),
@@ -94,7 +115,11 @@ impl Work {
 }
 
 impl LobePasses {
-    pub(crate) fn new(device: &wgpu::Device, frame: &wgpu::BindGroupLayout) -> Self {
+    pub(crate) fn new(
+        device: &wgpu::Device,
+        frame: &wgpu::BindGroupLayout,
+        sources: [wgpu::BindGroupLayout; 2],
+    ) -> Self {
         let scene = |bindings: &[u32]| {
             let entries: Vec<_> = (scene_entries().into_iter())
                 .filter(|entry| bindings.contains(&entry.binding))
@@ -105,14 +130,14 @@ impl LobePasses {
                 .collect();
             layout(device, &entries)
         };
-        let [visibility, radiance, sources] = image_entries();
+        let [visibility, radiance] = image_entries();
         let read = |binding| layout_entry(binding, wgpu::ShaderStages::COMPUTE, STORAGE);
         Self {
             device: device.clone(),
             frame: frame.clone(),
             scenes: SCENE_BINDINGS.map(scene),
             images: [
-                layout(device, &[visibility, sources, written(6), written(7)]),
+                layout(device, &[visibility, written(6), written(7)]),
                 layout(device, &[visibility, radiance, read(6), written(7)]),
             ],
             textures: OnceLock::new(),
@@ -123,12 +148,15 @@ impl LobePasses {
             around: Default::default(),
             image: OnceLock::new(),
             shade: OnceLock::new(),
+            sources,
+            source_images: source_image_layouts(device),
+            source_points: OnceLock::new(),
+            sources_shown: OnceLock::new(),
         }
     }
 
-    /// Slots for so many workgroups; the images are the visibility buffer, radiance and what
-    /// sources add to it.
-    pub(crate) fn slots(&self, tiles: u32, images: [&wgpu::TextureView; 3]) -> Slots {
+    /// Slots for so many workgroups; the images are the visibility buffer and radiance.
+    pub(crate) fn slots(&self, tiles: u32, images: [&wgpu::TextureView; 2]) -> Slots {
         let buffer = |label| {
             self.device.create_buffer(&wgpu::BufferDescriptor {
                 label: Some(label),
@@ -142,7 +170,7 @@ impl LobePasses {
     }
 
     /// The same slots for other images: those of one are done with before another's begin.
-    pub(crate) fn beside(&self, slots: &Slots, images: [&wgpu::TextureView; 3]) -> Slots {
+    pub(crate) fn beside(&self, slots: &Slots, images: [&wgpu::TextureView; 2]) -> Slots {
         self.slots_of(slots.tiles, slots.buffers.clone(), images)
     }
 
@@ -150,7 +178,7 @@ impl LobePasses {
         &self,
         tiles: u32,
         buffers: [wgpu::Buffer; 2],
-        images: [&wgpu::TextureView; 3],
+        images: [&wgpu::TextureView; 2],
     ) -> Slots {
         let group = |layout, textures: &[usize]| {
             let textures = textures.iter();
@@ -165,26 +193,55 @@ impl LobePasses {
         let [first, others] = &self.images;
         Slots {
             tiles,
-            groups: [group(first, &[0, 2]), group(others, &[0, 1])],
+            groups: [group(first, &[0]), group(others, &[0, 1])],
             buffers,
         }
     }
 
-    /// Leaves in slots what pixels see of textures, where there are any: groups 0 and 1.
-    pub(crate) fn record_textures(
+    /// Finds one reflection of what is seen of instances, and what it shows of sources: groups 0 and 1.
+    pub(crate) fn record_reflection(
         &self,
         pass: &mut wgpu::ComputePass,
         (frame, scenes): (&wgpu::BindGroup, &[wgpu::BindGroup; 2]),
-        slots: &Slots,
-        dispatch: Dispatch,
+        (slots, Dispatch { offset, workgroups }): (&Slots, Dispatch),
+        work: Work,
+        reflection: u32,
     ) {
-        let layouts = [&self.frame, &self.scenes[0], &self.images[0]];
-        let make = || compute_pipeline(&self.device, &layouts, &SEEN_TEXTURES);
-        pass.set_pipeline(self.textures.get_or_init(make));
-        pass.set_bind_group(0, frame, &[dispatch.offset]);
-        pass.set_bind_group(1, &scenes[0], &[]);
-        pass.set_bind_group(2, &slots.groups[0], &[]);
-        pass.dispatch_workgroups(dispatch.workgroups, 1, 1);
+        let next = usize::from(reflection > 0);
+        let mut run = |kernel: &OnceLock<wgpu::ComputePipeline>, made_of: &Kernel| {
+            let layouts = [&self.frame, &self.scenes[0], &self.images[0]];
+            let make = || compute_pipeline(&self.device, &layouts, made_of);
+            pass.set_pipeline(kernel.get_or_init(make));
+            pass.set_bind_group(0, frame, &[offset]);
+            pass.set_bind_group(1, &scenes[0], &[]);
+            pass.set_bind_group(2, &slots.groups[0], &[]);
+            pass.dispatch_workgroups(workgroups, 1, 1);
+        };
+        // Lobes wait later where it is left what is seen of them.
+        if work.textured {
+            run(&self.textures, &SEEN_TEXTURES);
+        }
+        run(&self.reflections[next], &REFLECTIONS[next]);
+        let Some(sources) = work.sources else {
+            return;
+        };
+        let mut run = |kernel: &OnceLock<wgpu::ComputePipeline>, made_of, scene, images, z| {
+            let (layout, group): (&wgpu::BindGroupLayout, &wgpu::BindGroup) = scene;
+            let layouts = [&self.sources[0], layout, &self.source_images[images]];
+            let make = || compute_pipeline(&self.device, &layouts, made_of);
+            pass.set_pipeline(kernel.get_or_init(make));
+            pass.set_bind_group(0, sources.groups[0], &[offset]);
+            pass.set_bind_group(1, group, &[]);
+            pass.set_bind_group(2, &sources.images[images], &[]);
+            pass.dispatch_workgroups(workgroups, 1, z);
+        };
+        // Which points are seen holds for the next reflections.
+        if next == 0 {
+            let scene = (&self.sources[1], sources.groups[1]);
+            run(&self.source_points, &SOURCES, scene, 0, sources.count);
+        }
+        let scene = (&self.scenes[0], &scenes[0]);
+        run(&self.sources_shown, &SOURCES_SHOWN, scene, 1, 1);
     }
 
     /// Shades what is seen of instances: groups 0 and 1.
@@ -202,30 +259,27 @@ impl LobePasses {
                 dispatch.workgroups <= slots.tiles,
                 "{dispatch:?}: {slots:?}"
             );
-            pass.set_bind_group(0, frame, &[dispatch.offset]);
-            let mut run =
-                |kernel: &OnceLock<wgpu::ComputePipeline>, made_of: &Kernel, groups_1_2| {
-                    let (scene, image): (usize, usize) = groups_1_2;
-                    let layouts = [&self.frame, &self.scenes[scene], &self.images[image]];
-                    let make = || compute_pipeline(&self.device, &layouts, made_of);
-                    pass.set_pipeline(kernel.get_or_init(make));
-                    pass.set_bind_group(1, &scenes[scene], &[]);
-                    pass.set_bind_group(2, &slots.groups[image], &[]);
-                    pass.dispatch_workgroups(dispatch.workgroups, 1, 1);
-                };
+            let run = |pass: &mut wgpu::ComputePass,
+                       kernel: &OnceLock<wgpu::ComputePipeline>,
+                       made_of: &Kernel,
+                       scene: usize| {
+                let layouts = [&self.frame, &self.scenes[scene], &self.images[1]];
+                let make = || compute_pipeline(&self.device, &layouts, made_of);
+                pass.set_pipeline(kernel.get_or_init(make));
+                pass.set_bind_group(0, frame, &[dispatch.offset]);
+                pass.set_bind_group(1, &scenes[scene], &[]);
+                pass.set_bind_group(2, &slots.groups[1], &[]);
+                pass.dispatch_workgroups(dispatch.workgroups, 1, 1);
+            };
             for reflection in 0..work.reflections.max(1) {
-                let next = usize::from(reflection > 0);
-                // Lobes wait later where it is left what is seen of them.
-                if work.textured {
-                    run(&self.textures, &SEEN_TEXTURES, (0, 0));
-                }
-                run(&self.reflections[next], &REFLECTIONS[next], (0, 0));
-                if next == 0 {
-                    run(&self.diffuse[ambient], &DIFFUSE[ambient], (1, 1));
+                let (groups, to) = ((frame, scenes), (slots, *dispatch));
+                self.record_reflection(pass, groups, to, work, reflection);
+                if reflection == 0 {
+                    run(pass, &self.diffuse[ambient], &DIFFUSE[ambient], 1);
                 }
                 for (kind, there_is) in [work.bounced, work.image].into_iter().enumerate() {
                     if there_is {
-                        run(&self.around[kind], &AROUND[kind], (1, 1));
+                        run(pass, &self.around[kind], &AROUND[kind], 1);
                     }
                 }
                 if work.reflections == 0 {
@@ -240,22 +294,22 @@ impl LobePasses {
                 for (of_image, lights) in [lights, of_image].into_iter().enumerate() {
                     let kind = of_image + 2 * ambient;
                     for _ in 0..slots::rounds(lights) {
-                        run(&self.products[of_image], &PRODUCTS[of_image], (0, 1));
-                        run(&self.integrals[kind], &INTEGRALS[kind], (1, 1));
+                        run(pass, &self.products[of_image], &PRODUCTS[of_image], 0);
+                        run(pass, &self.integrals[kind], &INTEGRALS[kind], 1);
                     }
                 }
                 if work.image {
-                    run(&self.image, &IMAGES, (0, 1));
+                    run(pass, &self.image, &IMAGES, 0);
                 }
             }
-            run(&self.shade, &SHADE, (0, 1));
+            run(pass, &self.shade, &SHADE, 0);
         }
     }
 }
 
 impl Slots {
-    /// Their part of group 2 of bindings.wgsl.
-    pub(crate) fn entries(&self) -> impl Iterator<Item = wgpu::BindGroupEntry<'_>> {
+    /// Their part of group 2 of bindings.wgsl: of the reflections and of what is gathered.
+    pub(crate) fn entries(&self) -> [wgpu::BindGroupEntry<'_>; 2] {
         slot_entries(&self.buffers)
     }
 
@@ -265,12 +319,8 @@ impl Slots {
     }
 }
 
-fn slot_entries(buffers: &[wgpu::Buffer; 2]) -> impl Iterator<Item = wgpu::BindGroupEntry<'_>> {
-    let buffers = (6..).zip(buffers);
-    buffers.map(|(binding, buffer)| wgpu::BindGroupEntry {
-        binding,
-        resource: buffer.as_entire_binding(),
-    })
+fn slot_entries([reflections, gathered]: &[wgpu::Buffer; 2]) -> [wgpu::BindGroupEntry<'_>; 2] {
+    [buffer_entry(6, reflections), buffer_entry(7, gathered)]
 }
 
 fn layout(device: &wgpu::Device, entries: &[wgpu::BindGroupLayoutEntry]) -> wgpu::BindGroupLayout {

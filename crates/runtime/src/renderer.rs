@@ -21,9 +21,9 @@ use crate::fill_texture::FillPass;
 use crate::frame::LocalFrame;
 use crate::images::{ImageLayouts, Images, Needs, clear, shaded_size};
 use crate::layouts::{
-    frame_layout, image_layout, scene_layout, source_frame_layout, source_image_layout,
-    source_scene_layout, surface_frame_layout, surface_image_layout, vertex_frame_layout,
-    vertex_image_layout, vertex_scene_layout, visibility_pipeline,
+    frame_layout, image_layout, scene_layout, source_frame_layout, source_scene_layout,
+    surface_frame_layout, surface_image_layout, vertex_frame_layout, vertex_image_layout,
+    vertex_scene_layout, visibility_pipeline,
 };
 use crate::lobes::{self, LobePasses, Slots};
 use crate::motion::MotionPass;
@@ -54,8 +54,6 @@ pub struct Renderer {
     frame_layout: wgpu::BindGroupLayout,
     scene_layout: wgpu::BindGroupLayout,
     image_layout: wgpu::BindGroupLayout,
-    /// Groups 0, 1 and 2 of the pass for sources.
-    source_layouts: [wgpu::BindGroupLayout; 3],
     /// Of the pass for surfaces.
     surface_layouts: [wgpu::BindGroupLayout; 2],
     /// For pixels of one surface and of several.
@@ -93,7 +91,6 @@ struct Kernels {
     vertices: OnceLock<wgpu::ComputePipeline>,
     #[cfg(feature = "paper")]
     cells: OnceLock<wgpu::ComputePipeline>,
-    sources: OnceLock<wgpu::ComputePipeline>,
     motion: OnceLock<MotionPass>,
     fill: OnceLock<FillPass>,
 }
@@ -120,16 +117,15 @@ impl Renderer {
         Ok(Self {
             visibility_pipeline: visibility_pipeline(device, [&frame_layout, &scene_layout], false),
             kernels: Arc::default(),
-            lobes: Arc::new(LobePasses::new(device, &frame_layout)),
+            lobes: Arc::new(LobePasses::new(
+                device,
+                &frame_layout,
+                [source_frame_layout(device), source_scene_layout(device)],
+            )),
             vertex_layouts: [
                 vertex_frame_layout(device),
                 vertex_scene_layout(device),
                 vertex_image_layout(device),
-            ],
-            source_layouts: [
-                source_frame_layout(device),
-                source_scene_layout(device),
-                source_image_layout(device),
             ],
             surface_pipelines: OnceLock::new(),
             surface_layouts: [surface_frame_layout(device), surface_image_layout(device)],
@@ -163,7 +159,6 @@ impl Renderer {
             frame_layout: self.frame_layout.clone(),
             scene_layout: self.scene_layout.clone(),
             image_layout: self.image_layout.clone(),
-            source_layouts: self.source_layouts.clone(),
             surface_layouts: self.surface_layouts.clone(),
             composite_layouts: self.composite_layouts.clone(),
             visibility_pipeline: self.visibility_pipeline.clone(),
@@ -190,7 +185,7 @@ impl Renderer {
         let [materials, visibility] = &self.lobes.scenes;
         [
             &self.scene_layout,
-            &self.source_layouts[1],
+            &self.lobes.sources[1],
             &self.vertex_layouts[1],
             materials,
             visibility,
@@ -493,41 +488,42 @@ impl Renderer {
             return;
         }
         let groups = (resources.frame_group(), &scene.lobe_groups);
-        let textured = scene.is_textured();
-        if let (Some(group), Ok(scene), Some(images)) =
-            (resources.source_group(), &scene.sources, &images.sources)
-        {
-            let sources = (frame.sources.as_ref()).map_or(0, |sources| sources.count() as u32);
-            for dispatch in resources.dispatches() {
-                if textured {
-                    (self.lobes).record_textures(pass, groups, targets.1, *dispatch);
-                }
-                pass.set_pipeline(self.source_pipeline());
-                pass.set_bind_group(0, group, &[dispatch.offset]);
-                pass.set_bind_group(1, scene, &[]);
-                pass.set_bind_group(2, images, &[]);
-                pass.dispatch_workgroups(dispatch.workgroups, 1, sources);
-            }
-        }
-        let mut dispatch = |pipeline: &wgpu::ComputePipeline, groups: [&wgpu::BindGroup; 3]| {
-            dispatch_tiles(pass, pipeline, groups, resources);
-        };
+        let sources = frame.sources.as_ref().map(|sources| sources.count() as u32);
+        let sources = sources.and_then(|count| {
+            Some(lobes::SourceWork {
+                count,
+                groups: [resources.source_group()?, scene.sources.as_ref().ok()?],
+                images: images.sources.as_ref()?,
+            })
+        });
+        let work = lobes::Work::of(frame, scene, sources);
         #[cfg(feature = "paper")]
         if let shade::Method::Cells(_) = frame.method {
-            let groups = [groups.0, &scene.bind_group, targets.0];
-            dispatch(self.cells_pipeline(), groups);
+            for &dispatch in resources.dispatches() {
+                if work.sources.is_some() {
+                    for reflection in 0..work.reflections.max(1) {
+                        let to = (targets.1, dispatch);
+                        (self.lobes).record_reflection(pass, groups, to, work, reflection);
+                    }
+                }
+                pass.set_pipeline(self.cells_pipeline());
+                pass.set_bind_group(0, groups.0, &[dispatch.offset]);
+                pass.set_bind_group(1, &scene.bind_group, &[]);
+                pass.set_bind_group(2, targets.0, &[]);
+                pass.dispatch_workgroups(dispatch.workgroups, 1, 1);
+            }
             return;
         }
         if let Some(work) = resources.vertices() {
             let ([frame, images], [x, y, z]) = (work.groups, work.workgroups);
-            dispatch(self.mark_pipeline(), [frame, &scene.vertex_group, images]);
+            let groups = [frame, &scene.vertex_group, images];
+            dispatch_tiles(pass, self.mark_pipeline(), groups, resources);
             pass.set_pipeline(self.vertex_pipeline());
             pass.set_bind_group(0, frame, &[work.offset]);
             pass.set_bind_group(1, &scene.vertex_group, &[]);
             pass.set_bind_group(2, images, &[]);
             pass.dispatch_workgroups(x, y, z);
         }
-        let work = lobes::Work::of(frame, scene);
         (self.lobes).record(pass, groups, targets.1, work, resources.dispatches());
     }
 
@@ -572,7 +568,7 @@ impl Renderer {
         let slots = lobes::tiles_at_once(shaded, self.options.rows_per_dispatch);
         if view.images.as_ref().is_some_and(|images| {
             images.antialias() == frame.antialias
-                && images.source_layers >= sources
+                && images.source_count >= sources
                 && images.slots.tiles() >= slots
                 && (images.open.is_some() || !open)
         }) {
@@ -582,7 +578,6 @@ impl Renderer {
         self.check_size(width, height)?;
         let layouts = ImageLayouts {
             shade: &self.image_layout,
-            sources: &self.source_layouts[2],
             surfaces: &self.surface_layouts[1],
             lobes: &self.lobes,
             slots,

@@ -37,7 +37,7 @@ pub(crate) struct Resources {
     vertex_lights: Option<VertexLights>,
     /// Group 0 of kernels of vertices.
     vertex_group: Option<wgpu::BindGroup>,
-    /// Group 0 of the pass for sources.
+    /// Group 0 of the passes for sources.
     source_group: Option<wgpu::BindGroup>,
     /// Where instances may be seen, if anywhere.
     regions: Vec<Option<Region>>,
@@ -197,7 +197,7 @@ impl Resources {
         Ok(())
     }
 
-    /// The same for the pass for sources.
+    /// The same for the passes for sources.
     fn fill_sources(
         &mut self,
         renderer: &Renderer,
@@ -270,7 +270,7 @@ impl Resources {
         (self.frame_group.as_ref()).expect("filled before it is drawn")
     }
 
-    /// Group 0 of the pass for sources; `None` where the frame has none.
+    /// Group 0 of the passes for sources; `None` where the frame has none.
     pub(crate) fn source_group(&self) -> Option<&wgpu::BindGroup> {
         self.source_group.as_ref()
     }

@@ -244,13 +244,13 @@ impl GpuScene {
             part("relight materials", material_layout, SCENE_BINDINGS[0]),
             part("relight visibility", visibility_layout, SCENE_BINDINGS[1]),
         ];
-        let shared = [&vertices, &triangles, &materials];
+        let shared = [&vertices, &triangles];
         let occluders = if open_of.is_none() {
             occluders::build(scene)
         } else {
             occluders::none()
         };
-        let sources = source_group(loading, source_layout, shared, &texels, &occluders)?;
+        let sources = source_group(loading, source_layout, shared, &occluders)?;
         Ok(Self {
             bind_group,
             sources,
@@ -376,13 +376,11 @@ impl GpuScene {
     }
 }
 
-/// Group 1 of the pass for sources: vertices, triangles, materials and textures, and what blocks
-/// rays.
+/// Group 1 of the pass for points of sources: vertices, triangles, and what blocks rays.
 fn source_group(
     loading: &mut Loading,
     layout: &wgpu::BindGroupLayout,
-    shared: [&wgpu::Buffer; 3],
-    texels: &wgpu::TextureView,
+    shared: [&wgpu::Buffer; 2],
     occluders: &Occluders,
 ) -> Result<Result<wgpu::BindGroup, LimitError>, Error> {
     let device = loading.device();
@@ -395,9 +393,8 @@ fn source_group(
     let triangles = loading.storage("occluder triangles", occluders.triangles())?;
     let buffers = shared.into_iter().chain([&nodes, &triangles]);
     let entries: Vec<_> = buffers
-        .zip([0, 1, 4, 8, 9])
+        .zip([0, 1, 8, 9])
         .map(|(buffer, binding)| buffer_entry(binding, buffer))
-        .chain([texture_entry(5, texels)])
         .collect();
     Ok(Ok(device.create_bind_group(&wgpu::BindGroupDescriptor {
         label: Some("relight occluders"),

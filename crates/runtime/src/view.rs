@@ -11,8 +11,8 @@ use crate::{Error, Renderer};
 /// Images of one size, and what else is kept from frame to frame:
 /// [`Renderer::prepare`] fills it, [`Renderer::composite`] draws it.
 ///
-/// It holds 28 bytes per pixel, 16 more per source, 92 and 24 more per source with antialiasing; and
-/// 512 for each of at most 131,072 pixels that are shaded at a time. With [`crate::Method::Polar`] every vertex of
+/// It holds 28 bytes per pixel, 92 with antialiasing; and 512, and 48 more per source, for each of at most 131,072
+/// pixels that are shaded at a time. With [`crate::Method::Polar`] every vertex of
 /// every instance takes 4 bytes, and 4 for each distant light. An app
 /// has one per camera, and another, or [`Self::resize`], for another size.
 #[derive(Debug)]

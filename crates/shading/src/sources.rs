@@ -10,6 +10,7 @@
 //! own, so that edges of shadows have no stairs at no further ray.
 
 use relight_format::math;
+use std::f32::consts::FRAC_1_PI;
 use std::sync::Arc;
 
 use glam::{Mat3, Vec2, Vec3};
@@ -20,7 +21,7 @@ use crate::gpu;
 use crate::models;
 use crate::occluders::Occluders;
 use crate::spherical_gaussian::{SphericalGaussian, energy};
-use crate::surface::SurfacePoint;
+use crate::surface::{MAX_REFLECTIONS, Model, SurfacePoint};
 
 /// Directions on the rim of a source: the outermost points in this many directions.
 pub const RIM: u32 = 12;
@@ -52,6 +53,12 @@ const OWN: f32 = 2.0;
 /// Parts of 2³² of a pixel from one ray to the next: the two numbers of Roberts 2018, "The Unreasonable
 /// Effectiveness of Quasirandom Sequences".
 const STEP: [u32; 2] = [3_242_174_889, 2_447_445_414];
+
+/// Texels of four words for the points of a source that a pixel sees: a word of whether there are any, a bit for each.
+pub const SEEN_TEXELS: u32 = (1 + POINTS / 32).div_ceil(4);
+
+/// Of a source and a workgroup's 64 pixels: how many such groups of texels lie side by side in an image.
+pub const SEEN_COLUMNS: u32 = 16;
 
 /// Most sources.
 pub const MAX_SOURCES: u32 = relight_format::MAX_SOURCES as u32;
@@ -335,28 +342,45 @@ impl<'a> Pixel<'a> {
     }
 }
 
+/// Which points of a source a pixel sees.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Seen {
+    /// A bit each.
+    points: [u32; (POINTS / 32) as usize],
+    /// Of [`LEVELS`].
+    level: usize,
+}
+
 impl Lit<'_> {
     /// Radiance from `point` towards the eye, which is above its horizon; adds the number of
     /// rays cast, a cone counting as one.
     pub fn radiance(&self, point: &SurfacePoint, rays: &mut u64) -> Vec3 {
+        let seen = self.seen(point, rays);
+        (0..MAX_REFLECTIONS)
+            .map(|index| self.shown(point, &seen, index))
+            .sum()
+    }
+
+    /// The points of every source that are visible from `point`, whose horizon the eye is above; adds the number of rays
+    /// cast, a cone counting as one.
+    pub fn seen(&self, point: &SurfacePoint, rays: &mut u64) -> Vec<Seen> {
         let origin = point.position + point.geometric_normal * self.ray_offset;
-        let wo = point.to_local(point.view);
         let square = |pixel: Pixel| square(pixel.view, point);
         let ([x, y], radius) = self.pixel.map_or(([Vec3::ZERO; 2], 0.0), square);
         let at = |place: Vec2| x * place.x + y * place.y;
         let from_point = self.pixel.map_or(Vec2::ZERO, |pixel| pixel.centre);
         let origin = origin + at(from_point);
-        let mut radiance = Vec3::ZERO;
-        let all = self.sources.points.chunks_exact(STRIDE as usize);
-        for (all, scales) in all.zip(self.sources.scales.iter()) {
+        let mut of_source = |all: &[gpu::SourcePoint]| {
+            let mut found = Seen::default();
             let (cone, all) = (all[0], &all[1..]);
             let (rim, points) = all.split_at(RIM as usize);
             let above = |source: &gpu::SourcePoint| point.to_local(source.direction.into()).z > 0.0;
             if !rim.iter().any(above) && !points[..LEVELS[0] as usize].iter().any(above) {
-                continue;
+                return found;
             }
             let (axis, cosine) = (cone.direction.into(), cone.cone_cosine);
             let touched = (self.occluders).meet_cone(origin, radius, axis, cosine);
+            *rays += 1;
             let mut visible = |place: Vec2, source: &gpu::SourcePoint| {
                 if point.geometric_normal.dot(source.direction.into()) <= 0.0 {
                     return false;
@@ -369,9 +393,8 @@ impl Lit<'_> {
                 !(self.occluders).block(origin + at(place), source.direction.into(), nearest)
             };
             let (mut seen, mut hidden) = (false, false);
-            let (mut sum, mut level) = (Vec3::ZERO, 1);
             for (index, source) in points.iter().enumerate() {
-                if index == LEVELS[0] as usize && !(seen && hidden) {
+                if index == LEVELS[0] as usize {
                     for probe in rim {
                         if !(seen && hidden) && above(probe) {
                             let visible = visible(Vec2::ZERO, probe);
@@ -379,29 +402,53 @@ impl Lit<'_> {
                             hidden |= !visible;
                         }
                     }
-                    if !hidden {
-                        level = 0;
-                        break;
-                    }
-                    if !seen {
+                    found.level = usize::from(hidden);
+                    if !(seen && hidden) {
                         break;
                     }
                 }
-                let wi = point.to_local(source.direction.into());
-                if wi.z > 0.0 {
+                if above(source) {
                     let visible = visible(place(index as u32), source);
                     seen |= visible;
                     hidden |= !visible;
-                    if visible {
-                        let value = models::evaluate(&point.appearance, wi, wo);
-                        sum += Vec3::from(source.light) * (wi.z * value);
-                    }
+                    found.points[index / 32] |= u32::from(visible) << (index % 32);
                 }
             }
-            *rays += 1;
-            radiance += sum * scales[level];
+            found
+        };
+        let all = self.sources.points.chunks_exact(STRIDE as usize);
+        all.map(&mut of_source).collect()
+    }
+
+    /// Radiance of them from `point` towards the eye by one of its reflections, and with the first by its Lambertian base.
+    pub fn shown(&self, point: &SurfacePoint, seen: &[Seen], index: usize) -> Vec3 {
+        let reflection = &point.appearance.reflections[index];
+        let mut diffuse = Vec3::ZERO;
+        if index == 0 {
+            diffuse = point.appearance.diffuse * FRAC_1_PI;
         }
-        radiance
+        if diffuse == Vec3::ZERO && reflection.model == Model::None {
+            return Vec3::ZERO;
+        }
+        let wo = point.to_local(point.view);
+        let of_source = |((all, scales), seen): ((&[gpu::SourcePoint], &[Vec3; 2]), &Seen)| {
+            let mut sum = Vec3::ZERO;
+            for (word, &bits) in all[(1 + RIM) as usize..].chunks(32).zip(&seen.points) {
+                for source in (0..32)
+                    .filter(|bit| bits & (1 << bit) != 0)
+                    .map(|bit| &word[bit])
+                {
+                    let wi = point.to_local(source.direction.into());
+                    let value = diffuse + models::evaluate_specular(reflection, wi, wo);
+                    sum += Vec3::from(source.light) * (wi.z * value);
+                }
+            }
+            sum * scales[seen.level]
+        };
+        let all = self.sources.points.chunks_exact(STRIDE as usize);
+        (all.zip(self.sources.scales.iter()).zip(seen))
+            .map(of_source)
+            .sum()
     }
 }
 
@@ -415,6 +462,8 @@ pub fn wgsl_constants() -> String {
          const SOURCE_STEP: vec2<u32> = vec2({}u, {}u);\n\
          const SOURCE_RIM: u32 = {RIM}u;\n\
          const SOURCE_POINTS: u32 = {POINTS}u;\n\
+         const SOURCE_SEEN_TEXELS: u32 = {SEEN_TEXELS}u;\n\
+         const SOURCE_SEEN_COLUMNS: u32 = {SEEN_COLUMNS}u;\n\
          const SOURCE_LEVELS: vec2<u32> = vec2({whole}u, {partial}u);\n",
         STEP[0], STEP[1],
     )
@@ -424,8 +473,7 @@ pub fn wgsl_constants() -> String {
 mod tests {
     use super::*;
     use crate::occluders::Node;
-    use crate::surface::{Appearance, Model, Reflection, local_point};
-    use std::f32::consts::FRAC_1_PI;
+    use crate::surface::{Appearance, Reflection, local_point};
 
     /// A window whose colour changes across it, and a lamp of one texel.
     fn environment() -> Environment {

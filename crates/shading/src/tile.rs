@@ -65,16 +65,23 @@ pub fn shade<F: SignedDistance>(
             .collect();
     }
     let mut tile = Tile::new(pixels, *method);
-    // First, so that lobes that add nothing to it are left out.
-    let mut radiance: Vec<Vec3> = (tile.pixels.iter())
+    let seen: Vec<_> = (tile.pixels.iter())
         .map(|pixel| {
-            let pixel = pixel.as_ref();
-            let lit = pixel.and_then(|pixel| Some((pixel, pixel.lighting.sources.as_ref()?)));
-            lit.map_or(Vec3::ZERO, |(pixel, sources)| {
-                sources.radiance(pixel.point, &mut 0)
-            })
+            let pixel = pixel.as_ref()?;
+            let sources = pixel.lighting.sources?;
+            Some((pixel.point, sources, sources.seen(pixel.point, &mut 0)))
         })
         .collect();
+    let add_sources = |radiance: &mut [Vec3], index: usize| {
+        for (radiance, seen) in radiance.iter_mut().zip(&seen) {
+            if let Some((point, sources, seen)) = seen {
+                *radiance += sources.shown(point, seen, index);
+            }
+        }
+    };
+    // First, so that lobes that add nothing to it are left out.
+    let mut radiance = vec![Vec3::ZERO; pixels.len()];
+    add_sources(&mut radiance, 0);
     let irradiance = tile.irradiance();
     for ((pixel, radiance), irradiance) in tile.pixels.iter().zip(&mut radiance).zip(irradiance) {
         if let Some(pixel) = pixel {
@@ -98,6 +105,9 @@ pub fn shade<F: SignedDistance>(
             })
             .collect();
         if glossies.iter().any(Option::is_some) {
+            if index > 0 {
+                add_sources(&mut radiance, index);
+            }
             tile.reflect(&glossies, &mut radiance);
             tile.reflect_image(&glossies, &mut beside);
         }

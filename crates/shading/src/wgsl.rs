@@ -45,9 +45,11 @@ pub enum Entry {
     /// Visibility buffer to linear radiance by cells: `cells_main`, workgroups of 8 × 8 pixels.
     #[cfg(feature = "paper")]
     ShadeCells,
-    /// Visibility buffer, and what it shows of textures, to what sources add to the radiance: `sources_main`, workgroups
+    /// Visibility buffer, and what it shows of textures, to which points of sources it sees: `sources_main`, workgroups
     /// of 8 × 8 pixels.
     Sources,
+    /// Those, and materials, to what sources add to the radiance: `sources_shown_main`, workgroups of 8 × 8 pixels.
+    SourcesShown,
     /// Visibility buffer to where it was in the frame before: `motion_main`, workgroups of 8 × 8 pixels.
     Motion,
     /// An image into one level of a material's texture: `fill_texture_main`, workgroups of 8 × 8 texels.
@@ -82,6 +84,7 @@ impl Entry {
         #[cfg(feature = "paper")]
         Self::ShadeCells,
         Self::Sources,
+        Self::SourcesShown,
         Self::Motion,
         Self::FillTexture,
         Self::Composite,
@@ -125,6 +128,7 @@ pub const KERNELS: &[Kernel] = &[
     #[cfg(feature = "paper")]
     SHADE_CELLS,
     SOURCES,
+    SOURCES_SHOWN,
 ];
 
 /// Marks the vertices that a frame sees.
@@ -255,13 +259,15 @@ pub const SHADE_CELLS: Kernel = Kernel {
     constants: &[],
 };
 
-/// What sources add to every pixel.
-pub const SOURCES: Kernel = Kernel {
-    name: "sources",
-    entry: Entry::Sources,
-    entry_point: "sources_main",
-    constants: &[],
-};
+/// Which points of every source every pixel sees.
+pub const SOURCES: Kernel = shading("sources", (Entry::Sources, "sources_main"), &[]);
+
+/// What those add to every pixel.
+pub const SOURCES_SHOWN: Kernel = shading(
+    "sources, shown",
+    (Entry::SourcesShown, "sources_shown_main"),
+    &[],
+);
 
 /// [`Entry::Motion`].
 pub const MOTION: Kernel = Kernel {
@@ -439,8 +445,14 @@ pub fn source(entry: Entry) -> String {
         }
         Entry::Sources => {
             source += &library(SLOTS);
+            source += include_str!("wgsl/source_points.wgsl");
             source += include_str!("wgsl/occluders.wgsl");
             source += include_str!("wgsl/sources.wgsl");
+        }
+        Entry::SourcesShown => {
+            source += &library(SLOTS);
+            source += include_str!("wgsl/source_points.wgsl");
+            source += include_str!("wgsl/sources_shown.wgsl");
         }
         Entry::Motion => {
             source += include_str!("wgsl/bindings.wgsl");

@@ -29,12 +29,6 @@ impl Renderer {
             .get_or_init(|| compute_pipeline(&self.device, &layouts, &wgsl::VERTICES))
     }
 
-    pub(super) fn source_pipeline(&self) -> &wgpu::ComputePipeline {
-        let layouts = self.source_layouts.each_ref();
-        (self.kernels.sources)
-            .get_or_init(|| compute_pipeline(&self.device, &layouts, &wgsl::SOURCES))
-    }
-
     pub(crate) fn fill_pass(&self) -> &FillPass {
         (self.kernels.fill).get_or_init(|| FillPass::new(&self.device))
     }
@@ -127,12 +121,12 @@ impl Renderer {
         })
     }
 
-    /// Group 0 of the pass for sources: frames, tiles, points, scales.
+    /// Group 0 of the passes for sources: frames, tiles, points, scales.
     pub(crate) fn source_group(&self, buffers: [&wgpu::Buffer; 4]) -> wgpu::BindGroup {
         let [frames, tiles, points, scales] = buffers;
         self.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("relight sources"),
-            layout: &self.source_layouts[0],
+            layout: &self.lobes.sources[0],
             entries: &[
                 part_entry(0, frames, FRAMES_BYTES),
                 part_entry(3, tiles, TILES_BYTES),

@@ -583,15 +583,26 @@ const OTHER_RAYS: f32 = 2e-3;
 fn sources_match_twins(gpu: &mut Gpu) -> Outcome {
     let (width, height) = (96, 72);
     let (lights, sources) = (lights(), sources());
-    let mut scene = scenes::sphere_over_plane();
-    scene.visibility.ray_offset = 1e-4;
-    let uploaded = gpu.upload(&scene)?;
+    let mut simple = scenes::sphere_over_plane();
+    simple.visibility.ray_offset = 1e-4;
+    let mut layered = simple.clone();
+    layered.materials[1] = scenes::coated_material();
+    let uploaded = [gpu.upload(&simple)?, gpu.upload(&layered)?];
     // Cells without thresholds: close to one, one of the two may divide a cell and the other not.
     let even = CellsOptions {
         uniform: Some([2, 8]),
         ..CellsOptions::default()
     };
-    for (method, antialias) in [(POLAR, false), (POLAR, true), (Method::Cells(even), false)] {
+    let cells = Method::Cells(even);
+    for (layers, method, antialias) in [
+        (1, POLAR, false),
+        (1, POLAR, true),
+        (1, cells, false),
+        (2, POLAR, false),
+        (2, cells, false),
+    ] {
+        let scene = [&simple, &layered][layers - 1];
+        let uploaded = &uploaded[layers - 1];
         let without = Frame {
             antialias,
             ..frame(&lights, method)
@@ -600,11 +611,11 @@ fn sources_match_twins(gpu: &mut Gpu) -> Outcome {
             sources: Some(&sources),
             ..without.clone()
         };
-        let found = gpu.render(&uploaded, &with, width, height)?.linear;
-        let expected = twin::render(&scene, &with, width, height)?;
+        let found = gpu.render(uploaded, &with, width, height)?.linear;
+        let expected = twin::render(scene, &with, width, height)?;
         // Sources come and go: the picture's images are made anew, or stay.
-        let dark = gpu.render(&uploaded, &without, width, height)?.linear;
-        assert!(relative_rmse(&dark, &twin::render(&scene, &without, width, height)?) < 1e-2);
+        let dark = gpu.render(uploaded, &without, width, height)?.linear;
+        assert!(relative_rmse(&dark, &twin::render(scene, &without, width, height)?) < 1e-2);
         let mut different = 0;
         let mut added = Vec::new();
         for ((found, expected), dark) in found.pixels.iter().zip(&expected.pixels).zip(&dark.pixels)
@@ -621,11 +632,11 @@ fn sources_match_twins(gpu: &mut Gpu) -> Outcome {
         let half = 0.5 * added[added.len() / 2];
         let shadowed = added.partition_point(|&added| added < half);
         println!(
-            "{method:?}, antialias {antialias}: {different} pixels differ, {shadowed} get little of their light"
+            "{layers} layers, {method:?}, antialias {antialias}: {different} pixels differ, {shadowed} get little of their light"
         );
         assert!(different as f32 <= OTHER_RAYS * (width * height) as f32);
         assert!(shadowed > 200, "no shadow");
-        let again = gpu.render(&uploaded, &with, width, height)?.linear;
+        let again = gpu.render(uploaded, &with, width, height)?.linear;
         assert!(again == found);
     }
     Ok(())

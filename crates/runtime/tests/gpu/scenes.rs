@@ -4,8 +4,9 @@ use std::f32::consts::{PI, TAU};
 
 use glam::{Vec2, Vec3};
 use relight_format::{
-    BakeReport, Camera, Cluster, FieldOfView, Material, Representation, Scene, Specular, Surface,
-    Texture, TextureEncoding, TextureSlot, Triangle, Vertex, VisibilityParameters, plain_material,
+    BakeReport, Blend, Camera, Cluster, FieldOfView, Layer, Material, Representation, Scene,
+    Specular, Surface, Texture, TextureEncoding, TextureSlot, Triangle, Vertex,
+    VisibilityParameters, plain_material,
 };
 use relight_shading::{gpu, octahedral};
 
@@ -312,6 +313,36 @@ fn sphere_material() -> Material {
         }),
         normal_scale: 0.5,
         ..plain_material("dimpled", surface)
+    }
+}
+
+/// Two reflections, the upper one in front of the lower one.
+pub fn coated_material() -> Material {
+    let layer = |diffuse, specular, weight| Layer {
+        diffuse,
+        specular,
+        weight,
+        blend: Blend::Coat,
+        diffuse_texture: None,
+        specular_texture: None,
+        roughness_texture: None,
+        weight_texture: None,
+    };
+    let paint = Specular::Ward {
+        specular: [0.3, 0.2, 0.1],
+        alpha: [0.4, 0.2],
+    };
+    let coat = Specular::Ggx {
+        f0: [0.04; 3],
+        alpha: [0.1; 2],
+    };
+    let layers = vec![
+        layer([0.4, 0.1, 0.1], paint, 1.0),
+        layer([0.0; 3], coat, 0.8),
+    ];
+    Material {
+        surface: Surface::Layers { layers },
+        ..sphere_material()
     }
 }
 

@@ -256,11 +256,12 @@ var<private> frame_index: u32;
 @group(2) @binding(0) var visibility_buffer: texture_2d<u32>;
 // Linear radiance; alpha is 1 where a surface was shaded and 0 on the background.
 @group(2) @binding(1) var radiance: texture_storage_2d<rgba32float, write>;
-// What every source adds to the radiance, a layer each.
-@group(2) @binding(2) var source_radiance: texture_2d_array<f32>;
 // Light fractions at vertices alone: the stamp of the frame that each was last wanted in, and what
 // light_fractions is.
 @group(2) @binding(4) var<storage, read_write> vertex_states: array<atomic<u32>>;
 @group(2) @binding(5) var light_fractions_found: texture_storage_2d<rgba32float, write>;
-// Sources alone: source_radiance.
-@group(2) @binding(1) var source_radiance_found: texture_storage_2d_array<rgba32float, write>;
+// Sources alone: which points of them pixels see, see sources_seen_place.
+@group(2) @binding(1) var source_seen_found: texture_storage_2d<rgba32uint, write>;
+@group(2) @binding(2) var source_seen: texture_2d<u32>;
+// What is known of a pixel's radiance, and lobes that wait to be integrated, see slots.wgsl.
+@group(2) @binding(7) var<storage, read_write> slots_gathered: array<vec4<u32>>;

@@ -27,12 +27,6 @@ fn reflections_main(
     let lit = dot(point.normal, point.view) > 0.0;
     var sum = vec3(0.0);
     if REFLECTIONS_FIRST {
-        if lit {
-            // First, so that lobes that add nothing to it are left out.
-            for (var source = 0u; source < frames[frame_index].source_count; source++) {
-                sum += textureLoad(source_radiance, pixel, source, 0).xyz;
-            }
-        }
         let diffuse = select(vec3(0.0), point.appearance.diffuse, lit);
         let has_diffuse = lit && materials[triangle.w & 0xffffu].has_diffuse != 0u;
         slots_put_value(SLOTS_BESIDE, vec3(0.0), 0u);

@@ -5,8 +5,6 @@
 // One reflection: how it stands, what it is, its lobes. Written by reflections.wgsl alone.
 @group(2) @binding(6) var<storage, read_write> slots_reflection_found: array<vec4<u32>>;
 @group(2) @binding(6) var<storage, read> slots_reflection: array<vec4<u32>>;
-// What is known of a pixel's radiance, and lobes that wait to be integrated.
-@group(2) @binding(7) var<storage, read_write> slots_gathered: array<vec4<u32>>;
 
 var<private> slot: u32;
 

@@ -1,64 +1,66 @@
-// Twin of sources.rs, and the entry point that finds what one source (z) adds to a pixel: one
+// Twin of sources.rs, and the entry point that finds which points of one source (z) a pixel sees: one
 // invocation for all would walk further through the scene than software GPUs let a shader loop
-// (Mesa's llvmpipe ends all loops after 65,536 iterations).
+// (Mesa's llvmpipe ends all loops after 65,536 iterations). It runs after the first reflection is found, which tells
+// how the surface stands; sources_shown.wgsl makes light of the points. In one kernel, rays and reflections take more
+// registers than 20 warps of an Ampere have.
 
 @compute @workgroup_size(8, 8)
 fn sources_main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
     @builtin(local_invocation_index) invocation: u32,
 ) {
-    slots_enter_again(workgroup.x, invocation);
+    slots_enter(workgroup.x, invocation);
+    sources_own = invocation;
     let pixel = tile_pixel(invocation);
     let seen = seen_triangle(pixel);
     if seen.x >= frames[frame_index].triangle_count {
         return;
     }
-    let triangle = triangles[seen.x];
-    let weights = seen_barycentrics(triangle.xyz, pixel, seen.y);
-    sources_points(workgroup.z, pixel, seen.y, triangle.xyz, triangle.w & 0xffffu, weights);
-    textureStore(source_radiance_found, pixel, workgroup.z, vec4(sources_reflected(workgroup.z, weights), 1.0));
+    for (var word = 0u; word < 4u * SOURCE_SEEN_TEXELS; word++) {
+        sources_seen[sources_word(word)] = 0u;
+    }
+    sources_points(workgroup.z, pixel, seen.y, triangles[seen.x].xyz);
+    let row = sources_seen_row(workgroup.x, workgroup.z);
+    let count = select(1u, SOURCE_SEEN_TEXELS, (sources_seen[sources_word(0u)] & 1u) != 0u);
+    for (var texel = 0u; texel < count; texel++) {
+        let words = vec4(
+            sources_seen[sources_word(4u * texel)],
+            sources_seen[sources_word(4u * texel + 1u)],
+            sources_seen[sources_word(4u * texel + 2u)],
+            sources_seen[sources_word(4u * texel + 3u)],
+        );
+        textureStore(source_seen_found, sources_seen_place(row, texel, invocation), words);
+    }
 }
 
-// Points of the source that the invocation's pixel sees, a bit each, then whether they are of the second level, and
-// in the second bit whether there are any: in
-// registers they would be kept through all that comes before and after.
-var<workgroup> sources_seen: array<u32, 64u * (SOURCE_POINTS / 32u + 1u)>;
+// What source_seen has of the invocation's pixel: in registers it would be kept through all that comes before and
+// after.
+var<workgroup> sources_seen: array<u32, 64u * 4u * SOURCE_SEEN_TEXELS>;
+var<private> sources_own: u32;
 
 fn sources_word(word: u32) -> u32 {
-    return 64u * word + slots_own;
-}
-
-// The first of the source's entries.
-fn sources_entry(source: u32) -> u32 {
-    return (frame_index * frames[frame_index].source_count + source) * (1u + SOURCE_RIM + SOURCE_POINTS);
+    return 64u * word + sources_own;
 }
 
 // Finds them, from a pixel's point on a triangle.
-fn sources_points(
-    source: u32,
-    pixel: vec2<u32>,
-    seen_at: u32,
-    corners: vec3<u32>,
-    material: u32,
-    weights: vec3<f32>,
-) {
-    for (var word = 0u; word <= SOURCE_POINTS / 32u; word++) {
-        sources_seen[sources_word(word)] = 0u;
-    }
-    let shape = surface_shape(corners, material, weights);
+fn sources_points(source: u32, pixel: vec2<u32>, seen_at: u32, corners: vec3<u32>) {
+    let normal = slots_reflection_value(SLOTS_NORMAL).xyz;
+    let position = slots_reflection_value(SLOTS_POSITION).xyz;
+    let view = surface_unit_or(frames[frame_index].eye - position * frames[frame_index].perspective, normal);
+    let face = surface_geometric_normal(corners);
     let entry = sources_entry(source);
-    if dot(shape.normal, shape.view) > 0.0 && sources_above(entry + 1u, shape.normal) {
+    if dot(normal, view) > 0.0 && sources_above(entry + 1u, normal) {
         let at = seen_point(pixel, seen_at);
         let from_point = floor(at) + 0.5 - at;
         var square = mat2x3<f32>();
         if frames[frame_index].source_squares != 0u {
-            square = sources_square(shape);
+            square = sources_square(face, position, view);
         }
         let radius = 0.5 * max(length(square[0] + square[1]), length(square[0] - square[1]));
         let offset = source_points[entry + 1u + SOURCE_RIM].ray_offset;
-        let origin = shape.position + shape.geometric_normal * offset + square * from_point;
+        let origin = position + face * offset + square * from_point;
         let touched = occluders_meet_cone(origin, radius, source_points[entry].direction, source_points[entry].cone_cosine);
-        sources_rays(entry + 1u, shape.normal, shape.geometric_normal, touched, origin, square, from_point);
+        sources_rays(entry + 1u, normal, face, touched, origin, square, from_point);
     }
 }
 
@@ -95,64 +97,15 @@ fn sources_rays(
             let visible = sources_visible(face, touched, origin, direction, square, offset, from_point);
             found |= select(2u, 1u, visible);
             if visible && !on_rim {
-                sources_seen[sources_word(index / 32u)] |= 1u << (index % 32u);
-                sources_seen[sources_word(SOURCE_POINTS / 32u)] |= 2u;
+                sources_seen[sources_word(1u + index / 32u)] |= 1u << (index % 32u);
+                sources_seen[sources_word(0u)] |= 2u;
             }
         }
         if step + 1u == SOURCE_LEVELS.x + SOURCE_RIM {
-            sources_seen[sources_word(SOURCE_POINTS / 32u)] |= found / 2u;
+            sources_seen[sources_word(0u)] |= found / 2u;
             count = select(count, SOURCE_RIM + SOURCE_POINTS, found == 3u);
         }
     }
-}
-
-// Radiance by these points towards the eye.
-fn sources_reflected(source: u32, weights: vec3<f32>) -> vec3<f32> {
-    let level = sources_seen[sources_word(SOURCE_POINTS / 32u)];
-    if level == 0u {
-        return vec3(0.0);
-    }
-    // What the surface is, found again: rays and reflections at once take more registers than there are.
-    slots_again();
-    let triangle = triangles[seen_known(tile_pixel(slot % 64u)).x];
-    let point = surface_point(triangle.xyz, triangle.w & 0xffffu, weights, 0u);
-    let wo = surface_to_local(point, point.view);
-    var sum = vec3(0.0);
-    for (var k = 0u; k < max(point.appearance.reflections, 1u); k++) {
-        var reflection = point.appearance.found;
-        if k > 0u {
-            reflection = surface_reflection(point.appearance, k);
-        }
-        let diffuse = select(vec3(0.0), point.appearance.diffuse / PI, k == 0u);
-        sum += sources_shown(sources_entry(source) + 1u + SOURCE_RIM, point, wo, diffuse, reflection);
-    }
-    return sum * source_scales[2u * source + (level & 1u)].xyz;
-}
-
-// What a Lambertian base, and a reflection, show of points.
-fn sources_shown(
-    first: u32,
-    point: SurfacePoint,
-    wo: vec3<f32>,
-    diffuse: vec3<f32>,
-    reflection: Reflection,
-) -> vec3<f32> {
-    var sum = vec3(0.0);
-    var word = 0u;
-    var bits = sources_seen[sources_word(0u)];
-    while word < SOURCE_POINTS / 32u {
-        if bits != 0u {
-            let entry = first + 32u * word + firstTrailingBit(bits);
-            bits &= bits - 1u;
-            let wi = surface_to_local(point, source_points[entry].direction);
-            let shown = diffuse + models_specular(reflection, wi, wo);
-            sum += source_points[entry].light * (max(wi.z, 0.0) * shown);
-        } else {
-            word++;
-            bits = sources_seen[sources_word(min(word, SOURCE_POINTS / 32u - 1u))];
-        }
-    }
-    return sum;
 }
 
 // Whether a source is visible from a place of a pixel, whose centre is at `origin`, on a triangle of the normal `face`:
@@ -181,10 +134,10 @@ fn sources_place(index: u32) -> vec2<f32> {
     return vec2<f32>(((index * SOURCE_STEP) >> vec2(8u)) ^ vec2(1u << 23u)) / 16777216.0 - 0.5;
 }
 
-// The sides of the square that a pixel covers on the plane of a surface.
-fn sources_square(shape: SurfaceShape) -> mat2x3<f32> {
-    let steps = camera_steps(shape.geometric_normal, shape.position);
-    let facing = camera_steps(shape.view, shape.position);
+// The sides of the square that a pixel covers on the plane of a surface of the normal `face`.
+fn sources_square(face: vec3<f32>, position: vec3<f32>, view: vec3<f32>) -> mat2x3<f32> {
+    let steps = camera_steps(face, position);
+    let facing = camera_steps(view, position);
     let longest = SOURCE_LONGEST_SIDE * max(length(facing[0]), length(facing[1]));
     return mat2x3<f32>(
         steps[0] * min(longest / max(length(steps[0]), 1e-20), 1.0),

@@ -439,7 +439,7 @@ mod tests {
             };
             let mut links = Vec::new();
             bitmap.for_links(128, |x, y, below| {
-                links.push(usize::from(below) * 128 * 128 + y * 128 + x)
+                links.push(usize::from(below) * 128 * 128 + y * 128 + x);
             });
             let some = bits(mesh.crossings(&bitmap, &mut scratch));
             let every = bits(mesh.crossings(&bitmap, &mut all));

@@ -249,7 +249,7 @@ impl WithSimd for Cull<'_> {
                 within[lane] = true;
                 for axis in 0..3 {
                     let (low, high) = (corners[0][axis][lane], corners[1][axis][lane]);
-                    within[lane] &= (low > 0.0) | (high < 0.0);
+                    within[lane] &= low > 0.0 || high < 0.0;
                     let negative = high < 0.0;
                     sign[axis] = if negative { -1.0 } else { 1.0 };
                     near[axis] = if negative { -high } else { low };

@@ -128,6 +128,11 @@ impl Bitmap {
         }
     }
 
+    /// Unsets all.
+    pub(crate) fn clear(&mut self) {
+        self.words.fill(0);
+    }
+
     /// Sets whether the direction of texel `index` is visible.
     pub(crate) fn set(&mut self, index: usize, visible: bool) {
         let bit = 1 << (index % 64);

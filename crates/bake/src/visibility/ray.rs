@@ -106,6 +106,25 @@ impl RayCaster {
         })
     }
 
+    /// [`Self::any_hit`] of the triangles, by their numbers in the slice given to [`Self::new`],
+    /// that `counted` names.
+    pub(crate) fn any_hit_of(
+        &self,
+        origin: Vec3,
+        direction: Vec3,
+        counted: impl Fn(usize) -> bool,
+    ) -> bool {
+        if self.triangles.is_empty() {
+            return false;
+        }
+        let ray = Ray::new_inf(origin.into(), direction.into());
+        !self.bvh.ray_traverse_miss(ray, |ray, index| {
+            let hit = intersect(&self.triangles[index], ray);
+            let hit = hit.filter(|_| counted(self.bvh.primitive_indices[index] as usize));
+            hit.map_or(f32::INFINITY, |(t, _)| t)
+        })
+    }
+
     /// Whether anything lies between two points.
     pub(crate) fn blocked(&self, from: Vec3, to: Vec3) -> bool {
         if self.triangles.is_empty() {

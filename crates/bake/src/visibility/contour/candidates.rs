@@ -4,6 +4,8 @@
 //! all of the points or none. Those are found once per group. What remains to be done for
 //! every point are the few triangles whose planes pass through the group.
 
+use std::ops::Range;
+
 use glam::Vec3;
 use pulp::{Simd, WithSimd};
 
@@ -11,10 +13,22 @@ use crate::simd;
 
 use super::Contour;
 use super::batch::{Batch, LANES};
-use super::facing::{BLOCK, Edges, Facing, IrregularEdge, Sides, block_of};
+use super::facing::{BLOCK, Facing, IrregularEdge, Sides, block_of, for_each_where};
+use super::parts::Parts;
 
-/// Numbers below this stand for triangles that face no point of the group, or every point.
-const KNOWN: usize = 2;
+/// Numbers below this stand for triangles that face no point of the group, or every point, and
+/// for those that are not there.
+const KNOWN: usize = 3;
+/// Stands for the second triangle of an edge that has one.
+pub(super) const ABSENT: u32 = 2;
+
+/// An edge that some points may see as a contour: the first triangle is wound along it, the second
+/// against it.
+#[derive(Clone, Copy, Default)]
+pub(super) struct CandidateEdge {
+    pub(super) triangles: [u32; 2],
+    pub(super) vertices: [u32; 2],
+}
 
 /// Contours of the points within a sphere.
 pub(super) struct Candidates {
@@ -22,21 +36,37 @@ pub(super) struct Candidates {
     radius: f32,
     /// Contours that every point sees.
     pub(super) sure: Vec<Contour>,
-    /// The same, with the coordinates of their vertices.
+    /// The same, with the coordinates of their vertices, part after part.
     sure_batches: Vec<Batch<3>>,
+    /// Parts of the mesh: those that look largest come first. Their numbers here are their
+    /// *places*.
+    order: Vec<u32>,
+    /// The other way about.
+    places: Vec<u32>,
+    /// Boxes of the parts.
+    boxes: Vec<[Vec3; 2]>,
+    /// Where each one's batches begin, and where the last one's end; the same of its edges.
+    first_batch: Vec<u32>,
+    first_edge: Vec<u32>,
+    /// What is being sorted.
+    sorted_contours: Vec<Contour>,
+    sorted_edges: Vec<CandidateEdge>,
     /// Triangles that may face some points and others not, as in [`Facing`].
     planes: [Vec<f32>; 4],
     precise: Vec<[f64; 4]>,
     corners: Vec<[u32; 3]>,
     /// Edges of such triangles. The first [`KNOWN`] numbers are not theirs.
-    pub(super) edges: Edges<u32>,
+    pub(super) edges: Vec<CandidateEdge>,
+    /// The same, with the coordinates of their vertices.
+    edge_triangles: Vec<[u32; 2]>,
+    edge_ends: Vec<[[f32; 3]; 2]>,
+    /// Edges of more triangles than two, or of two that do not fit each other.
     pub(super) irregular: Vec<IrregularEdge>,
-    /// Per number, whether the triangle faces the point looked at last, 1 or 0.
-    faces: Vec<u8>,
+    /// Per number, 1 if the triangle faces the point looked at last, −1 if not, 0 if it is absent.
+    faces: Vec<i8>,
     /// Triangles whose planes that point lies in, but for rounding.
     in_plane: Vec<u32>,
     /// Contours that this point sees besides.
-    found: Vec<Contour>,
     found_batches: Vec<Batch<3>>,
     sides: Sides,
 }
@@ -49,14 +79,22 @@ impl Default for Candidates {
             radius: f32::NAN,
             sure: Vec::new(),
             sure_batches: Vec::new(),
+            order: Vec::new(),
+            boxes: Vec::new(),
+            places: Vec::new(),
+            first_batch: Vec::new(),
+            first_edge: Vec::new(),
+            sorted_contours: Vec::new(),
+            sorted_edges: Vec::new(),
             planes: [const { Vec::new() }; 4],
             precise: Vec::new(),
             corners: Vec::new(),
-            edges: Edges::new(),
+            edges: Vec::new(),
+            edge_triangles: Vec::new(),
+            edge_ends: Vec::new(),
             irregular: Vec::new(),
             faces: Vec::new(),
             in_plane: Vec::new(),
-            found: Vec::new(),
             found_batches: Vec::new(),
             sides: Sides::default(),
         }
@@ -65,7 +103,13 @@ impl Default for Candidates {
 
 impl Candidates {
     /// Looks for the contours of all points in the bounds of `origins`.
-    pub(super) fn prepare(&mut self, facing: &Facing, positions: &[Vec3], origins: &[Vec3]) {
+    pub(super) fn prepare(
+        &mut self,
+        facing: &Facing,
+        parts: &Parts,
+        positions: &[Vec3],
+        origins: &[Vec3],
+    ) {
         let (low, high) = origins.iter().fold(
             (Vec3::INFINITY, Vec3::NEG_INFINITY),
             |(low, high), &origin| (low.min(origin), high.max(origin)),
@@ -76,7 +120,99 @@ impl Candidates {
         let mut sides = std::mem::take(&mut self.sides);
         facing.find_candidates(self.centre, self.radius, &mut sides, self);
         self.sides = sides;
-        gather(&self.sure, positions, &mut self.sure_batches);
+        self.arrange(parts, positions);
+    }
+
+    /// Gathers the contours part after part.
+    fn arrange(&mut self, parts: &Parts, positions: &[Vec3]) {
+        self.order.clear();
+        self.order.extend(0..parts.count() as u32);
+        if parts.count() > 1 {
+            let centre = self.centre;
+            let size = |&part: &u32| {
+                let [low, high] = parts.boxes[part as usize];
+                let distance = centre.distance_squared(centre.clamp(low, high));
+                low.distance_squared(high) / distance.max(f32::MIN_POSITIVE)
+            };
+            self.order
+                .sort_by_cached_key(|part| (std::cmp::Reverse(size(part).to_bits()), *part));
+        }
+        self.boxes.clear();
+        let boxes = self.order.iter().map(|&part| parts.boxes[part as usize]);
+        self.boxes.extend(boxes);
+        self.places.resize(parts.count(), 0);
+        for (place, &part) in self.order.iter().enumerate() {
+            self.places[part as usize] = place as u32;
+        }
+        let place_at = |vertex: u32| self.places[parts.of_vertex(vertex) as usize] as usize;
+        let mut first = Vec::new();
+        let place = |contour: &Contour| place_at(contour.vertices[0]);
+        let sorted = &mut self.sorted_contours;
+        sort(&mut self.sure, sorted, parts.count(), place, &mut first);
+        self.first_batch.clear();
+        self.sure_batches.clear();
+        for range in first.windows(2) {
+            self.first_batch.push(self.sure_batches.len() as u32);
+            let contours = &self.sure[range[0] as usize..range[1] as usize];
+            gather(contours, positions, &mut self.sure_batches);
+        }
+        self.first_batch.push(self.sure_batches.len() as u32);
+        let place = |edge: &CandidateEdge| place_at(edge.vertices[0]);
+        let (sorted, first) = (&mut self.sorted_edges, &mut self.first_edge);
+        sort(&mut self.edges, sorted, parts.count(), place, first);
+        self.edge_triangles.clear();
+        self.edge_ends.clear();
+        for edge in &self.edges {
+            self.edge_triangles.push(edge.triangles);
+            let end = |vertex: u32| positions[vertex as usize].to_array();
+            self.edge_ends.push(edge.vertices.map(end));
+        }
+    }
+
+    /// Parts of the mesh: those that look largest from the group come first.
+    pub(super) fn parts_in_order(&self) -> &[u32] {
+        &self.order
+    }
+
+    /// Boxes of the parts, in the same order.
+    pub(super) fn boxes(&self) -> &[[Vec3; 2]] {
+        &self.boxes
+    }
+
+    /// How many contours of a part every point sees: lanes in use and those left free.
+    pub(super) fn contours_of(&self, place: u32) -> usize {
+        let batches = &self.first_batch[place as usize..][..2];
+        (batches[1] - batches[0]) as usize * LANES
+    }
+
+    /// The contours of the parts at these places: those that every point sees, and those that
+    /// were found last.
+    pub(super) fn contours<'a>(
+        &'a self,
+        places: &'a [u32],
+    ) -> impl Iterator<Item = &'a [Batch<3>]> {
+        ranges(places, &self.first_batch)
+            .map(|range| &self.sure_batches[range])
+            .chain([&self.found_batches[..]])
+    }
+
+    /// Finds the other contours of the parts at these places that the point looked at last sees.
+    pub(super) fn find(&mut self, parts: &Parts, positions: &[Vec3], places: &[u32]) {
+        self.found_batches.clear();
+        simd::arch().dispatch(Find {
+            candidates: self,
+            places,
+        });
+        let face = |triangle: u32| u8::from(self.faces[triangle as usize] > 0);
+        for edge in &self.irregular {
+            let place = self.places[parts.of_vertex(edge.vertices[0]) as usize];
+            if let Some(contour) = edge.contour(face)
+                && places.binary_search(&place).is_ok()
+            {
+                let ends = (contour.vertices).map(|vertex| positions[vertex as usize].into());
+                Batch::append(&mut self.found_batches, ends, contour.step);
+            }
+        }
     }
 
     /// Whether these are the contours of `eye` among others.
@@ -89,8 +225,7 @@ impl Candidates {
         self.planes.iter_mut().for_each(Vec::clear);
         self.precise.clear();
         self.corners.clear();
-        self.edges.triangles.clear();
-        self.edges.vertices.clear();
+        self.edges.clear();
         self.irregular.clear();
     }
 
@@ -118,30 +253,19 @@ impl Candidates {
         }
         d.resize(padded, f32::INFINITY);
         self.faces.resize(KNOWN + padded, 0);
-        self.faces[1] = 1;
+        self.faces[..KNOWN].copy_from_slice(&[-1, 1, 0]);
     }
 
     /// Finds what `eye` sees. Returns whether it lies on a triangle, but for rounding: what a
     /// ray from there meets is a matter of its arithmetic.
     pub(super) fn look(&mut self, facing: &Facing, positions: &[Vec3], eye: Vec3) -> bool {
         self.in_plane.clear();
-        self.found.clear();
         simd::arch().dispatch(Look {
             candidates: self,
             rounding: facing.rounding_at(eye),
             eye,
         });
-        let face = |triangle: u32| self.faces[triangle as usize];
-        let irregular = self.irregular.iter();
-        self.found
-            .extend(irregular.filter_map(|edge| edge.contour(face)));
-        gather(&self.found, positions, &mut self.found_batches);
         self.touches(positions, eye, 4.0 * facing.rounding_at(eye))
-    }
-
-    /// The contours of the point looked at last.
-    pub(super) fn contours(&self) -> impl Iterator<Item = &Batch<3>> {
-        self.sure_batches.iter().chain(&self.found_batches)
     }
 
     fn touches(&self, positions: &[Vec3], eye: Vec3, margin: f32) -> bool {
@@ -164,7 +288,7 @@ impl Candidates {
         let mut unclear = false;
         for i in 0..BLOCK {
             let height = x[i] * eye.x + y[i] * eye.y + z[i] * eye.z - d[i];
-            faces[i] = u8::from(height > 0.0);
+            faces[i] = facing(height > 0.0);
             unclear |= height.abs() < rounding;
         }
         if unclear {
@@ -172,7 +296,7 @@ impl Candidates {
             let planes = &self.precise[first..];
             for ((face, [x, y, z, d]), index) in faces.iter_mut().zip(planes).zip(first..) {
                 let height = x * eye.x + y * eye.y + z * eye.z - d;
-                *face = u8::from(height > 0.0);
+                *face = facing(height > 0.0);
                 if height.abs() <= f64::from(rounding) * (x * x + y * y + z * z).sqrt() {
                     self.in_plane.push(index as u32);
                 }
@@ -182,7 +306,6 @@ impl Candidates {
 }
 
 fn gather(contours: &[Contour], positions: &[Vec3], batches: &mut Vec<Batch<3>>) {
-    batches.clear();
     batches.extend(contours.chunks(LANES).map(|contours| {
         let mut batch = Batch::EMPTY;
         batch.count = contours.len();
@@ -216,8 +339,75 @@ impl WithSimd for Look<'_> {
         for block in 0..candidates.planes[0].len() / BLOCK {
             candidates.find_faces(block, eye, rounding);
         }
+    }
+}
+
+/// The vectorised body of [`Candidates::find`].
+struct Find<'a> {
+    candidates: &'a mut Candidates,
+    places: &'a [u32],
+}
+
+impl WithSimd for Find<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { candidates, places } = self;
         let faces = &candidates.faces;
         let face = |triangle: u32| faces[triangle as usize];
-        candidates.edges.find(face, &mut candidates.found);
+        let differ = |[a, b]: [u32; 2]| face(a) != face(b);
+        let found = &mut candidates.found_batches;
+        for range in ranges(places, &candidates.first_edge) {
+            let triangles = &candidates.edge_triangles[range.clone()];
+            let ends = &candidates.edge_ends[range];
+            for_each_where(triangles, ends, differ, |[a, b], ends| {
+                Batch::append(found, ends, i32::from(face(a)) - i32::from(face(b)));
+            });
+        }
     }
+}
+
+fn facing(front: bool) -> i8 {
+    2 * i8::from(front) - 1
+}
+
+/// Of what is sorted by place and begins at `first`, that of some places, which grow: most follow
+/// each other, and theirs comes as one.
+fn ranges<'a>(places: &'a [u32], first: &'a [u32]) -> impl Iterator<Item = Range<usize>> + 'a {
+    places.chunk_by(|a, b| a + 1 == *b).map(|places| {
+        let start = places[0] as usize;
+        first[start] as usize..first[start + places.len()] as usize
+    })
+}
+
+/// Sorts by place, and tells where each one's begin and where the last one's end.
+fn sort<T: Copy + Default>(
+    items: &mut Vec<T>,
+    sorted: &mut Vec<T>,
+    places: usize,
+    place: impl Fn(&T) -> usize,
+    first: &mut Vec<u32>,
+) {
+    first.clear();
+    if places == 1 {
+        first.extend([0, items.len() as u32]);
+        return;
+    }
+    // Counted two places on, and moved on while items are sorted, each begins at its own.
+    first.resize(places + 2, 0);
+    for item in items.iter() {
+        first[place(item) + 2] += 1;
+    }
+    for place in 2..first.len() {
+        first[place] += first[place - 1];
+    }
+    sorted.resize(items.len(), T::default());
+    for item in items.iter() {
+        let next = &mut first[place(item) + 1];
+        sorted[*next as usize] = *item;
+        *next += 1;
+    }
+    first.pop();
+    std::mem::swap(items, sorted);
 }

@@ -11,7 +11,7 @@ use glam::{DVec3, Vec3};
 use pulp::{Simd, WithSimd};
 
 use super::Contour;
-use super::candidates::Candidates;
+use super::candidates::{ABSENT, CandidateEdge, Candidates};
 use crate::simd;
 use crate::visibility;
 
@@ -69,9 +69,9 @@ struct Cones {
 }
 
 /// Edges between two triangles: the first is wound along the edge, the second against it.
-pub(super) struct Edges<T> {
-    pub(super) triangles: Vec<[T; 2]>,
-    pub(super) vertices: Vec<[u32; 2]>,
+struct Edges<T> {
+    triangles: Vec<[T; 2]>,
+    vertices: Vec<[u32; 2]>,
 }
 
 /// The triangles at an edge and whether each is wound along it.
@@ -234,14 +234,24 @@ impl Facing {
         self.outer.collect(all, side, number, candidates);
         for edge in &self.irregular {
             let mut triangles = edge.triangles.iter();
-            if triangles.any(|&(triangle, _)| side(triangle) == EITHER) {
+            if !triangles.any(|&(triangle, _)| side(triangle) == EITHER) {
+                candidates.sure.extend(edge.contour(side));
+            } else if let [(triangle, along)] = edge.triangles[..] {
+                let triangle = number(triangle);
+                candidates.edges.push(CandidateEdge {
+                    triangles: if along {
+                        [triangle, ABSENT]
+                    } else {
+                        [ABSENT, triangle]
+                    },
+                    vertices: edge.vertices,
+                });
+            } else {
                 let mut edge = edge.clone();
                 for (triangle, _) in &mut edge.triangles {
                     *triangle = known_number(side(*triangle)).unwrap_or_else(|| number(*triangle));
                 }
                 candidates.irregular.push(edge);
-            } else {
-                candidates.sure.extend(edge.contour(side));
             }
         }
     }
@@ -265,7 +275,7 @@ fn known_number(side: u8) -> Option<u32> {
 }
 
 impl<T: Copy> Edges<T> {
-    pub(super) fn new() -> Self {
+    fn new() -> Self {
         Self {
             triangles: Vec::new(),
             vertices: Vec::new(),
@@ -289,10 +299,12 @@ impl<T: Copy> Edges<T> {
         for_each_where(triangles, vertices, differ, |triangles, vertices| {
             let sides = triangles.map(&side);
             if sides.contains(&EITHER) {
-                candidates.edges.triangles.push(triangles.map(|triangle| {
-                    known_number(side(triangle)).unwrap_or_else(|| number(triangle))
-                }));
-                candidates.edges.vertices.push(vertices);
+                candidates.edges.push(CandidateEdge {
+                    triangles: triangles.map(|triangle| {
+                        known_number(side(triangle)).unwrap_or_else(|| number(triangle))
+                    }),
+                    vertices,
+                });
             } else {
                 candidates.sure.push(Contour {
                     vertices,
@@ -301,31 +313,18 @@ impl<T: Copy> Edges<T> {
             }
         });
     }
-
-    /// Appends the edges of which one triangle faces the eye and one does not.
-    #[inline(always)]
-    pub(super) fn find(&self, face: impl Fn(T) -> u8, contours: &mut Vec<Contour>) {
-        let differ = |[a, b]: [T; 2]| face(a) ^ face(b) != 0;
-        let add = |triangles: [T; 2], vertices| {
-            contours.push(Contour {
-                vertices,
-                step: step(face(triangles[0])),
-            });
-        };
-        for_each_where(&self.triangles, &self.vertices, differ, add);
-    }
 }
 
 /// Calls `take` with every edge of which `wanted` is true of its triangles.
 #[inline(always)]
-fn for_each_where<T: Copy>(
+pub(super) fn for_each_where<T: Copy, E: Copy>(
     triangles: &[[T; 2]],
-    vertices: &[[u32; 2]],
+    ends: &[[E; 2]],
     wanted: impl Fn([T; 2]) -> bool,
-    mut take: impl FnMut([T; 2], [u32; 2]),
+    mut take: impl FnMut([T; 2], [E; 2]),
 ) {
     let mut found = [0; CHUNK];
-    for (triangles, vertices) in triangles.chunks(CHUNK).zip(vertices.chunks(CHUNK)) {
+    for (triangles, ends) in triangles.chunks(CHUNK).zip(ends.chunks(CHUNK)) {
         // Collected without a branch, which would often be guessed wrong.
         let mut count = 0;
         for (index, pair) in triangles.iter().enumerate() {
@@ -333,7 +332,7 @@ fn for_each_where<T: Copy>(
             count += usize::from(wanted(*pair));
         }
         for &index in &found[..count] {
-            take(triangles[usize::from(index)], vertices[usize::from(index)]);
+            take(triangles[usize::from(index)], ends[usize::from(index)]);
         }
     }
 }

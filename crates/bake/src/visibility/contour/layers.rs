@@ -28,6 +28,9 @@ pub(super) struct Layers {
     totals: Vec<i32>,
     /// Texels that need a ray of their own; some may be named twice.
     uncertain: Vec<u32>,
+    /// Those of them that have had it, and of these the visible ones.
+    traced: Bitmap,
+    seen: Bitmap,
     /// Contours in texels, cut at the borders of octants, but for those that pass between all
     /// lines of texel centres.
     segments: Vec<Batch<2>>,
@@ -43,6 +46,8 @@ impl Layers {
             first_row: vec![0; n + 1],
             totals: vec![0; n * n],
             uncertain: Vec::new(),
+            traced: Bitmap::from_fn(n * n, |_| false),
+            seen: Bitmap::from_fn(n * n, |_| false),
             segments: Vec::new(),
             broken: false,
         }
@@ -53,18 +58,24 @@ impl Layers {
         self.n
     }
 
-    /// Contours of the last count, in texels.
+    /// All contours, in texels.
     pub(super) fn segments(&self) -> &[Batch<2>] {
         &self.segments
     }
 
-    /// Sums the steps of all contours, seen from `eye`.
-    pub(super) fn count<'a>(&mut self, eye: Vec3, contours: impl Iterator<Item = &'a Batch<3>>) {
+    /// Forgets all contours.
+    pub(super) fn begin(&mut self) {
         self.steps.fill(0);
         self.first_row.fill(0);
         self.uncertain.clear();
+        self.traced.clear();
+        self.seen.clear();
         self.segments.clear();
         self.broken = false;
+    }
+
+    /// Adds the steps of contours, seen from `eye`.
+    pub(super) fn count<'a>(&mut self, eye: Vec3, contours: impl Iterator<Item = &'a [Batch<3>]>) {
         simd::arch().dispatch(Count {
             layers: self,
             eye,
@@ -72,32 +83,45 @@ impl Layers {
         });
     }
 
-    /// The bitmap, and the number of rays it took: `visible` casts one at a texel.
-    pub(super) fn resolve(&mut self, mut visible: impl FnMut(usize) -> bool) -> (Bitmap, u32) {
+    /// What is visible with the contours so far; nothing if they tell nothing. `rays` counts up.
+    /// `clear` casts a ray at a texel against the parts that are counted. `visible` casts one
+    /// against everything: it is asked for texels that contours tell nothing of, except for
+    /// those that `before`, what was visible with fewer contours, shows blocked.
+    pub(super) fn resolve(
+        &mut self,
+        before: Option<&Bitmap>,
+        rays: &mut u32,
+        clear: impl FnOnce(usize) -> bool,
+        visible: impl Fn(usize) -> bool,
+    ) -> Option<Bitmap> {
         let texels = self.n * self.n;
         if self.broken || !self.sum() {
-            return (Bitmap::from_fn(texels, visible), texels as u32);
+            return None;
         }
         for &texel in &self.uncertain {
             self.totals[texel as usize] = i32::MAX;
         }
         let fewest = self.totals.iter().copied().fold(i32::MAX, i32::min);
-        let mut rays = 0;
         let mut bitmap = Bitmap::from_fn(texels, |_| false);
         if fewest < i32::MAX {
             let representative = self.totals.iter().position(|&layers| layers == fewest);
-            rays += 1;
-            if representative.is_some_and(&mut visible) {
+            *rays += 1;
+            if representative.is_some_and(clear) {
                 bitmap = Bitmap::equal(&self.totals, fewest);
             }
         }
         self.uncertain.sort_unstable();
         self.uncertain.dedup();
-        for &texel in &self.uncertain {
-            rays += 1;
-            bitmap.set(texel as usize, visible(texel as usize));
+        for texel in self.uncertain.iter().map(|&texel| texel as usize) {
+            if !self.traced.get(texel) {
+                self.traced.set(texel, true);
+                let blocked = before.is_some_and(|before| !before.get(texel));
+                *rays += u32::from(!blocked);
+                self.seen.set(texel, !blocked && visible(texel));
+            }
+            bitmap.set(texel, self.seen.get(texel));
         }
-        (bitmap, rays)
+        Some(bitmap)
     }
 
     /// Prefix sums of the steps. Columns whose sums do not meet beyond the lower border
@@ -271,7 +295,7 @@ struct Count<'a, I> {
     contours: I,
 }
 
-impl<'a, I: Iterator<Item = &'a Batch<3>>> WithSimd for Count<'_, I> {
+impl<'a, I: Iterator<Item = &'a [Batch<3>]>> WithSimd for Count<'_, I> {
     type Output = ();
 
     #[inline(always)]
@@ -282,21 +306,26 @@ impl<'a, I: Iterator<Item = &'a Batch<3>>> WithSimd for Count<'_, I> {
             contours,
         } = self;
         let half = layers.n as f32 * 0.5;
-        for batch in contours {
-            let edges = Edges::project(batch, eye, half);
-            for lane in ones(edges.cross_lines()) {
-                let step = batch.steps[lane];
-                let mut add = |a, b| Batch::append(&mut layers.segments, [a, b], step);
-                if let Some([a, b]) = edges.segment(lane) {
-                    add(a, b);
-                } else {
-                    let [from, to] = edges.ends(lane);
-                    for_pieces(from, to, half, add);
+        let mut segments = std::mem::take(&mut layers.segments);
+        let begun = segments.len();
+        // What was added before stays as it is.
+        segments.push(Batch::EMPTY);
+        for batches in contours {
+            for batch in batches {
+                let edges = Edges::project(batch, eye, half);
+                for lane in ones(edges.cross_lines()) {
+                    let step = batch.steps[lane];
+                    let mut add = |a, b| Batch::append(&mut segments, [a, b], step);
+                    if let Some([a, b]) = edges.segment(lane) {
+                        add(a, b);
+                    } else {
+                        let [from, to] = edges.ends(lane);
+                        for_pieces(from, to, half, add);
+                    }
                 }
             }
         }
-        let segments = std::mem::take(&mut layers.segments);
-        for batch in &segments {
+        for batch in &segments[begun..] {
             layers.add(batch);
         }
         layers.segments = segments;

@@ -19,6 +19,8 @@ mod candidates;
 mod crossings;
 mod facing;
 mod layers;
+mod parts;
+mod rounds;
 
 use glam::Vec3;
 
@@ -27,6 +29,8 @@ use crate::visibility::{self, Bitmap, Crossings, Directions};
 use candidates::Candidates;
 use facing::Facing;
 use layers::Layers;
+use parts::Parts;
+use rounds::Rounds;
 
 /// Points, close together, for which [`ContourMesh::prepare`] pays best.
 pub const GROUP: usize = 32;
@@ -38,6 +42,9 @@ pub struct ContourMesh {
     /// Welded vertex positions.
     positions: Vec<Vec3>,
     facing: Facing,
+    parts: Parts,
+    /// Per triangle that the caster was made of, its first welded vertex.
+    first_vertices: Vec<u32>,
 }
 
 /// An edge where layers begin or end, as seen from some point.
@@ -53,6 +60,9 @@ pub struct Scratch {
     candidates: Candidates,
     layers: Layers,
     crossings: Crossings,
+    rounds: Rounds,
+    /// Places of the parts that are counted next.
+    chosen: Vec<u32>,
 }
 
 impl ContourMesh {
@@ -71,9 +81,11 @@ impl ContourMesh {
         };
         let mut seen = std::collections::HashSet::new();
         let mut welded = Vec::with_capacity(triangles.len());
+        let mut first_vertices = Vec::with_capacity(triangles.len());
         for triangle in triangles {
             let [a, b, c] = triangle.map(Vec3::as_dvec3);
             let vertices = triangle.map(&mut weld);
+            first_vertices.push(vertices[0]);
             let mut key = vertices;
             key.sort_unstable();
             if (b - a).cross(c - a) != glam::DVec3::ZERO && seen.insert(key) {
@@ -83,6 +95,8 @@ impl ContourMesh {
         Self {
             caster: RayCaster::new(triangles),
             facing: Facing::new(&positions, &welded),
+            parts: Parts::new(&positions, &welded),
+            first_vertices,
             positions,
         }
     }
@@ -98,6 +112,8 @@ impl ContourMesh {
             candidates: Candidates::default(),
             layers: Layers::new(directions.resolution() as usize),
             crossings: Crossings::default(),
+            rounds: Rounds::default(),
+            chosen: Vec::new(),
         }
     }
 
@@ -105,7 +121,7 @@ impl ContourMesh {
     /// have most of it in common: sampling them is then several times faster.
     pub fn prepare(&self, origins: &[Vec3], scratch: &mut Scratch) {
         let candidates = &mut scratch.candidates;
-        candidates.prepare(&self.facing, &self.positions, origins);
+        candidates.prepare(&self.facing, &self.parts, &self.positions, origins);
     }
 
     /// The same bitmap as [`crate::visibility::sample`], and the number of rays it took.
@@ -118,17 +134,58 @@ impl ContourMesh {
         if !scratch.candidates.covers(origin) {
             self.prepare(&[origin], scratch);
         }
-        let Scratch {
-            candidates, layers, ..
-        } = scratch;
-        let touches = candidates.look(&self.facing, &self.positions, origin);
-        layers.count(origin, candidates.contours());
-        if touches {
+        let touches = (scratch.candidates).look(&self.facing, &self.positions, origin);
+        let found = self.count(origin, directions.as_slice(), scratch, touches);
+        found.filter(|_| !touches).unwrap_or_else(|| {
             let rays = directions.as_slice().len() as u32;
-            return (visibility::sample(&self.caster, origin, directions), rays);
+            (visibility::sample(&self.caster, origin, directions), rays)
+        })
+    }
+
+    /// What contours tell of what the point looked at last sees, if anything. `at_once`: no part
+    /// of the mesh is left out.
+    fn count(
+        &self,
+        origin: Vec3,
+        directions: &[Vec3],
+        scratch: &mut Scratch,
+        at_once: bool,
+    ) -> Option<(Bitmap, u32)> {
+        let Scratch {
+            candidates,
+            layers,
+            rounds,
+            chosen,
+            ..
+        } = scratch;
+        let (mut rays, mut before) = (0, None);
+        layers.begin();
+        rounds.begin(candidates, at_once);
+        loop {
+            rounds.choose(candidates, chosen);
+            candidates.find(&self.parts, &self.positions, chosen);
+            layers.count(origin, candidates.contours(chosen));
+            let counted = |triangle: usize| {
+                rounds.is_counted(self.parts.of_vertex(self.first_vertices[triangle]))
+            };
+            let open = layers.resolve(
+                before.as_ref(),
+                &mut rays,
+                |texel| !(self.caster).any_hit_of(origin, directions[texel], counted),
+                |texel| !self.caster.any_hit(origin, directions[texel]),
+            );
+            if let Some(open) = open {
+                rounds.cull(candidates, origin, &open, layers.resolution());
+                before = Some(open);
+            } else {
+                // Where contours lie is still asked for.
+                before = None;
+                rounds.leave_none();
+            }
+            if rounds.is_over() {
+                return Some((before?, rays));
+            }
         }
-        let directions = directions.as_slice();
-        layers.resolve(|texel| !self.caster.any_hit(origin, directions[texel]))
     }
 
     /// Where contours separate visible from blocked texels, at the point that `scratch`
@@ -321,6 +378,81 @@ mod tests {
             [0.0, 1e-3, 2.0],
         ];
         assert_same_bits(&triangles, &origins.map(Vec3::from), 64);
+    }
+
+    /// A town: boxes, each of which hangs together, among loose triangles.
+    fn town(state: &mut u64) -> Vec<[Vec3; 3]> {
+        let mut triangles = Vec::new();
+        for _ in 0..150 {
+            let low = random_point(state) * Vec3::new(4.0, 0.2, 4.0);
+            let size = Vec3::new(random(state), 2.0 * random(state), random(state)) * 0.6 + 0.05;
+            let corner =
+                |i: usize| low + size * Vec3::from([0, 1, 2].map(|axis| (i >> axis & 1) as f32));
+            for [a, b, c, d] in [
+                [0, 2, 3, 1],
+                [4, 5, 7, 6],
+                [0, 1, 5, 4],
+                [2, 6, 7, 3],
+                [0, 4, 6, 2],
+                [1, 3, 7, 5],
+            ] {
+                let [a, b, c, d] = [a, b, c, d].map(corner);
+                triangles.extend([[a, b, c], [a, c, d]]);
+            }
+        }
+        triangles.extend((0..3000).map(|_| {
+            let centre = random_point(state) * Vec3::new(4.0, 1.0, 4.0);
+            [0; 3].map(|_| centre + 0.1 * random_point(state))
+        }));
+        triangles
+    }
+
+    #[test]
+    fn what_lies_behind_other_parts_is_left_out_and_nothing_else() {
+        let mut state = 21;
+        let triangles = town(&mut state);
+        let mesh = ContourMesh::new(&triangles);
+        let caster = mesh.caster();
+        let directions = Directions::new(128);
+        let (mut scratch, mut all) = (mesh.scratch(&directions), mesh.scratch(&directions));
+        let (mut segments, mut of_all, mut blocked) = (0, 0, 0);
+        for index in 0..120 {
+            let [a, b, c] = triangles[index * 7919 % triangles.len()];
+            let normal = (b - a).cross(c - a).normalize();
+            let mut origin = (a + b + c) / 3.0 + 1e-3 * normal;
+            if index % 10 == 0 {
+                // In a box, maybe in several.
+                let corners = triangles[12 * index..][..12].as_flattened();
+                origin = corners.iter().sum::<Vec3>() / corners.len() as f32;
+            }
+            let (bitmap, _) = mesh.sample(origin, &directions, &mut scratch);
+            assert!(
+                bitmap == visibility::sample(caster, origin, &directions),
+                "{index}"
+            );
+            mesh.prepare(&[origin], &mut all);
+            all.candidates.look(&mesh.facing, &mesh.positions, origin);
+            let at_once = mesh.count(origin, directions.as_slice(), &mut all, true);
+            assert!(at_once.is_some_and(|(found, _)| found == bitmap), "{index}");
+            let bits = |crossings: &Crossings| -> Vec<u32> {
+                crossings.positions.iter().map(|x| x.to_bits()).collect()
+            };
+            let mut links = Vec::new();
+            bitmap.for_links(128, |x, y, below| {
+                links.push(usize::from(below) * 128 * 128 + y * 128 + x);
+            });
+            let some = bits(mesh.crossings(&bitmap, &mut scratch));
+            let every = bits(mesh.crossings(&bitmap, &mut all));
+            assert!(
+                links.iter().all(|&link| some[link] == every[link]),
+                "{index}"
+            );
+            segments += scratch.layers.segments().len();
+            of_all += all.layers.segments().len();
+            blocked += usize::from(links.is_empty());
+        }
+        assert!(2 * segments < of_all, "{segments} of {of_all}");
+        assert!(blocked > 0, "no point in a box");
     }
 
     /// A sphere seen from outside: its direction and angular radius, the bitmap and where its

@@ -1,0 +1,341 @@
+//! Which parts of a mesh are counted, front to back: what lies wholly behind others is left out.
+//!
+//! The parts that look largest are counted first. Texels that they block are blocked whatever
+//! else there is. A part whose box covers none but such texels changes nothing that can be seen
+//! and is never counted; of the others the largest are counted next, and so on.
+
+use glam::Vec3;
+use pulp::{Simd, WithSimd};
+
+use super::batch::LANES;
+use super::candidates::Candidates;
+use crate::simd;
+use crate::visibility::Bitmap;
+
+/// Fewer contours are counted in one round: more rounds cost as much as they would save.
+const FEW: usize = 3000;
+/// The share of all contours that the first round counts; each further one counts twice as many
+/// as the one before.
+const FIRST_SHARE: usize = 16;
+/// Texels that are added around a part's box, far more than rounding.
+const MARGIN: f32 = 0.01;
+
+/// How far the counting for one point has come.
+#[derive(Default)]
+pub(super) struct Rounds {
+    /// Parts that are not counted, by their places in the group's order.
+    waiting: Vec<u32>,
+    /// Per part, whether it is counted.
+    counted: Vec<bool>,
+    budget: usize,
+    open: Open,
+}
+
+impl Rounds {
+    /// `at_once`: all parts in one round.
+    pub(super) fn begin(&mut self, candidates: &Candidates, at_once: bool) {
+        let parts = candidates.parts_in_order();
+        self.counted.clear();
+        self.counted.resize(parts.len(), false);
+        self.waiting.clear();
+        self.waiting.extend(0..parts.len() as u32);
+        self.budget = if at_once {
+            usize::MAX
+        } else {
+            candidates.sure.len() / FIRST_SHARE
+        };
+    }
+
+    /// Counts all that waits in the next round.
+    pub(super) fn leave_none(&mut self) {
+        self.budget = usize::MAX;
+    }
+
+    /// Chooses what is counted next: places of parts in the group's order, which grow.
+    pub(super) fn choose(&mut self, candidates: &Candidates, chosen: &mut Vec<u32>) {
+        chosen.clear();
+        let left: usize = (self.waiting.iter())
+            .map(|&place| candidates.contours_of(place))
+            .sum();
+        let limit = if left <= self.budget.max(FEW) {
+            usize::MAX
+        } else {
+            self.budget
+        };
+        let mut contours = 0;
+        let mut taken = 0;
+        while taken < self.waiting.len() && contours < limit {
+            contours += candidates.contours_of(self.waiting[taken]);
+            taken += 1;
+        }
+        chosen.extend(self.waiting.drain(..taken));
+        for &place in chosen.iter() {
+            self.counted[candidates.parts_in_order()[place as usize] as usize] = true;
+        }
+        self.budget = self.budget.saturating_mul(2);
+    }
+
+    /// Whether a part is counted.
+    pub(super) fn is_counted(&self, part: u32) -> bool {
+        self.counted[part as usize]
+    }
+
+    pub(super) fn is_over(&self) -> bool {
+        self.waiting.is_empty()
+    }
+
+    /// Leaves out the parts that lie behind what is counted: `open` has the `n` × `n` texels
+    /// that it leaves visible.
+    pub(super) fn cull(&mut self, candidates: &Candidates, eye: Vec3, open: &Bitmap, n: usize) {
+        if self.waiting.is_empty() {
+            return;
+        }
+        self.open.fill(open, n);
+        simd::arch().dispatch(Cull {
+            waiting: &mut self.waiting,
+            candidates,
+            eye,
+            open: &self.open,
+        });
+    }
+}
+
+/// The visible texels of a map, for asking whether a rectangle has some.
+#[derive(Default)]
+struct Open {
+    n: usize,
+    /// Columns that share a bit.
+    columns: usize,
+    /// Bits of every row, then those of every two rows that follow each other, every four, and
+    /// so on, by the first of them.
+    rows: Vec<u128>,
+}
+
+impl Open {
+    fn fill(&mut self, bitmap: &Bitmap, n: usize) {
+        self.n = n;
+        self.columns = n.div_ceil(128);
+        self.rows.clear();
+        for y in 0..n {
+            self.rows.push(if self.columns == 1 {
+                let [low, high] = [0, 64].map(|x| {
+                    let own = n.saturating_sub(x).min(64) as u32;
+                    let mask = u64::MAX.checked_shr(64 - own).unwrap_or(0);
+                    bitmap.bits(y * n + x) & mask
+                });
+                u128::from(low) | u128::from(high) << 64
+            } else {
+                let visible = (0..n).filter(|x| bitmap.get(y * n + x));
+                visible.fold(0, |row, x| row | 1 << (x / self.columns))
+            });
+        }
+        let mut height = 1;
+        while 2 * height <= n {
+            let start = self.rows.len() - n;
+            for y in 0..n {
+                let other = (y + height).min(n - 1);
+                self.rows
+                    .push(self.rows[start + y] | self.rows[start + other]);
+            }
+            height *= 2;
+        }
+    }
+
+    /// Whether some texel of a rectangle, given by its lowest and highest texels, is visible.
+    #[inline(always)]
+    fn any(&self, low: [f32; 2], high: [f32; 2]) -> bool {
+        let last = self.n as f32 - 1.0;
+        // What is not a number covers everything.
+        let first = |x: f32| if x > 0.0 { x.min(last) as usize } else { 0 };
+        let end = |x: f32| {
+            if x < last {
+                x.max(0.0) as usize
+            } else {
+                self.n - 1
+            }
+        };
+        let [left, top] = low.map(first);
+        let [right, bottom] = high.map(end);
+        let level = (bottom + 1 - top).max(1).ilog2() as usize;
+        let rows = &self.rows[level * self.n..][..self.n];
+        let bits = rows[top] | rows[bottom + 1 - (1 << level)];
+        let [left, right] = [left, right].map(|x| x / self.columns);
+        bits >> left << left << (127 - right) != 0
+    }
+
+    /// Whether a part within a box, relative to the eye, may have to do with a visible texel.
+    #[inline(always)]
+    fn any_in(&self, low: Vec3, high: Vec3) -> bool {
+        let half = self.n as f32 * 0.5;
+        // Per axis, the distances from the coordinate plane on both of its sides.
+        let sides = [0, 1, 2].map(|axis| {
+            let (low, high) = (low[axis], high[axis]);
+            [(low.max(0.0), high, 1.0), ((-high).max(0.0), -low, -1.0)]
+        });
+        for x in sides[0].into_iter().filter(|side| side.1 >= 0.0) {
+            for y in sides[1].into_iter().filter(|side| side.1 >= 0.0) {
+                for z in sides[2].into_iter().filter(|side| side.1 >= 0.0) {
+                    let [low, high] =
+                        rectangle([x.0, y.0, z.0], [x.1, y.1, z.1], [x.2, y.2, z.2], half);
+                    if self.any(low, high) {
+                        return true;
+                    }
+                }
+            }
+        }
+        false
+    }
+}
+
+/// The lowest and the highest texel around where a box of an octant, given by its distances from
+/// the coordinate planes, lies in the map: `octahedral::encode` grows with one coordinate and falls
+/// with the others.
+#[inline(always)]
+fn rectangle(near: [f32; 3], far: [f32; 3], sign: [f32; 3], half: f32) -> [[f32; 2]; 2] {
+    let ([x0, y0, z0], [x1, y1, z1]) = (near, far);
+    // Of x and of z, what share of the sum of all coordinates it is at least and at most.
+    let x = [x0 / (x0 + y1 + z1), x1 / (x1 + y0 + z0)];
+    let z = [z0 / (z0 + x1 + y1), z1 / (z1 + x0 + y0)];
+    let (u, v) = if sign[1] > 0.0 {
+        (x, z)
+    } else {
+        ([1.0 - z[1], 1.0 - z[0]], [1.0 - x[1], 1.0 - x[0]])
+    };
+    let texels = |[from, to]: [f32; 2], sign: f32| {
+        let (from, to) = if sign > 0.0 { (from, to) } else { (-to, -from) };
+        let [from, to] = [from, to].map(|at| half * at + (half - 0.5));
+        [(from - MARGIN).floor(), (to + MARGIN).ceil()]
+    };
+    let ([left, right], [top, bottom]) = (texels(u, sign[0]), texels(v, sign[2]));
+    [[left, top], [right, bottom]]
+}
+
+/// The vectorised part of [`Rounds::cull`].
+struct Cull<'a> {
+    waiting: &'a mut Vec<u32>,
+    candidates: &'a Candidates,
+    eye: Vec3,
+    open: &'a Open,
+}
+
+impl WithSimd for Cull<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self {
+            waiting,
+            candidates,
+            eye,
+            open,
+        } = self;
+        let half = open.n as f32 * 0.5;
+        let boxes = candidates.boxes();
+        let mut left = 0;
+        for first in (0..waiting.len()).step_by(LANES) {
+            let count = LANES.min(waiting.len() - first);
+            let mut corners = [[[0.0; LANES]; 3]; 2];
+            for lane in 0..count {
+                let [low, high] = boxes[waiting[first + lane] as usize];
+                for axis in 0..3 {
+                    corners[0][axis][lane] = low[axis] - eye[axis];
+                    corners[1][axis][lane] = high[axis] - eye[axis];
+                }
+            }
+            let (mut lows, mut highs) = ([[0.0; LANES]; 2], [[0.0; LANES]; 2]);
+            let mut within = [false; LANES];
+            for lane in 0..LANES {
+                let (mut near, mut far, mut sign) = ([0.0; 3], [0.0; 3], [1.0; 3]);
+                within[lane] = true;
+                for axis in 0..3 {
+                    let (low, high) = (corners[0][axis][lane], corners[1][axis][lane]);
+                    within[lane] &= low > 0.0 || high < 0.0;
+                    let negative = high < 0.0;
+                    sign[axis] = if negative { -1.0 } else { 1.0 };
+                    near[axis] = if negative { -high } else { low };
+                    far[axis] = if negative { -low } else { high };
+                }
+                let [low, high] = rectangle(near, far, sign, half);
+                for i in 0..2 {
+                    (lows[i][lane], highs[i][lane]) = (low[i], high[i]);
+                }
+            }
+            for lane in 0..count {
+                let stays = if within[lane] {
+                    open.any(lows.map(|low| low[lane]), highs.map(|high| high[lane]))
+                } else {
+                    let [low, high] =
+                        corners.map(|corner| Vec3::from(corner.map(|axis| axis[lane])));
+                    open.any_in(low, high)
+                };
+                waiting[left] = waiting[first + lane];
+                left += usize::from(stays);
+            }
+        }
+        waiting.truncate(left);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use relight_shading::octahedral;
+
+    fn random(state: &mut u64) -> f32 {
+        *state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        (*state >> 40) as f32 / (1u64 << 24) as f32
+    }
+
+    #[test]
+    fn rectangles_are_asked_about_as_texel_by_texel() {
+        let mut state = 5;
+        for n in [2, 16, 25, 64, 100, 128, 200, 256] {
+            let bitmap = Bitmap::from_fn(n * n, |_| random(&mut state) < 0.002);
+            let mut open = Open::default();
+            open.fill(&bitmap, n);
+            for _ in 0..500 {
+                let mut at = || random(&mut state) * (n as f32 + 4.0) - 2.0;
+                let (a, b) = ([at(), at()], [at(), at()]);
+                let low = [0, 1].map(|i| f32::min(a[i], b[i]).floor());
+                let high = [0, 1].map(|i| f32::max(a[i], b[i]).ceil());
+                let texel = |x: f32| x.clamp(0.0, n as f32 - 1.0) as usize;
+                // With more columns than bits, those that share a bit count as one.
+                let shared = n.div_ceil(128);
+                let columns = texel(low[0]) / shared * shared
+                    ..((texel(high[0]) / shared + 1) * shared).min(n);
+                let any = (texel(low[1])..=texel(high[1]))
+                    .any(|y| columns.clone().any(|x| bitmap.get(y * n + x)));
+                assert_eq!(open.any(low, high), any, "{n}: {low:?} to {high:?}");
+            }
+            assert!(
+                bitmap == Bitmap::from_fn(n * n, |_| false)
+                    || open.any([f32::NAN; 2], [f32::NAN; 2])
+            );
+        }
+    }
+
+    #[test]
+    fn boxes_cover_all_directions_to_what_is_in_them() {
+        let mut state = 9;
+        let n = 64;
+        for _ in 0..400 {
+            let mut at = || Vec3::from([0; 3].map(|_| 2.0 * random(&mut state) - 1.0));
+            let (centre, size) = (at(), 0.7 * at().abs());
+            let (low, high) = (centre - size, centre + size);
+            for _ in 0..20 {
+                let point = low + at().abs() * (high - low);
+                let texel = octahedral::encode(point.normalize()) * n as f32 - 0.5;
+                let mut open = Open::default();
+                let [x, y] = texel
+                    .round()
+                    .to_array()
+                    .map(|x| x.clamp(0.0, n as f32 - 1.0));
+                let seen = y as usize * n + x as usize;
+                open.fill(&Bitmap::from_fn(n * n, |index| index == seen), n);
+                assert!(open.any_in(low, high), "{low} to {high}, {point}");
+            }
+        }
+    }
+}

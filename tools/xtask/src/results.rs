@@ -65,7 +65,7 @@ fn embree(root: &Path, data: &Path) -> Result<String, String> {
         return Err("`tools/peers/embree/build.sh` finds no Embree".to_owned());
     }
     let mut bench = cargo(root, "bench --quiet --workspace --bench visibility --");
-    bench.args(["--vertices", "128", "--rounds", "5"]);
+    bench.args(["--vertices", "512", "--threads", "1", "--rounds", "5"]);
     bench.args(MESHES.map(|mesh| data.join("meshes").join(mesh)));
     printed(&mut bench).ok_or_else(|| "`cargo bench --bench visibility` failed".to_owned())
 }

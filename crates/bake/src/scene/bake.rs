@@ -116,10 +116,7 @@ impl<'a> Bake<'a> {
         let object_diagonal = input.object_diagonal;
         let mut warnings = input.warnings.clone();
         warnings.extend(far_off);
-        warnings.extend(highlights::warnings(
-            &input.mesh.materials,
-            &input.mesh.textures,
-        ));
+        warnings.extend(highlights::warnings(&input.mesh));
         let mut mesh = refined(input, options, &contours, ray_offset, monitor)?;
         for warning in mesh.warnings.drain(..) {
             if !warnings.contains(&warning) {

@@ -7,6 +7,8 @@ use relight_shading::surface::{
     MIN_ALPHA, Model, Reflection, metallic_roughness_alpha, visit_layers,
 };
 
+use crate::mesh::Mesh;
+
 /// Ratio of two roughnesses up to which lobes are near every model: a streak's Gaussians overlap.
 const NEAR_RATIO: f32 = 4.0;
 /// Part of a highlight's light, sent elsewhere than by the model, from which bands are seen in it.
@@ -21,44 +23,23 @@ const AZIMUTHS: [f32; 3] = [0.0, 0.8, 1.5];
 
 /// Warnings of materials whose highlights are streaks too thin for lobes, in a quarter of the places at least where
 /// textures tell of roughness.
-pub(super) fn warnings(materials: &[Material], textures: &[Texture]) -> Vec<String> {
+pub(super) fn warnings(mesh: &Mesh) -> Vec<String> {
     let mut known: Vec<(Model, Vec2, f64)> = Vec::new();
-    let mut look = |reflection: &Reflection| {
+    let mut measured = |reflection: &Reflection| {
         let Reflection { model, alpha, .. } = *reflection;
         if alpha.max_element() <= NEAR_RATIO * alpha.min_element() {
             return 0.0;
         }
-        let same = known
-            .iter()
-            .find(|known| (known.0, known.1) == (model, alpha));
-        same.map(|known| known.2).unwrap_or_else(|| {
-            let misplaced = misplaced(reflection);
-            known.push((model, alpha, misplaced));
-            misplaced
-        })
+        let mut same = known.iter();
+        if let Some(known) = same.find(|known| (known.0, known.1) == (model, alpha)) {
+            return known.2;
+        }
+        known.push((model, alpha, misplaced(reflection)));
+        known[known.len() - 1].2
     };
     let mut warnings = Vec::new();
-    for material in materials {
-        let (misplaced, alpha) = match &material.surface {
-            Surface::MetallicRoughness { .. } => {
-                let places = metallic_roughness_alphas(material, textures).into_iter();
-                let mut places: Vec<_> = places
-                    .map(|alpha| (look(&Reflection::new(Model::Ggx, Vec3::ONE, alpha)), alpha))
-                    .collect();
-                places.sort_by(|a, b| a.0.total_cmp(&b.0));
-                places[places.len() * 3 / 4]
-            }
-            _ => {
-                let mut worst = (0.0, Vec2::ONE);
-                visit_layers(material, |layer| {
-                    let misplaced = look(&layer.reflection);
-                    if misplaced > worst.0 {
-                        worst = (misplaced, layer.reflection.alpha);
-                    }
-                });
-                worst
-            }
-        };
+    for material in &mesh.materials {
+        let (misplaced, alpha) = worst(material, &mesh.textures, &mut measured);
         if misplaced > VISIBLE {
             warnings.push(format!(
                 "material {:?}: roughnesses of {} and {} lie so far apart that {:.0} % of the light of its \
@@ -71,6 +52,34 @@ pub(super) fn warnings(materials: &[Material], textures: &[Texture]) -> Vec<Stri
         }
     }
     warnings
+}
+
+/// What the worst of a material's reflections misplaces and its roughnesses; where textures tell of roughness, those
+/// of the worst quarter's best place.
+fn worst(
+    material: &Material,
+    textures: &[Texture],
+    misplaced: &mut impl FnMut(&Reflection) -> f64,
+) -> (f64, Vec2) {
+    if let Surface::MetallicRoughness { .. } = material.surface {
+        let places = metallic_roughness_alphas(material, textures).into_iter();
+        let mut places: Vec<_> = places
+            .map(|alpha| {
+                let reflection = Reflection::new(Model::Ggx, Vec3::ONE, alpha);
+                (misplaced(&reflection), alpha)
+            })
+            .collect();
+        places.sort_by(|a, b| a.0.total_cmp(&b.0));
+        return places[places.len() * 3 / 4];
+    }
+    let mut worst = (0.0, Vec2::ONE);
+    visit_layers(material, |layer| {
+        let misplaced = misplaced(&layer.reflection);
+        if misplaced > worst.0 {
+            worst = (misplaced, layer.reflection.alpha);
+        }
+    });
+    worst
 }
 
 /// Roughnesses of a metallic-roughness surface: one, or what textures make of it in places all over them.
@@ -155,13 +164,21 @@ mod tests {
         plain_material("brushed", surface)
     }
 
+    fn mesh(materials: &[Material], textures: &[Texture]) -> Mesh {
+        Mesh {
+            materials: materials.to_vec(),
+            textures: textures.to_vec(),
+            ..Default::default()
+        }
+    }
+
     #[test]
     fn streaks_that_lobes_cannot_follow_are_announced() {
         for alpha in [[0.3, 0.3], [0.08, 0.4], [0.8, 0.1]] {
-            assert_eq!(warnings(&[brushed(alpha)], &[]), [""; 0]);
+            assert_eq!(warnings(&mesh(&[brushed(alpha)], &[])), [""; 0]);
         }
         let thin = [brushed([0.02, 0.8]), brushed([0.5, 0.5])];
-        let [warning] = &warnings(&thin, &[])[..] else {
+        let [warning] = &warnings(&mesh(&thin, &[]))[..] else {
             panic!("one warning of {thin:?}");
         };
         assert!(warning.starts_with("material \"brushed\": roughnesses of 0.02 and 0.8"));
@@ -186,8 +203,8 @@ mod tests {
                 .flat_map(|x| [255, if x < thin { 77 } else { 255 }, 255, 255])
                 .collect(),
         };
-        assert_eq!(warnings(&[material.clone()], &[texture(1)]), [""; 0]);
-        let [warning] = &warnings(&[material.clone()], &[texture(4)])[..] else {
+        assert_eq!(warnings(&mesh(&[material.clone()], &[texture(1)])), [""; 0]);
+        let [warning] = &warnings(&mesh(&[material.clone()], &[texture(4)]))[..] else {
             panic!("one warning");
         };
         assert!(warning.starts_with("material \"lamp\": roughnesses of 1 and 0.09"));
@@ -199,6 +216,6 @@ mod tests {
                 ..texture(8)
             },
         ];
-        assert_eq!(warnings(&[material], &textures), [""; 0]);
+        assert_eq!(warnings(&mesh(&[material], &textures)), [""; 0]);
     }
 }

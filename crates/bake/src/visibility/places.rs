@@ -9,7 +9,7 @@
 //! Where other surfaces cross or touch a triangle, its corners may lie in them or behind them.
 //! Such a corner is sampled where the part of the triangle ends that people see: a ray from its
 //! centre towards the corner tells where. Corners that no crossing tells of but nothing is seen
-//! from, as in cracks, are sampled at a point of the triangle that sees something, if there is one.
+//! from, as in cracks, are sampled near by on the triangle or at its centre, if that sees something.
 
 use relight_format::math;
 use std::collections::HashMap;

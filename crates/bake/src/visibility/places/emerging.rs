@@ -82,14 +82,15 @@ impl Emerging<'_> {
         }
     }
 
-    /// For every corner, the nearest of a few points of the triangle that see something.
+    /// For every corner, a point of the triangle near by that sees something, or else its centre, if that does: where
+    /// neither does, a corner that sees nothing tells of the whole triangle, as in a gap behind a ledge.
     pub(super) fn seen_from(&self) -> [Option<Vec3>; 3] {
         let points = CENTRES.map(|weights| self.above(weights));
-        let see = points.map(|point| sees(self.caster, point, self.normal));
-        [0, 1, 2].map(|k| {
-            let order = [k + 1, 0, (k + 1) % 3 + 1, (k + 2) % 3 + 1];
-            order.into_iter().find(|&i| see[i]).map(|i| points[i])
-        })
+        let sees = |point: usize| sees(self.caster, points[point], self.normal);
+        if !sees(0) {
+            return [None; 3];
+        }
+        [1, 2, 3].map(|near| Some(points[if sees(near) { near } else { 0 }]))
     }
 
     /// Where rays from a point of the triangle begin.

@@ -16,7 +16,7 @@ test: installs what the tests need (apt, only what is missing), then checks form
 the pages if there is a standard library for them, runs every test, and checks dependencies by cargo-deny, which it installs into target/tools.
 
 results: replaces all tables of RESULTS.md by those of the commit that is checked out. Runs every experiment on the
-processor into out/results, which takes most of an hour on two cores and needs the test data; then the compilers of
+processor into out/results, which takes about an hour on two cores and needs the test data; then the compilers of
 gpu-cost, and the comparison with Embree (tools/peers). What cannot be made here is left out, in a sentence that says so.
 
 figures: makes the pictures of README.md anew, which takes minutes and needs the test data, and a screen or xvfb-run.

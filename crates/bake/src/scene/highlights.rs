@@ -61,8 +61,13 @@ fn worst(
     textures: &[Texture],
     misplaced: &mut impl FnMut(&Reflection) -> f64,
 ) -> (f64, Vec2) {
-    if let Surface::MetallicRoughness { .. } = material.surface {
-        let places = metallic_roughness_alphas(material, textures).into_iter();
+    if let Surface::MetallicRoughness {
+        roughness,
+        anisotropy_strength,
+        ..
+    } = material.surface
+    {
+        let places = alphas(material, textures, roughness, anisotropy_strength).into_iter();
         let mut places: Vec<_> = places
             .map(|alpha| {
                 let reflection = Reflection::new(Model::Ggx, Vec3::ONE, alpha);
@@ -83,24 +88,16 @@ fn worst(
 }
 
 /// Roughnesses of a metallic-roughness surface: one, or what textures make of it in places all over them.
-fn metallic_roughness_alphas(material: &Material, textures: &[Texture]) -> Vec<Vec2> {
-    let Surface::MetallicRoughness {
-        roughness,
-        anisotropy_strength,
-        ..
-    } = material.surface
-    else {
-        return Vec::new();
-    };
+fn alphas(material: &Material, textures: &[Texture], roughness: f32, strength: f32) -> Vec<Vec2> {
     let slots = [
         &material.metallic_roughness_texture,
         &material.anisotropy_texture,
     ];
-    let alphas = |roughness, strength| {
+    let alpha = |roughness, strength| {
         metallic_roughness_alpha(roughness, strength).max(Vec2::splat(MIN_ALPHA))
     };
-    if anisotropy_strength == 0.0 || slots == [&None, &None] {
-        return vec![alphas(roughness, anisotropy_strength)];
+    if strength == 0.0 || slots == [&None, &None] {
+        return vec![alpha(roughness, strength)];
     }
     let places = (0..TEXTURE_SIDE).flat_map(|y| (0..TEXTURE_SIDE).map(move |x| [x, y]));
     places
@@ -110,9 +107,9 @@ fn metallic_roughness_alphas(material: &Material, textures: &[Texture]) -> Vec<V
                 let texel = slot.as_ref().and_then(|slot| texel(slot, textures, uv));
                 texel.map_or(1.0, |texel| f32::from(texel[channel]) / 255.0)
             };
-            let alpha = alphas(
+            let alpha = alpha(
                 roughness * channel(slots[0], 1),
-                anisotropy_strength * channel(slots[1], 2),
+                strength * channel(slots[1], 2),
             );
             let step = |x: f32| math::exp2((LOG_STEPS * math::log2(x)).round() / LOG_STEPS);
             Vec2::from(alpha.to_array().map(step))
@@ -183,6 +180,7 @@ mod tests {
         };
         assert!(warning.starts_with("material \"brushed\": roughnesses of 0.02 and 0.8"));
     }
+
     #[test]
     fn what_textures_say_of_roughness_counts() {
         let surface = Surface::MetallicRoughness {

@@ -155,7 +155,6 @@ pub(crate) fn source_frame_layout(device: &wgpu::Device) -> wgpu::BindGroupLayou
             layout_entry(0, compute, UNIFORM),
             layout_entry(3, compute, UNIFORM_PARTS),
             layout_entry(5, compute, STORAGE),
-            layout_entry(6, compute, UNIFORM),
         ],
     })
 }

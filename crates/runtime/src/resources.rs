@@ -5,7 +5,6 @@ use std::ops::Range;
 use relight_shading::gpu::{self, LimitError};
 use relight_shading::prefiltered::Prefiltered;
 use relight_shading::shade::Method;
-use relight_shading::sources;
 use relight_shading::vertex_visibility;
 
 use crate::frame::LocalFrame;
@@ -27,7 +26,6 @@ pub(crate) struct Resources {
     tiles: Slot,
     lights: Slot,
     points: Slot,
-    scales: Slot,
     products: Option<ProductsOfLight>,
     /// Of group 0: the image that is reflected, [`Self::products`] and fractions.
     views: Option<[wgpu::TextureView; 3]>,
@@ -207,10 +205,10 @@ impl Resources {
         let all: Vec<_> = (instances.iter())
             .filter_map(|(local, _)| local.sources.as_ref())
             .collect();
-        let Some(first) = all.first() else {
+        if all.is_empty() {
             self.source_group = None;
             return Ok(());
-        };
+        }
         (scene.sources.as_ref()).map_err(|error| Error::Scene(error.clone()))?;
         let points: Vec<gpu::SourcePoint> = (all.iter())
             .flat_map(|sources| sources.points())
@@ -221,19 +219,11 @@ impl Resources {
             .collect();
         let bytes = size_of_val(&points[..]) as u64;
         check_storage(renderer.device(), bytes).map_err(Error::Frame)?;
-        let mut scales: Vec<[f32; 4]> = (first.scales().iter().flatten())
-            .map(|scale| scale.extend(0.0).into())
-            .collect();
-        scales.resize(2 * sources::MAX_SOURCES as usize, [0.0; 4]);
-        let (uniform, storage) = (wgpu::BufferUsages::UNIFORM, wgpu::BufferUsages::STORAGE);
         let points = bytemuck::cast_slice(&points);
-        let scales = bytemuck::cast_slice(&scales);
-        let new = [
-            (self.points).fill(renderer, "relight sources", points, 0, storage)?,
-            (self.scales).fill(renderer, "relight source scales", scales, 0, uniform)?,
-        ];
-        if new.contains(&true) || self.source_group.is_none() {
-            let buffers = [&self.frames, &self.tiles, &self.points, &self.scales];
+        let storage = wgpu::BufferUsages::STORAGE;
+        let is_new = (self.points).fill(renderer, "relight sources", points, 0, storage)?;
+        if is_new || self.source_group.is_none() {
+            let buffers = [&self.frames, &self.tiles, &self.points];
             self.source_group = Some(renderer.source_group(buffers.map(Slot::buffer)));
         }
         Ok(())

@@ -150,9 +150,17 @@ impl Occluders {
 
     /// Whether anything may lie within a cone with its tip at `origin`, around the unit vector
     /// `axis`; `cosine` is that of its half angle. A cone with a `radius` has its tip cut off where it is so
-    /// wide, which is at `origin`. Now and then also where something only comes
+    /// wide, which is at `origin`. What lies below the plane through `origin` whose unit normal is `face` does not
+    /// count. Now and then also where something only comes
     /// close, and always in a cone that is no cone: half of all directions or more.
-    pub fn meet_cone(&self, origin: Vec3, radius: f32, axis: Vec3, cosine: f32) -> bool {
+    pub fn meet_cone(
+        &self,
+        origin: Vec3,
+        radius: f32,
+        face: Vec3,
+        axis: Vec3,
+        cosine: f32,
+    ) -> bool {
         if cosine <= 0.0 {
             return true;
         }
@@ -168,14 +176,15 @@ impl Occluders {
             let across = (middle.length_squared() - along * along).max(0.0).sqrt();
             // From the side of the cone.
             let outside = (across - radius) * cosine - along * sine;
-            if outside > around || along < -around {
+            let highest = face.dot(middle) + 0.5 * face.abs().dot(high - low);
+            if outside > around || along < -around || highest <= 0.0 {
                 place = node.next;
                 continue;
             }
             let count = node.triangles & gpu::OccluderNode::MAX_TRIANGLES;
             let first = node.triangles >> gpu::OccluderNode::COUNT_BITS;
             for triangle in &self.triangles[first as usize..][..count as usize] {
-                if triangle.meets_cone(origin, cut, axis, cosine) {
+                if triangle.meets_cone(origin, cut, face, axis, cosine) {
                     return true;
                 }
             }
@@ -187,10 +196,14 @@ impl Occluders {
 
 impl gpu::OccluderTriangle {
     /// A cone meets a triangle that its axis hits, or an edge of which enters it; its first part, of length
-    /// `cut`, is not there.
-    fn meets_cone(&self, origin: Vec3, cut: f32, axis: Vec3, cosine: f32) -> bool {
+    /// `cut`, is not there, nor what is below a plane.
+    fn meets_cone(&self, origin: Vec3, cut: f32, face: Vec3, axis: Vec3, cosine: f32) -> bool {
         let [ab, ac] = self.edges.map(|[x, y, z, _]| Vec3::new(x, y, z));
         let a = Vec3::from(self.corner) - origin;
+        let from_a = face.dot(ab).max(face.dot(ac)).max(0.0);
+        if face.dot(a) + from_a <= 0.0 {
+            return false;
+        }
         let edge = |start, edge| {
             in_front(start, edge, axis).is_some_and(|(start, edge)| {
                 cone_holds_part(start + cut * axis, edge, axis, cosine)
@@ -359,6 +372,12 @@ mod tests {
             } else {
                 0.05 * uniform(cone + 1)
             };
+            // A plane through the places that rays start at, which some of those without a radius go below.
+            let face = if radius > 0.0 {
+                axis
+            } else {
+                vector(40_000 + cone).normalize()
+            };
             let (x, y) = axis.any_orthonormal_pair();
             let hit = (0..200).any(|ray| {
                 let cosine = 1.0 - (1.0 - cosine) * uniform(200 * cone + ray);
@@ -368,12 +387,15 @@ mod tests {
                 let aside = radius * vector(900_000 + 200 * cone + ray).normalize();
                 let start = origin + aside - axis * axis.dot(aside);
                 // Parallel to the rim or less far out.
-                occluders.block(start, axis * cosine + (x * cos + y * sin) * sine, 0.0)
+                let direction = axis * cosine + (x * cos + y * sin) * sine;
+                direction.dot(face) > 0.0 && occluders.block(start, direction, 0.0)
             });
-            let met = occluders.meet_cone(origin, radius, axis, cosine);
+            let met = occluders.meet_cone(origin, radius, face, axis, cosine);
             let cut = radius * cosine / (1.0 - cosine * cosine).sqrt().max(LEAST_SINE);
-            let expected =
-                (occluders.triangles().iter()).any(|t| t.meets_cone(origin, cut, axis, cosine));
+            let meets = |triangle: &gpu::OccluderTriangle| {
+                triangle.meets_cone(origin, cut, face, axis, cosine)
+            };
+            let expected = occluders.triangles().iter().any(meets);
             assert!(met || !hit, "{origin} {radius} {axis} {cosine}");
             assert_eq!(met, expected, "{origin} {radius} {axis} {cosine}");
             empty += u32::from(!met);

@@ -1,13 +1,16 @@
 //! Suns, lamps and windows: light with an outline of its own, shadowed by rays.
 //!
 //! A source becomes points of equal luminance, the same for every pixel, so that there is no
-//! noise. Where nothing meets the cone around them, which one walk through the scene's hierarchy
-//! finds out, all are visible; elsewhere there is a ray to each. Rays end early where the first
-//! points and the rim agree that all of the source is visible, or nothing. The exact reflection models
-//! ([`crate::models`]) weigh what arrives.
+//! noise. They are in groups of those that lie side by side, each in a cone of its own. Where nothing meets the cone
+//! around the source, which one walk through the scene's hierarchy finds out, all of it is visible; where a ray to
+//! each group and those to its rim all are blocked, nothing. Elsewhere every group tells for itself: by its cone, else
+//! by rays, of which there are more for a source that matters much. The exact reflection models
+//! ([`crate::models`]) weigh what arrives, at one place of a group where the reflection changes little over it.
 //!
 //! With antialiasing rays start all over the square that a pixel covers on the surface, each at a place of its
 //! own, so that edges of shadows have no stairs at no further ray.
+
+mod grid;
 
 use relight_format::math;
 use std::f32::consts::FRAC_1_PI;
@@ -16,25 +19,48 @@ use std::sync::Arc;
 use glam::{Mat3, Vec2, Vec3};
 use relight_format::Environment;
 
+use self::grid::Grid;
 use crate::camera::View;
 use crate::gpu;
 use crate::models;
 use crate::occluders::Occluders;
 use crate::spherical_gaussian::{SphericalGaussian, energy};
-use crate::surface::{MAX_REFLECTIONS, Model, SurfacePoint};
+use crate::surface::{MAX_REFLECTIONS, Model, Reflection, SurfacePoint};
 
 /// Directions on the rim of a source: the outermost points in this many directions.
 pub const RIM: u32 = 12;
 
-/// Points that stand for a source where all of it is visible, and where some of it is hidden. The
-/// fewer are the first of the more, and with the rim find out which is the case.
-pub const LEVELS: [u32; 2] = [64, 256];
+/// Groups of a source's points.
+pub const GROUPS: u32 = 8;
+
+/// Places of a group: each for a few points that lie side by side. And points of a group.
+pub const LEVELS: [u32; 2] = [8, 32];
 
 /// Points of a source.
-pub const POINTS: u32 = LEVELS[1];
+pub const POINTS: u32 = GROUPS * LEVELS[1];
 
-/// Entries of [`Sources::points`] for each source: its cone, its rim and its points.
-pub const STRIDE: u32 = 1 + RIM + POINTS;
+/// Entries of [`Sources::points`] for each source: its cone, its groups' cones, its rim, its groups' places and its
+/// groups' points.
+pub const STRIDE: u32 = FIRST_PLACE + GROUPS * LEVELS[0] + POINTS;
+
+/// Of those, the first of groups, of the rim and of places.
+const FIRST_GROUP: u32 = 1;
+const FIRST_RIM: u32 = FIRST_GROUP + GROUPS;
+const FIRST_PLACE: u32 = FIRST_RIM + RIM;
+const FIRST_POINT: u32 = FIRST_PLACE + GROUPS * LEVELS[0];
+
+/// Place of a group that rays go to second, where those to the first are blocked: the one across the group.
+const SECOND_PLACE: u32 = LEVELS[0] - 1;
+
+/// Part of all light from which on a source's groups ask for all their points where something is in the way, and not
+/// just for their places.
+const MAIN_SHARE: f32 = 0.125;
+
+/// A group's radius, over the reflection's roughness at most, radians, at which one place stands for all of it.
+const SMALL: f32 = 0.2;
+
+/// The same where there is nothing but a Lambertian base.
+const SMALL_DIFFUSE: f32 = 0.15;
 
 /// Taken from the cosine of a cone's half angle, so that rounding leaves no point outside.
 const CONE_SLACK: f32 = 1e-6;
@@ -54,8 +80,8 @@ const OWN: f32 = 2.0;
 /// Effectiveness of Quasirandom Sequences".
 const STEP: [u32; 2] = [3_242_174_889, 2_447_445_414];
 
-/// Texels of four words for the points of a source that a pixel sees: a word of whether there are any, a bit for each.
-pub const SEEN_TEXELS: u32 = (1 + POINTS / 32).div_ceil(4);
+/// Texels of four words for what a pixel sees of a source: a word about its groups, and one of the bits of each.
+pub const SEEN_TEXELS: u32 = (1 + GROUPS).div_ceil(4);
 
 /// Of a source and a workgroup's 64 pixels: how many such groups of texels lie side by side in an image.
 pub const SEEN_COLUMNS: u32 = 16;
@@ -68,7 +94,6 @@ pub const MAX_SOURCES: u32 = relight_format::MAX_SOURCES as u32;
 pub struct Sources {
     grids: Arc<[Grid]>,
     points: Arc<[gpu::SourcePoint]>,
-    scales: Arc<[[Vec3; 2]]>,
     rotation: Mat3,
 }
 
@@ -86,17 +111,15 @@ impl Sources {
         if grids.is_empty() {
             return None;
         }
-        let (mut points, mut scales) = (Vec::new(), Vec::new());
-        for grid in &grids {
-            let new: Vec<_> = (0..POINTS).map(|index| grid.point(index)).collect();
-            scales.push(LEVELS.map(|level| grid.scale(&new[..level as usize])));
-            points.extend(cone_and_rim(&new));
-            points.extend(new);
-        }
+        let lobes = environment.lobes.iter().map(|lobe| {
+            let lobe = SphericalGaussian::from(lobe);
+            grid::luminance(lobe.integral().into()).max(0.0)
+        });
+        let all = lobes.sum::<f32>() + grids.iter().map(|grid| grid.luminance).sum::<f32>();
+        let entries = |grid: &Grid| entries(grid, grid.luminance >= MAIN_SHARE * all);
         Some(Self {
+            points: grids.iter().flat_map(entries).collect(),
             grids: grids.into(),
-            points: points.into(),
-            scales: scales.into(),
             rotation: Mat3::IDENTITY,
         })
     }
@@ -106,14 +129,9 @@ impl Sources {
         self.grids.len()
     }
 
-    /// Per source the cone around its points, [`RIM`] directions of no light, and [`POINTS`] points.
+    /// Per source [`STRIDE`] entries.
     pub fn points(&self) -> &[gpu::SourcePoint] {
         &self.points
-    }
-
-    /// By source and level, what a point's light is multiplied by.
-    pub fn scales(&self) -> &[[Vec3; 2]] {
-        &self.scales
     }
 
     /// The sources turned, world space.
@@ -132,14 +150,21 @@ impl Sources {
 
     /// The sources as narrow lobes, for what sees them blurred: light that bounces.
     pub fn lobes(&self) -> impl Iterator<Item = SphericalGaussian> {
-        let sources = (self.points.chunks_exact(STRIDE as usize)).zip(self.scales.iter());
-        sources.flat_map(|(points, scales)| {
-            let points = &points[(1 + RIM) as usize..][..LEVELS[0] as usize];
-            points.iter().map(|point| SphericalGaussian {
-                axis: point.direction.into(),
-                sharpness: POINT_SHARPNESS,
-                amplitude: Vec3::from(point.light) * scales[0] / energy(POINT_SHARPNESS),
-            })
+        self.each_as_lobes().flatten()
+    }
+
+    /// The same, source by source.
+    pub fn each_as_lobes(&self) -> impl Iterator<Item = impl Iterator<Item = SphericalGaussian>> {
+        let lobe = |point: &gpu::SourcePoint| SphericalGaussian {
+            axis: point.direction.into(),
+            sharpness: POINT_SHARPNESS,
+            amplitude: Vec3::from(point.light) / energy(POINT_SHARPNESS),
+        };
+        let sources = self.points.chunks_exact(STRIDE as usize);
+        sources.map(move |all| {
+            all[FIRST_PLACE as usize..FIRST_POINT as usize]
+                .iter()
+                .map(lobe)
         })
     }
 
@@ -151,146 +176,73 @@ impl Sources {
     }
 }
 
-/// The cone around a source's points, and those that lie farthest out.
-fn cone_and_rim(points: &[gpu::SourcePoint]) -> impl Iterator<Item = gpu::SourcePoint> {
-    let directions = points.iter().map(|point| Vec3::from(point.direction));
-    let axis = directions.clone().sum::<Vec3>().normalize_or(Vec3::Y);
-    let least = directions
-        .clone()
-        .fold(1f32, |least, other| least.min(axis.dot(other)));
-    let dark = |direction: Vec3, cone_cosine| gpu::SourcePoint {
+/// The entries of a source, which is among the main ones or not.
+fn entries(grid: &Grid, is_main: bool) -> Vec<gpu::SourcePoint> {
+    let mut points = grid.points();
+    let axis = mean(&points).0;
+    arrange(&mut points, axis.any_orthonormal_pair().into());
+    let entry = |(direction, light): (Vec3, Vec3)| gpu::SourcePoint {
         direction: direction.into(),
         ray_offset: 0.0,
-        light: [0.0; 3],
-        cone_cosine,
+        light: light.into(),
+        cone_cosine: 0.0,
     };
+    let cone = |points: &[(Vec3, Vec3)]| {
+        let (axis, light) = mean(points);
+        let cosines = points.iter().map(|(direction, _)| axis.dot(*direction));
+        gpu::SourcePoint {
+            cone_cosine: cosines.fold(1.0, f32::min) - CONE_SLACK,
+            ..entry((axis, light))
+        }
+    };
+    let whole = gpu::SourcePoint {
+        light: [LEVELS[usize::from(is_main)] as f32, 0.0, 0.0],
+        ..cone(&points)
+    };
+    let place = |points: &[(Vec3, Vec3)]| entry(mean(points));
+    let in_group = LEVELS[1] as usize;
+    std::iter::once(whole)
+        .chain(points.chunks(in_group).map(cone))
+        .chain(rim(&points, axis).map(|direction| entry((direction, Vec3::ZERO))))
+        .chain(points.chunks(in_group / LEVELS[0] as usize).map(place))
+        .chain(points.iter().copied().map(entry))
+        .collect()
+}
+
+/// The direction in the middle of points of equal luminance, and their light.
+fn mean(points: &[(Vec3, Vec3)]) -> (Vec3, Vec3) {
+    let sum: Vec3 = points.iter().map(|(direction, _)| *direction).sum();
+    let light = points.iter().map(|(_, light)| *light).sum();
+    (sum.normalize_or(Vec3::Y), light)
+}
+
+/// Orders points so that every half, every quarter and so on lies side by side, as seen along two axes.
+fn arrange(points: &mut [(Vec3, Vec3)], axes: [Vec3; 2]) {
+    if points.len() <= (LEVELS[1] / LEVELS[0]) as usize {
+        return;
+    }
+    let extent = |axis: &Vec3| {
+        let along = points.iter().map(|(direction, _)| axis.dot(*direction));
+        along.clone().fold(f32::MIN, f32::max) - along.fold(f32::MAX, f32::min)
+    };
+    let [x, y] = axes.each_ref().map(extent);
+    let axis = if x >= y { axes[0] } else { axes[1] };
+    points.sort_by(|(a, _), (b, _)| axis.dot(*a).total_cmp(&axis.dot(*b)));
+    let (low, high) = points.split_at_mut(points.len() / 2);
+    arrange(low, axes);
+    arrange(high, axes);
+}
+
+/// The points that lie farthest out from an axis.
+fn rim(points: &[(Vec3, Vec3)], axis: Vec3) -> impl Iterator<Item = Vec3> {
     let (x, y) = axis.any_orthonormal_pair();
-    let rim = (0..RIM).map(move |index| {
+    (0..RIM).map(move |index| {
         let (sin, cos) = math::sin_cos(std::f32::consts::TAU * index as f32 / RIM as f32);
         let toward = x * cos + y * sin;
-        let farthest = directions
-            .clone()
-            .max_by(|a, b| a.dot(toward).total_cmp(&b.dot(toward)));
-        dark(farthest.unwrap_or(axis), 0.0)
-    });
-    std::iter::once(dark(axis, least - CONE_SLACK)).chain(rim)
-}
-
-/// A source as stored, to be drawn from.
-#[derive(Clone, Debug)]
-struct Grid {
-    stored: relight_format::Source,
-    texels: Vec<[f32; 3]>,
-    /// Running sums of luminance over rows, and within each row.
-    rows: Vec<f32>,
-    columns: Vec<f32>,
-    /// Luminance of everything.
-    luminance: f32,
-    /// Light of everything.
-    light: Vec3,
-}
-
-fn luminance(color: [f32; 3]) -> f32 {
-    0.2126 * color[0] + 0.7152 * color[1] + 0.0722 * color[2]
-}
-
-impl Grid {
-    /// `None` for a black source.
-    fn new(grid: relight_format::Source, texels: &[[f32; 3]]) -> Option<Self> {
-        let mut new = Self {
-            stored: grid,
-            texels: texels.to_vec(),
-            rows: Vec::new(),
-            columns: Vec::new(),
-            luminance: 0.0,
-            light: Vec3::ZERO,
-        };
-        for (row, texels) in texels.chunks_exact(grid.columns as usize).enumerate() {
-            let theta = grid.theta + row as f32 * grid.row_step;
-            let solid_angle =
-                grid.column_step * 2.0 * math::sin(0.5 * grid.row_step) * math::sin(theta).max(0.0);
-            let mut sum = 0.0;
-            for texel in texels {
-                sum += luminance(*texel) * solid_angle;
-                new.columns.push(sum);
-                new.light += Vec3::from(*texel) * solid_angle;
-            }
-            new.luminance += sum;
-            new.rows.push(new.luminance);
-        }
-        (new.luminance > 0.0 && new.light.is_finite()).then_some(new)
-    }
-
-    fn sample(&self, [u, v]: [f32; 2]) -> (Vec3, Vec3) {
-        let (row, v) = draw(&self.rows, v);
-        let columns = self.stored.columns as usize;
-        let (column, u) = draw(&self.columns[row * columns..][..columns], u);
-        let theta = self.stored.theta + (row as f32 + tent(v)) * self.stored.row_step;
-        let phi = self.stored.phi + (column as f32 + tent(u)) * self.stored.column_step;
-        let ((sin_theta, cos_theta), (sin_phi, cos_phi)) =
-            (math::sin_cos(theta), math::sin_cos(phi));
-        let texel = self.texels[row * columns + column];
-        (
-            Vec3::new(sin_theta * sin_phi, cos_theta, -sin_theta * cos_phi),
-            Vec3::from(texel) * (self.luminance / luminance(texel)),
-        )
-    }
-
-    fn point(&self, index: u32) -> gpu::SourcePoint {
-        let (direction, light) = self.sample(sobol_pair(index));
-        gpu::SourcePoint {
-            direction: direction.into(),
-            ray_offset: 0.0,
-            cone_cosine: 0.0,
-            light: (light / POINTS as f32).into(),
-        }
-    }
-
-    /// What makes the light of some points that of the source.
-    fn scale(&self, points: &[gpu::SourcePoint]) -> Vec3 {
-        let sum: Vec3 = points.iter().map(|point| Vec3::from(point.light)).sum();
-        // No point may have a channel that is next to nothing.
-        let scale = |channel: usize| match sum[channel] {
-            0.0 => 0.0,
-            sum => self.light[channel] / sum,
-        };
-        Vec3::new(scale(0), scale(1), scale(2))
-    }
-}
-
-/// The element that a number in [0, 1) falls into, each as wide as it adds to the running sums,
-/// and where in it, in [0, 1).
-fn draw(sums: &[f32], uniform: f32) -> (usize, f32) {
-    let target = uniform * sums[sums.len() - 1];
-    let index = sums
-        .partition_point(|&sum| sum <= target)
-        .min(sums.len() - 1);
-    let before = if index == 0 { 0.0 } else { sums[index - 1] };
-    let within = (target - before) / (sums[index] - before);
-    (index, within.clamp(0.0, 1.0 - f32::EPSILON))
-}
-
-/// Takes a number in [0, 1) to [−1, 1] so that densities fall linearly from 0 to both ends.
-fn tent(uniform: f32) -> f32 {
-    if uniform < 0.5 {
-        (2.0 * uniform).sqrt() - 1.0
-    } else {
-        1.0 - (2.0 - 2.0 * uniform).sqrt()
-    }
-}
-
-/// The first two dimensions of Sobol's sequence, in the middle of their [`POINTS`] strata.
-fn sobol_pair(index: u32) -> [f32; 2] {
-    let (mut second, mut column, mut bits) = (0, 1u32 << 31, index);
-    while bits > 0 {
-        if bits & 1 == 1 {
-            second ^= column;
-        }
-        column ^= column >> 1;
-        bits >>= 1;
-    }
-    [index.reverse_bits(), second]
-        .map(|value| (f64::from(value) / 4_294_967_296.0 + 0.5 / f64::from(POINTS)) as f32)
+        let directions = points.iter().map(|(direction, _)| *direction);
+        let farthest = directions.max_by(|a, b| a.dot(toward).total_cmp(&b.dot(toward)));
+        farthest.unwrap_or(axis)
+    })
 }
 
 /// Where in a pixel the ray to a point starts, from its centre, in columns and rows: −½ to ½.
@@ -342,13 +294,48 @@ impl<'a> Pixel<'a> {
     }
 }
 
-/// Which points of a source a pixel sees.
+/// What a pixel sees of a source.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Seen {
-    /// A bit each.
-    points: [u32; (POINTS / 32) as usize],
-    /// Of [`LEVELS`].
-    level: usize,
+    /// A bit for each group: all of it.
+    whole: u32,
+    /// Whether `points` are points, and not places.
+    finer: bool,
+    /// Of every group that is not seen whole, a bit for each of its places or points.
+    points: [u32; GROUPS as usize],
+}
+
+/// What rays to a source, or to one of its groups, have told.
+#[derive(Clone, Copy, Debug, Default)]
+struct Found {
+    seen: bool,
+    hidden: bool,
+    /// A bit for each of the first 32.
+    bits: u32,
+}
+
+impl Found {
+    /// Nothing is in the way.
+    const WHOLE: Self = Self {
+        seen: true,
+        hidden: false,
+        bits: 0,
+    };
+
+    fn is_whole(self) -> bool {
+        self.seen && !self.hidden
+    }
+}
+
+/// From where rays to sources start.
+struct Start {
+    /// The pixel's centre on the surface.
+    origin: Vec3,
+    /// The sides of the square that a pixel covers.
+    square: [Vec3; 2],
+    radius: f32,
+    /// From where the surface was met to the pixel's centre, pixels.
+    from_point: Vec2,
 }
 
 impl Lit<'_> {
@@ -361,63 +348,139 @@ impl Lit<'_> {
             .sum()
     }
 
-    /// The points of every source that are visible from `point`, whose horizon the eye is above; adds the number of rays
+    /// What is visible of every source from `point`, whose horizon the eye is above; adds the number of rays
     /// cast, a cone counting as one.
     pub fn seen(&self, point: &SurfacePoint, rays: &mut u64) -> Vec<Seen> {
-        let origin = point.position + point.geometric_normal * self.ray_offset;
         let square = |pixel: Pixel| square(pixel.view, point);
-        let ([x, y], radius) = self.pixel.map_or(([Vec3::ZERO; 2], 0.0), square);
-        let at = |place: Vec2| x * place.x + y * place.y;
+        let (square, radius) = self.pixel.map_or(([Vec3::ZERO; 2], 0.0), square);
         let from_point = self.pixel.map_or(Vec2::ZERO, |pixel| pixel.centre);
-        let origin = origin + at(from_point);
-        let mut of_source = |all: &[gpu::SourcePoint]| {
-            let mut found = Seen::default();
-            let (cone, all) = (all[0], &all[1..]);
-            let (rim, points) = all.split_at(RIM as usize);
-            let above = |source: &gpu::SourcePoint| point.to_local(source.direction.into()).z > 0.0;
-            if !rim.iter().any(above) && !points[..LEVELS[0] as usize].iter().any(above) {
-                return found;
-            }
-            let (axis, cosine) = (cone.direction.into(), cone.cone_cosine);
-            let touched = (self.occluders).meet_cone(origin, radius, axis, cosine);
-            *rays += 1;
-            let mut visible = |place: Vec2, source: &gpu::SourcePoint| {
-                if point.geometric_normal.dot(source.direction.into()) <= 0.0 {
-                    return false;
-                }
-                if !touched {
-                    return true;
-                }
-                *rays += 1;
-                let nearest = OWN * at(place + from_point).length();
-                !(self.occluders).block(origin + at(place), source.direction.into(), nearest)
-            };
-            let (mut seen, mut hidden) = (false, false);
-            for (index, source) in points.iter().enumerate() {
-                if index == LEVELS[0] as usize {
-                    for probe in rim {
-                        if !(seen && hidden) && above(probe) {
-                            let visible = visible(Vec2::ZERO, probe);
-                            seen |= visible;
-                            hidden |= !visible;
-                        }
-                    }
-                    found.level = usize::from(hidden);
-                    if !(seen && hidden) {
-                        break;
-                    }
-                }
-                if above(source) {
-                    let visible = visible(place(index as u32), source);
-                    seen |= visible;
-                    hidden |= !visible;
-                    found.points[index / 32] |= u32::from(visible) << (index % 32);
-                }
-            }
-            found
+        let origin = point.position + point.geometric_normal * self.ray_offset;
+        let start = Start {
+            origin: origin + square[0] * from_point.x + square[1] * from_point.y,
+            square,
+            radius,
+            from_point,
         };
         let all = self.sources.points.chunks_exact(STRIDE as usize);
-        all.map(&mut of_source).collect()
+        all.map(|all| self.seen_of(all, point, &start, rays))
+            .collect()
+    }
+
+    /// The same of the source that has these entries.
+    fn seen_of(
+        &self,
+        all: &[gpu::SourcePoint],
+        point: &SurfacePoint,
+        start: &Start,
+        rays: &mut u64,
+    ) -> Seen {
+        let mut seen = Seen::default();
+        let is_above = |entry: &gpu::SourcePoint| is_above(entry, point);
+        if !all[FIRST_RIM as usize..FIRST_POINT as usize]
+            .iter()
+            .any(is_above)
+        {
+            return seen;
+        }
+        let mut in_the_way = true;
+        // The source by itself, then its groups.
+        for part in 0..=GROUPS {
+            // A first ray that was blocked has told.
+            let first_seen = part == 0 || seen.points[part as usize - 1] & 1 != 0;
+            let mut met = in_the_way;
+            if met && first_seen {
+                *rays += 1;
+                met = self.meet(&all[part as usize], point, start);
+            }
+            if part == 0 && !met {
+                in_the_way = false;
+                continue;
+            }
+            let mut found = Found::WHOLE;
+            if met || !is_cone_above(&all[part as usize], point) {
+                found = self.rays(all, part, met, point, start, rays);
+            }
+            if part > 0 {
+                seen.whole |= u32::from(found.is_whole()) << (part - 1);
+                seen.points[part as usize - 1] = found.bits;
+            } else if found.seen {
+                seen.points = std::array::from_fn(|group| (found.bits >> group) & 1);
+            } else {
+                break;
+            }
+        }
+        seen.finer = all[0].light[0] as u32 > LEVELS[0];
+        seen
+    }
+
+    /// Sends rays to a source or to one of its groups.
+    fn rays(
+        &self,
+        all: &[gpu::SourcePoint],
+        part: u32,
+        met: bool,
+        point: &SurfacePoint,
+        start: &Start,
+        rays: &mut u64,
+    ) -> Found {
+        let of_group = all[0].light[0] as u32;
+        let (first, steps) = match part.checked_sub(1) {
+            None => (0, 2 * GROUPS + RIM),
+            Some(group) if of_group > LEVELS[0] => (FIRST_POINT + group * of_group, of_group),
+            Some(group) => (FIRST_PLACE + group * of_group, of_group),
+        };
+        let mut found = Found::default();
+        for step in 0..steps {
+            if part == 0 && step >= GROUPS && found.seen {
+                break;
+            }
+            let (entry, place) = match part {
+                0 => probe(step),
+                _ => (first + step, place(step * GROUPS + part - 1)),
+            };
+            let source = &all[entry as usize];
+            if is_above(source, point) {
+                let visible = self.is_visible(source, place, met, point, start, rays);
+                found.seen |= visible;
+                found.hidden |= !visible;
+                found.bits |= u32::from(visible) << (step % 32);
+            }
+        }
+        found
+    }
+
+    /// Whether anything is in a cone's way.
+    fn meet(&self, cone: &gpu::SourcePoint, point: &SurfacePoint, start: &Start) -> bool {
+        (self.occluders).meet_cone(
+            start.origin,
+            start.radius,
+            point.geometric_normal,
+            cone.direction.into(),
+            cone.cone_cosine,
+        )
+    }
+
+    /// Whether a ray from a place of the pixel meets nothing, where something is in the way.
+    fn is_visible(
+        &self,
+        source: &gpu::SourcePoint,
+        place: Vec2,
+        in_the_way: bool,
+        point: &SurfacePoint,
+        start: &Start,
+        rays: &mut u64,
+    ) -> bool {
+        if point.geometric_normal.dot(source.direction.into()) <= 0.0 {
+            return false;
+        }
+        if !in_the_way {
+            return true;
+        }
+        *rays += 1;
+        let at = |place: Vec2| start.square[0] * place.x + start.square[1] * place.y;
+        let nearest = OWN * at(place + start.from_point).length();
+        let origin = start.origin + at(place);
+        !(self.occluders).block(origin, source.direction.into(), nearest)
     }
 
     /// Radiance of them from `point` towards the eye by one of its reflections, and with the first by its Lambertian base.
@@ -431,42 +494,106 @@ impl Lit<'_> {
             return Vec3::ZERO;
         }
         let wo = point.to_local(point.view);
-        let of_source = |((all, scales), seen): ((&[gpu::SourcePoint], &[Vec3; 2]), &Seen)| {
+        let least_cosine = small_cosine(reflection, wo.z);
+        let shown = |source: &gpu::SourcePoint| {
+            let wi = point.to_local(source.direction.into());
+            if wi.z <= 0.0 {
+                return Vec3::ZERO;
+            }
+            let value = diffuse + models::evaluate_specular(reflection, wi, wo);
+            Vec3::from(source.light) * (wi.z * value)
+        };
+        let of_source = |(all, seen): (&[gpu::SourcePoint], &Seen)| {
             let mut sum = Vec3::ZERO;
-            for (word, &bits) in all[(1 + RIM) as usize..].chunks(32).zip(&seen.points) {
-                for source in (0..32)
-                    .filter(|bit| bits & (1 << bit) != 0)
-                    .map(|bit| &word[bit])
+            for group in 0..GROUPS {
+                let cone = &all[(FIRST_GROUP + group) as usize];
+                let is_whole = seen.whole & (1 << group) != 0;
+                if is_whole
+                    && cone.cone_cosine >= least_cosine
+                    && point.normal.dot(cone.direction.into()) > SMALL
                 {
-                    let wi = point.to_local(source.direction.into());
-                    let value = diffuse + models::evaluate_specular(reflection, wi, wo);
-                    sum += Vec3::from(source.light) * (wi.z * value);
+                    sum += shown(cone);
+                    continue;
+                }
+                let (first, mut bits) = match (is_whole, seen.finer) {
+                    (true, _) => (FIRST_PLACE + group * LEVELS[0], (1 << LEVELS[0]) - 1),
+                    (_, false) => (FIRST_PLACE + group * LEVELS[0], seen.points[group as usize]),
+                    (_, true) => (FIRST_POINT + group * LEVELS[1], seen.points[group as usize]),
+                };
+                while bits != 0 {
+                    sum += shown(&all[(first + bits.trailing_zeros()) as usize]);
+                    bits &= bits - 1;
                 }
             }
-            sum * scales[seen.level]
+            sum
         };
         let all = self.sources.points.chunks_exact(STRIDE as usize);
-        (all.zip(self.sources.scales.iter()).zip(seen))
-            .map(of_source)
-            .sum()
+        all.zip(seen).map(of_source).sum()
     }
+}
+
+/// Entry and place in the pixel of what tells whether anything of a source is visible: the first place of each group,
+/// and where all of those are hidden, a second one and the rim.
+fn probe(step: u32) -> (u32, Vec2) {
+    if step >= 2 * GROUPS {
+        return (FIRST_RIM + step - 2 * GROUPS, Vec2::ZERO);
+    }
+    let (group, round) = (step % GROUPS, step / GROUPS);
+    let of_group = round * SECOND_PLACE;
+    let entry = FIRST_PLACE + group * LEVELS[0] + of_group;
+    (entry, place(of_group * GROUPS + group))
+}
+
+/// Whether a direction is above a point's horizon.
+fn is_above(source: &gpu::SourcePoint, point: &SurfacePoint) -> bool {
+    point.normal.dot(source.direction.into()) > 0.0
+}
+
+/// Whether all of a cone is above the plane of a point's triangle.
+fn is_cone_above(cone: &gpu::SourcePoint, point: &SurfacePoint) -> bool {
+    let cosine = point.geometric_normal.dot(cone.direction.into());
+    cosine > 0.0 && cosine * cosine + cone.cone_cosine * cone.cone_cosine > 1.0
+}
+
+/// The least cosine of half the angle of a cone at one place of which a reflection's value stands for all of it, seen
+/// at the cosine `view` with the normal.
+fn small_cosine(reflection: &Reflection, view: f32) -> f32 {
+    let alpha = reflection.alpha.min_element();
+    let radius = match reflection.model {
+        Model::None => SMALL_DIFFUSE,
+        model if model.has_exponent() => SMALL * view * (2.0 / alpha).sqrt(),
+        _ => SMALL * view * alpha,
+    };
+    1.0 - 0.5 * radius * radius
 }
 
 /// The constants of this module, as WGSL.
 pub fn wgsl_constants() -> String {
-    let [whole, partial] = LEVELS;
-    format!(
-        "const MAX_SOURCES: u32 = {MAX_SOURCES}u;\n\
-         const SOURCE_LONGEST_SIDE: f32 = {LONGEST_SIDE:?};\n\
+    let counts = [
+        ("MAX_SOURCES", MAX_SOURCES),
+        ("SOURCE_RIM", RIM),
+        ("SOURCE_GROUPS", GROUPS),
+        ("SOURCE_PLACES", LEVELS[0]),
+        ("SOURCE_GROUP_POINTS", LEVELS[1]),
+        ("SOURCE_SECOND_PLACE", SECOND_PLACE),
+        ("SOURCE_STRIDE", STRIDE),
+        ("SOURCE_FIRST_GROUP", FIRST_GROUP),
+        ("SOURCE_FIRST_RIM", FIRST_RIM),
+        ("SOURCE_FIRST_PLACE", FIRST_PLACE),
+        ("SOURCE_FIRST_POINT", FIRST_POINT),
+        ("SOURCE_SEEN_TEXELS", SEEN_TEXELS),
+        ("SOURCE_SEEN_COLUMNS", SEEN_COLUMNS),
+    ];
+    let constants = counts.map(|(name, count)| format!("const {name}: u32 = {count}u;\n"));
+    constants.concat()
+        + &format!(
+            "const SOURCE_LONGEST_SIDE: f32 = {LONGEST_SIDE:?};\n\
          const SOURCE_OWN: f32 = {OWN:?};\n\
-         const SOURCE_STEP: vec2<u32> = vec2({}u, {}u);\n\
-         const SOURCE_RIM: u32 = {RIM}u;\n\
-         const SOURCE_POINTS: u32 = {POINTS}u;\n\
-         const SOURCE_SEEN_TEXELS: u32 = {SEEN_TEXELS}u;\n\
-         const SOURCE_SEEN_COLUMNS: u32 = {SEEN_COLUMNS}u;\n\
-         const SOURCE_LEVELS: vec2<u32> = vec2({whole}u, {partial}u);\n",
-        STEP[0], STEP[1],
-    )
+         const SOURCE_SMALL: f32 = {SMALL:?};\n\
+         const SOURCE_SMALL_DIFFUSE: f32 = {SMALL_DIFFUSE:?};\n\
+         const SOURCE_STEP: vec2<u32> = vec2({}u, {}u);\n",
+            STEP[0], STEP[1],
+        )
 }
 
 #[cfg(test)]
@@ -528,33 +655,68 @@ mod tests {
     }
 
     #[test]
-    fn points_carry_the_light_of_their_source_at_every_level() {
+    fn every_level_carries_the_light_of_its_source() {
         let environment = environment();
         let sources = Sources::new(&environment).unwrap();
         assert_eq!(sources.count(), 2);
         let all = sources.points().chunks(STRIDE as usize);
-        for ((points, scales), light) in all.zip(sources.scales()).zip(light(&environment)) {
-            let (rim, points) = points.split_at(1 + RIM as usize);
+        for (all, light) in all.zip(light(&environment)) {
+            let parts = [FIRST_GROUP, FIRST_RIM, FIRST_PLACE, FIRST_POINT, STRIDE];
+            let parts = parts.map(|part| part as usize);
+            let [groups, rim, places, points] =
+                [0, 1, 2, 3].map(|part| &all[parts[part]..parts[part + 1]]);
             assert!(rim.iter().all(|probe| probe.light == [0.0; 3]));
-            let cone = Vec3::from(rim[0].direction);
-            assert!((points.iter()).all(|p| cone.dot(p.direction.into()) >= rim[0].cone_cosine));
-            for (level, scale) in LEVELS.into_iter().zip(scales) {
-                let sum: Vec3 = points[..level as usize]
-                    .iter()
-                    .map(|point| *scale * Vec3::from(point.light))
-                    .sum();
-                assert!(
-                    (sum - light).abs().cmple(1e-5 * light).all(),
-                    "{sum} for {light}"
-                );
-                // So few points hit all colours about as often as they occur.
-                let part = level as f32 / POINTS as f32;
-                assert!((part * *scale - 1.0).abs().max_element() < 0.3, "{scale}");
+            for level in [groups, places, points] {
+                let sum: Vec3 = level.iter().map(|point| Vec3::from(point.light)).sum();
+                let error = (sum - light).abs();
+                assert!(error.cmple(1e-5 * light).all(), "{sum} for {light}");
+                for point in level {
+                    assert!((Vec3::from(point.direction).length() - 1.0).abs() < 1e-5);
+                }
             }
-            for point in points {
-                assert!((Vec3::from(point.direction).length() - 1.0).abs() < 1e-5);
+            let holds = |cone: &gpu::SourcePoint, points: &[gpu::SourcePoint]| {
+                let axis = Vec3::from(cone.direction);
+                let cosines = points.iter().map(|point| axis.dot(point.direction.into()));
+                assert!(cosines.fold(1.0, f32::min) >= cone.cone_cosine);
+            };
+            holds(&all[0], points);
+            holds(&all[0], rim);
+            let of_groups = points.chunks(LEVELS[1] as usize);
+            for ((group, points), places) in
+                (groups.iter().zip(of_groups)).zip(places.chunks(LEVELS[0] as usize))
+            {
+                holds(group, points);
+                holds(group, places);
+                // Side by side: a group is no wider than a part of the source.
+                assert!(
+                    2.0 * group.cone_cosine >= 1.0 + all[0].cone_cosine,
+                    "{group:?}"
+                );
             }
         }
+    }
+
+    #[test]
+    fn only_sources_that_matter_ask_for_all_points() {
+        let mut environment = environment();
+        let asked = |environment: &Environment| {
+            let sources = Sources::new(environment).unwrap();
+            let firsts = sources.points().iter().step_by(STRIDE as usize);
+            firsts
+                .map(|first| first.light[0] as u32)
+                .collect::<Vec<_>>()
+        };
+        let [some, all] = LEVELS;
+        assert_eq!(asked(&environment), [all, some]);
+        environment.source_texels[320] = [1e8; 3];
+        assert_eq!(asked(&environment), [some, all]);
+        environment.lobes.push(relight_format::Lobe {
+            axis: [0.0, 1.0, 0.0],
+            sharpness: 1.0,
+            amplitude: [1e8; 3],
+            reserved: 0.0,
+        });
+        assert_eq!(asked(&environment), [some, some]);
     }
 
     #[test]

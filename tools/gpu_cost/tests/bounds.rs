@@ -26,7 +26,7 @@ const BOUNDS: &[(&str, [u64; 2])] = &[
     ("around, image", [84, 80]),
     ("images", [60, 64]),
     ("shade", [48, 72]),
-    ("sources", [60, 72]),
+    ("sources", [60, 88]),
     ("sources, shown", [72, 96]),
 ];
 

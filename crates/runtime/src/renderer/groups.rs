@@ -121,9 +121,9 @@ impl Renderer {
         })
     }
 
-    /// Group 0 of the passes for sources: frames, tiles, points, scales.
-    pub(crate) fn source_group(&self, buffers: [&wgpu::Buffer; 4]) -> wgpu::BindGroup {
-        let [frames, tiles, points, scales] = buffers;
+    /// Group 0 of the passes for sources: frames, tiles, points.
+    pub(crate) fn source_group(&self, buffers: [&wgpu::Buffer; 3]) -> wgpu::BindGroup {
+        let [frames, tiles, points] = buffers;
         self.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("relight sources"),
             layout: &self.lobes.sources[0],
@@ -131,7 +131,6 @@ impl Renderer {
                 part_entry(0, frames, FRAMES_BYTES),
                 part_entry(3, tiles, TILES_BYTES),
                 buffer_entry(5, points),
-                buffer_entry(6, scales),
             ],
         })
     }

@@ -227,10 +227,8 @@ var<private> frame_index: u32;
 // VERTEX_VISIBILITY_TEXTURE_WIDTH per row.
 @group(0) @binding(8) var light_fractions: texture_2d<f32>;
 
-// Sources alone: a cone, SOURCE_RIM directions and SOURCE_POINTS points of each, of one instance after the other;
-// and by source and level, two of each, what a point's light is multiplied by.
+// Sources alone: SOURCE_STRIDE entries of each, of one instance after the other.
 @group(0) @binding(5) var<storage, read> source_points: array<SourcePoint>;
-@group(0) @binding(6) var<uniform> source_scales: array<vec4<f32>, 2 * MAX_SOURCES>;
 
 @group(1) @binding(0) var<storage, read> vertices: array<Vertex>;
 // Three vertices, then material | cluster << 16.

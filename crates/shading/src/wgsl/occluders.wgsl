@@ -82,8 +82,9 @@ fn occluders_meet(index: u32, origin: vec3<f32>, direction: vec3<f32>, nearest: 
     return v >= 0.0 && w >= 0.0 && v + w <= 1.0 && t > nearest;
 }
 
-// Whether anything may lie within a cone with its tip at `origin`, or cut off there where it has a radius.
-fn occluders_meet_cone(origin: vec3<f32>, radius: f32, axis: vec3<f32>, cosine: f32) -> bool {
+// Whether anything may lie within a cone with its tip at `origin`, or cut off there where it has a radius, and above the
+// plane through `origin` of the normal `face`.
+fn occluders_meet_cone(origin: vec3<f32>, radius: f32, face: vec3<f32>, axis: vec3<f32>, cosine: f32) -> bool {
     let sine = sqrt(max(1.0 - cosine * cosine, 0.0));
     let cut = radius * cosine / max(sine, OCCLUDERS_LEAST_SINE);
     let end = arrayLength(&occluder_nodes);
@@ -96,38 +97,50 @@ fn occluders_meet_cone(origin: vec3<f32>, radius: f32, axis: vec3<f32>, cosine: 
         let along = dot(axis, middle);
         let across = sqrt(max(dot(middle, middle) - along * along, 0.0));
         let outside = (across - radius) * cosine - along * sine;
-        if outside > around || along < -around {
+        let highest = dot(face, middle) + 0.5 * dot(abs(face), node.high - node.low);
+        if outside > around || along < -around || highest <= 0.0 {
             place = node.next;
         } else {
-            met = occluders_leaf_meets_cone(node.triangles, origin, cut, axis, cosine);
+            met = occluders_leaf_meets_cone(node.triangles, origin, cut, face, axis, cosine);
             place++;
         }
     }
     return met;
 }
 
-fn occluders_leaf_meets_cone(leaf: u32, origin: vec3<f32>, cut: f32, axis: vec3<f32>, cosine: f32) -> bool {
+fn occluders_leaf_meets_cone(
+    leaf: u32,
+    origin: vec3<f32>,
+    cut: f32,
+    face: vec3<f32>,
+    axis: vec3<f32>,
+    cosine: f32,
+) -> bool {
     let first = leaf >> OCCLUDERS_COUNT_BITS;
     let last = first + (leaf & OCCLUDERS_MAX_TRIANGLES);
     var met = false;
     for (var i = first; i < last && !met; i++) {
-        met = occluders_triangle_meets_cone(i, origin, cut, axis, cosine);
+        met = occluders_triangle_meets_cone(i, origin, cut, face, axis, cosine);
     }
     return met;
 }
 
 // A cone meets a triangle that its axis hits, or an edge of which enters it; its first part, of length
-// `cut`, is not there.
+// `cut`, is not there, nor what is below a plane.
 fn occluders_triangle_meets_cone(
     index: u32,
     origin: vec3<f32>,
     cut: f32,
+    face: vec3<f32>,
     axis: vec3<f32>,
     cosine: f32,
 ) -> bool {
     let ab = occluder_triangles[index].edges[0].xyz;
     let ac = occluder_triangles[index].edges[1].xyz;
     let a = occluder_triangles[index].corner - origin;
+    if dot(face, a) + max(max(dot(face, ab), dot(face, ac)), 0.0) <= 0.0 {
+        return false;
+    }
     var met = occluders_meet(index, origin, axis, 0.0);
     // One place that edges are looked at.
     for (var edge = 0u; edge < 3u && !met; edge++) {

@@ -21,7 +21,8 @@ fn sources_main(
     }
     sources_points(workgroup.z, pixel, seen.y, triangles[seen.x].xyz);
     let row = sources_seen_row(workgroup.x, workgroup.z);
-    let count = select(1u, SOURCE_SEEN_TEXELS, (sources_seen[sources_word(0u)] & 1u) != 0u);
+    let partly = (sources_seen[sources_word(0u)] >> SOURCE_GROUPS) & ((1u << SOURCE_GROUPS) - 1u);
+    let count = select(1u, SOURCE_SEEN_TEXELS, partly != 0u);
     for (var texel = 0u; texel < count; texel++) {
         let words = vec4(
             sources_seen[sources_word(4u * texel)],
@@ -49,63 +50,130 @@ fn sources_points(source: u32, pixel: vec2<u32>, seen_at: u32, corners: vec3<u32
     let view = surface_unit_or(frames[frame_index].eye - position * frames[frame_index].perspective, normal);
     let face = surface_geometric_normal(corners);
     let entry = sources_entry(source);
-    if dot(normal, view) > 0.0 && sources_above(entry + 1u, normal) {
+    if dot(normal, view) > 0.0 && sources_above(entry, normal) {
         let at = seen_point(pixel, seen_at);
         let from_point = floor(at) + 0.5 - at;
         var square = mat2x3<f32>();
         if frames[frame_index].source_squares != 0u {
             square = sources_square(face, position, view);
         }
-        let radius = 0.5 * max(length(square[0] + square[1]), length(square[0] - square[1]));
-        let offset = source_points[entry + 1u + SOURCE_RIM].ray_offset;
+        let offset = source_points[entry].ray_offset;
         let origin = position + face * offset + square * from_point;
-        let touched = occluders_meet_cone(origin, radius, source_points[entry].direction, source_points[entry].cone_cosine);
-        sources_rays(entry + 1u, normal, face, touched, origin, square, from_point);
+        sources_parts(entry, normal, face, origin, square, from_point);
     }
 }
 
-// Whether anything of a source, whose rim begins there, is above the horizon.
-fn sources_above(rim: u32, normal: vec3<f32>) -> bool {
+// Whether anything of a source is above the horizon.
+fn sources_above(entry: u32, normal: vec3<f32>) -> bool {
     var above = false;
-    for (var i = rim; i < rim + SOURCE_RIM + SOURCE_LEVELS.x && !above; i++) {
+    for (var i = entry + SOURCE_FIRST_RIM; i < entry + SOURCE_FIRST_POINT && !above; i++) {
         above = dot(source_points[i].direction, normal) > 0.0;
     }
     return above;
 }
 
-// The first points, the rim unless it is known by them that there is an edge, and the rest where there is. One
-// place that rays are followed: copies of it are most of a shader.
-fn sources_rays(
-    rim: u32,
+// The source by itself, then its groups. One place that cones and rays are followed: copies of it are most of a
+// shader.
+fn sources_parts(
+    entry: u32,
     normal: vec3<f32>,
     face: vec3<f32>,
-    touched: bool,
     origin: vec3<f32>,
     square: mat2x3<f32>,
     from_point: vec2<f32>,
 ) {
-    // Bits: seen, hidden.
-    var found = 0u;
-    var count = SOURCE_LEVELS.x + SOURCE_RIM;
-    for (var step = 0u; step < count; step++) {
-        let on_rim = step >= SOURCE_LEVELS.x && step < SOURCE_LEVELS.x + SOURCE_RIM;
-        let index = step - select(SOURCE_RIM, 0u, step < SOURCE_LEVELS.x);
-        // The rim comes before the points.
-        let direction = source_points[rim + select(SOURCE_RIM + index, step - SOURCE_LEVELS.x, on_rim)].direction;
-        if dot(direction, normal) > 0.0 && !(on_rim && found == 3u) {
-            let offset = select(sources_place(index), vec2(0.0), on_rim);
-            let visible = sources_visible(face, touched, origin, direction, square, offset, from_point);
-            found |= select(2u, 1u, visible);
-            if visible && !on_rim {
-                sources_seen[sources_word(1u + index / 32u)] |= 1u << (index % 32u);
-                sources_seen[sources_word(0u)] |= 2u;
-            }
+    let radius = 0.5 * max(length(square[0] + square[1]), length(square[0] - square[1]));
+    var in_the_way = true;
+    var told = 0u;
+    for (var part = 0u; part <= SOURCE_GROUPS; part++) {
+        // A first ray that was blocked has told.
+        let first_seen = part == 0u || (sources_seen[sources_word(part)] & 1u) != 0u;
+        var met = in_the_way;
+        if met && first_seen {
+            let cone = source_points[entry + part];
+            met = occluders_meet_cone(origin, radius, face, cone.direction, cone.cone_cosine);
         }
-        if step + 1u == SOURCE_LEVELS.x + SOURCE_RIM {
-            sources_seen[sources_word(0u)] |= found / 2u;
-            count = select(count, SOURCE_RIM + SOURCE_POINTS, found == 3u);
+        if part == 0u && !met {
+            in_the_way = false;
+            continue;
+        }
+        var found = vec2(1u, 0u);
+        if met || !sources_cone_above(entry + part, face) {
+            found = sources_rays(entry, part, met, normal, face, origin, square, from_point);
+        }
+        if part == 0u {
+            if (found.x & 1u) == 0u {
+                break;
+            }
+        } else if found.x == 1u {
+            told |= 1u << (part - 1u);
+        } else if found.y != 0u {
+            told |= 1u << (SOURCE_GROUPS + part - 1u);
+            sources_seen[sources_word(part)] = found.y;
         }
     }
+    let finer = u32(source_points[entry].light.x) > SOURCE_PLACES;
+    told |= select(0u, ((1u << SOURCE_GROUPS) - 1u) << (2u * SOURCE_GROUPS), finer && told != 0u);
+    sources_seen[sources_word(0u)] = told;
+}
+
+// Whether all of a cone is above the plane of a triangle.
+fn sources_cone_above(cone: u32, face: vec3<f32>) -> bool {
+    let along = dot(face, source_points[cone].direction);
+    let cosine = source_points[cone].cone_cosine;
+    return along > 0.0 && along * along + cosine * cosine > 1.0;
+}
+
+// Rays to a source, or to one of its groups: whether any of it was seen (the lowest bit), and any hidden (the next);
+// and which places or points of a group were seen.
+fn sources_rays(
+    entry: u32,
+    part: u32,
+    met: bool,
+    normal: vec3<f32>,
+    face: vec3<f32>,
+    origin: vec3<f32>,
+    square: mat2x3<f32>,
+    from_point: vec2<f32>,
+) -> vec2<u32> {
+    var steps = u32(source_points[entry].light.x);
+    let first = select(SOURCE_FIRST_PLACE, SOURCE_FIRST_POINT, steps > SOURCE_PLACES) + (part - 1u) * steps;
+    if part == 0u {
+        steps = 2u * SOURCE_GROUPS + SOURCE_RIM;
+    }
+    var found = vec2(0u);
+    for (var step = 0u; step < steps; step++) {
+        if part == 0u && step >= SOURCE_GROUPS && (found.x & 1u) != 0u {
+            break;
+        }
+        // The entry, and the number of its place in the pixel.
+        var at = vec2(first + step, step * SOURCE_GROUPS + part - 1u);
+        let is_rim = part == 0u && step >= 2u * SOURCE_GROUPS;
+        if part == 0u {
+            at = sources_probe(step);
+        }
+        let direction = source_points[entry + at.x].direction;
+        if dot(direction, normal) > 0.0 {
+            let offset = select(sources_place(at.y), vec2(0.0), is_rim);
+            let visible = sources_visible(face, met, origin, direction, square, offset, from_point);
+            found |= select(vec2(2u, 0u), vec2(1u, 1u << (step % 32u)), visible);
+            if part == 0u && step < SOURCE_GROUPS {
+                sources_seen[sources_word(1u + step)] = u32(visible);
+            }
+        }
+    }
+    return found;
+}
+
+// What tells whether anything of a source is visible: the first place of each group, and where all of those are
+// hidden, a second one and the rim.
+fn sources_probe(step: u32) -> vec2<u32> {
+    if step >= 2u * SOURCE_GROUPS {
+        return vec2(SOURCE_FIRST_RIM + step - 2u * SOURCE_GROUPS, 0u);
+    }
+    let group = step % SOURCE_GROUPS;
+    let of_group = step / SOURCE_GROUPS * SOURCE_SECOND_PLACE;
+    return vec2(SOURCE_FIRST_PLACE + group * SOURCE_PLACES + of_group, of_group * SOURCE_GROUPS + group);
 }
 
 // Whether a source is visible from a place of a pixel, whose centre is at `origin`, on a triangle of the normal `face`:

@@ -46,27 +46,59 @@ fn sources_shown(
     reflection: Reflection,
 ) -> vec3<f32> {
     var sum = vec3(0.0);
-    let level = sources_seen_word(row, 0u, invocation);
-    if level == 0u {
+    let told = sources_seen_word(row, 0u, invocation);
+    if told == 0u {
         return sum;
     }
-    let first = sources_entry(source) + 1u + SOURCE_RIM;
-    let words = SOURCE_LEVELS[level & 1u] / 32u;
-    var word = 0u;
-    var bits = sources_seen_word(row, 1u, invocation);
-    while word < words {
+    let entry = sources_entry(source);
+    let least_cosine = sources_small_cosine(reflection, wo.z);
+    var group = 0u;
+    var bits = 0u;
+    var first = 0u;
+    while bits != 0u || group < SOURCE_GROUPS {
         if bits != 0u {
-            let entry = first + 32u * word + firstTrailingBit(bits);
+            let at = first + firstTrailingBit(bits);
             bits &= bits - 1u;
-            let wi = surface_to_local(point, source_points[entry].direction);
-            let shown = diffuse + models_specular(reflection, wi, wo);
-            sum += source_points[entry].light * (max(wi.z, 0.0) * shown);
+            let wi = surface_to_local(point, source_points[at].direction);
+            if wi.z > 0.0 {
+                let shown = diffuse + models_specular(reflection, wi, wo);
+                sum += source_points[at].light * (wi.z * shown);
+            }
         } else {
-            word++;
-            bits = sources_seen_word(row, 1u + min(word, words - 1u), invocation);
+            let state = told >> group;
+            first = entry + SOURCE_FIRST_PLACE + group * SOURCE_PLACES;
+            if (state & 1u) != 0u {
+                bits = (1u << SOURCE_PLACES) - 1u;
+                let cone = entry + SOURCE_FIRST_GROUP + group;
+                let is_small = source_points[cone].cone_cosine >= least_cosine;
+                if is_small && dot(point.normal, source_points[cone].direction) > SOURCE_SMALL {
+                    first = cone;
+                    bits = 1u;
+                }
+            } else if ((state >> SOURCE_GROUPS) & 1u) != 0u {
+                bits = sources_seen_word(row, 1u + group, invocation);
+                if ((state >> (2u * SOURCE_GROUPS)) & 1u) != 0u {
+                    first = entry + SOURCE_FIRST_POINT + group * SOURCE_GROUP_POINTS;
+                }
+            }
+            group++;
         }
     }
-    return sum * source_scales[2u * source + (level & 1u)].xyz;
+    return sum;
+}
+
+// The least cosine of half the angle of a cone at one place of which a reflection's value stands for all of it, seen
+// at the cosine `view` with the normal.
+fn sources_small_cosine(reflection: Reflection, view: f32) -> f32 {
+    let alpha = min(reflection.alpha.x, reflection.alpha.y);
+    var radius = SOURCE_SMALL * view * alpha;
+    if reflection.model == MODEL_BLINN_PHONG {
+        radius = SOURCE_SMALL * view * sqrt(2.0 / alpha);
+    }
+    if reflection.model == MODEL_NONE {
+        radius = SOURCE_SMALL_DIFFUSE;
+    }
+    return 1.0 - 0.5 * radius * radius;
 }
 
 fn sources_seen_word(row: u32, word: u32, invocation: u32) -> u32 {

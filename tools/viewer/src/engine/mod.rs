@@ -18,7 +18,6 @@ use relight_format::{Camera, Material, Scene};
 use relight_runtime::{
     Frame, Image, LocalLight, Method, PassTimes, Prefiltered, Sources, SphericalGaussian,
 };
-use relight_shading::sources::LEVELS;
 use relight_shading::spherical_gaussian::energy;
 
 #[cfg(target_family = "wasm")]
@@ -110,8 +109,7 @@ impl Shot {
 
 /// One lobe for every source, of its light, direction and width.
 fn sources_as_lobes(sources: &Sources) -> Vec<SphericalGaussian> {
-    let points: Vec<SphericalGaussian> = sources.lobes().collect();
-    let lobe = |points: &[SphericalGaussian]| {
+    let lobe = |points: Vec<SphericalGaussian>| {
         let light: Vec3 = points.iter().map(SphericalGaussian::integral).sum();
         let mean: Vec3 = points.iter().map(|point| point.axis).sum::<Vec3>() / points.len() as f32;
         // Banerjee et al. 2005, equation 4.4, of directions on the sphere.
@@ -124,7 +122,8 @@ fn sources_as_lobes(sources: &Sources) -> Vec<SphericalGaussian> {
             amplitude: light / energy(sharpness),
         }
     };
-    points.chunks(LEVELS[0] as usize).map(lobe).collect()
+    let sources = sources.each_as_lobes();
+    sources.map(|points| lobe(points.collect())).collect()
 }
 
 /// One or two pictures of one size.

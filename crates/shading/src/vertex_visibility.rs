@@ -3,11 +3,13 @@
 //! A light's visible fraction changes slowly over most of a surface, and neither with the
 //! view nor with the diffuse colour. Found once per vertex and light, it serves every pixel of the
 //! triangles whose corners agree, until the light turns; where corners disagree a shadow's
-//! edge passes between them and pixels integrate for themselves.
+//! edge passes between them and pixels integrate for themselves. So do those of triangles that cover few pixels: there
+//! are more vertices than that is worth.
 
 use glam::Vec3;
 use relight_format::math;
 
+use crate::camera::View;
 use crate::contribution::{negligible, share};
 use crate::polar::{self, PolarOptions, support_radius};
 use crate::spherical_gaussian::SphericalGaussian;
@@ -31,6 +33,9 @@ pub const SURE: f32 = 1e-3;
 /// Radius about a light, in that at which it ends, within which a lobe has to lie to be seen or
 /// hidden with it.
 pub const REACH: f32 = 1.0;
+/// Pixels that a triangle covers, at least, for its corners to be asked: of smaller ones there are so many vertices that
+/// pixels, which share what they find, do with less.
+pub const LEAST_PIXELS: f32 = 4.0;
 /// Stands for a fraction that was not integrated, as the light adds nothing there.
 pub const UNKNOWN: f32 = -1.0;
 /// Texels per row of the texture of fractions, four lights each.
@@ -50,6 +55,19 @@ pub fn texture_rows(vertices: usize, lights: usize) -> Option<u32> {
     let texels = vertices.checked_mul((lights as u64).div_ceil(4))?;
     let kept = texels > 0 && texels <= MOST_TEXELS && vertices <= MOST_VERTICES;
     kept.then(|| texels.div_ceil(u64::from(TEXTURE_WIDTH)) as u32)
+}
+
+/// Whether a triangle covers so many pixels that its corners are asked.
+pub fn pays(view: &View, [a, b, c]: [Vec3; 3]) -> bool {
+    let normal = (b - a).cross(c - a);
+    let Some([x, y]) = view.steps(normal, (a + b + c) / 3.0) else {
+        return false;
+    };
+    let least: f32 = std::env::var("LP")
+        .ok()
+        .and_then(|v| v.parse().ok())
+        .unwrap_or(LEAST_PIXELS);
+    normal.length_squared() >= (2.0 * least).powi(2) * x.cross(y).length_squared()
 }
 
 /// Spokes for each light at vertices, in the order in which pixels gather lights; none for what
@@ -163,6 +181,7 @@ pub fn wgsl_constants() -> String {
         ("LEAST_COSINE", LEAST_COSINE),
         ("SURE", SURE),
         ("REACH", REACH),
+        ("LEAST_PIXELS", LEAST_PIXELS),
         ("UNKNOWN", UNKNOWN),
     ];
     reals
@@ -213,6 +232,38 @@ mod tests {
         assert!(spokes[0] > spokes[1], "{spokes:?}");
         assert!(spokes[1] > 0, "{spokes:?}");
         assert_eq!(spokes[2], 0, "{spokes:?}");
+    }
+
+    #[test]
+    fn only_triangles_of_some_pixels_ask_their_corners() {
+        // Ten pixels per metre at any distance, seen from above.
+        let view = View {
+            view_projection: glam::Mat4::IDENTITY,
+            parallel: true,
+            mirrored: false,
+            eye: Vec3::Z,
+            corner: Vec3::ZERO,
+            right: 0.1 * Vec3::X,
+            down: -0.1 * Vec3::Y,
+            flipped_depth: false,
+        };
+        let side = (2.0 * LEAST_PIXELS).sqrt() * 0.1;
+        let triangle = |side: f32, slope: f32| {
+            [
+                Vec3::ZERO,
+                Vec3::new(side, 0.0, slope * side),
+                Vec3::new(0.0, side, 0.0),
+            ]
+        };
+        assert!(pays(&view, triangle(1.01 * side, 0.0)));
+        assert!(!pays(&view, triangle(0.99 * side, 0.0)));
+        // It is what is seen that counts, from either side.
+        assert!(pays(&view, triangle(1.01 * side, 3.0)));
+        assert!(!pays(&view, triangle(0.99 * side, -3.0)));
+        let [a, b, c] = triangle(1.01 * side, 0.0);
+        assert!(pays(&view, [a, c, b]));
+        assert!(!pays(&view, [a, b, b]), "no plane");
+        assert!(!pays(&view, [a, b, b + Vec3::Z]), "edge-on");
     }
 
     #[test]

@@ -9,7 +9,7 @@ use relight_shading::wgsl::{KERNELS, Kernel};
 /// Most registers of each kernel on Navi 31 and on Ampere: 96, of which 12 waves and 20 warps fit beside one another. None
 /// may take memory for registers, but for those that shade by cells, which are not bounded.
 const BOUNDS: &[(&str, [u64; 2])] = &[
-    ("vertices mark", [12, 24]),
+    ("vertices mark", [24, 24]),
     ("vertices", [84, 96]),
     ("textures", [48, 56]),
     ("diffuse", [84, 88]),

@@ -11,7 +11,7 @@ use std::sync::{Mutex, OnceLock};
 
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
-use relight_format::Scene;
+use relight_format::{Scene, Triangle};
 use relight_shading::catcher;
 use relight_shading::motion;
 use relight_shading::occluders::Occluders;
@@ -26,7 +26,7 @@ use relight_shading::textures::{Filter, Mipmaps};
 use relight_shading::tile;
 use relight_shading::tonemap;
 use relight_shading::transfer::{Bounced, PackedTransfer};
-use relight_shading::vertex_visibility::Corners;
+use relight_shading::vertex_visibility::{self, Corners};
 
 use vertex_fractions::VertexFractions;
 pub use visibility_buffer::visibility_buffer;
@@ -457,12 +457,19 @@ impl Staged<'_> {
         }
     }
 
+    /// Whether a triangle's corners are asked.
+    fn pays(&self, triangle: &Triangle) -> bool {
+        let corners =
+            (triangle.vertices).map(|vertex| self.scene.vertices[vertex as usize].position);
+        vertex_visibility::pays(&self.local.view, corners.map(Vec3::from))
+    }
+
     /// What the vertices of a triangle see.
     fn corners(&self, triangle: usize, barycentrics: Vec3) -> Option<Corners<'_>> {
         let fractions = self.fractions.as_ref()?;
-        let vertices = self.scene.triangles[triangle].vertices;
-        Some(Corners {
-            fractions: vertices.map(|vertex| fractions.of(vertex)),
+        let triangle = &self.scene.triangles[triangle];
+        self.pays(triangle).then(|| Corners {
+            fractions: triangle.vertices.map(|vertex| fractions.of(vertex)),
             barycentrics,
         })
     }

@@ -68,7 +68,8 @@ impl VertexFractions {
             // Background and other instances' triangles are before the first or past the last.
             let number = id.checked_sub(*first_id).map(|number| number as usize);
             let triangle = number.and_then(|number| scene.triangles.get(number));
-            for vertex in triangle.into_iter().flat_map(|triangle| triangle.vertices) {
+            let paying = triangle.filter(|triangle| staged.pays(triangle));
+            for vertex in paying.into_iter().flat_map(|triangle| triangle.vertices) {
                 missing[vertex as usize] = found.slots[vertex as usize] == NONE;
             }
         }

@@ -22,6 +22,7 @@ fn reflections_main(
     }
     let triangle = triangles[seen.x];
     let weights = seen_barycentrics(triangle.xyz, pixel, seen.y);
+    let pays = vertex_visibility_pays(triangle.xyz);
     let point = surface_point(triangle.xyz, triangle.w & 0xffffu, weights, state.reflection);
     slots_again();
     let lit = dot(point.normal, point.view) > 0.0;
@@ -39,7 +40,7 @@ fn reflections_main(
     let reflection = point.appearance.found;
     reflects = reflects && brdf_reflects(reflection, wo);
     // All that can be written before the lobes: what waits for them takes registers from them.
-    slots_put_surface(point, weights, (triangle.w & 0xffffu) + 1u, reflection);
+    slots_put_surface(point, weights, (triangle.w & 0xffffu) + 1u, pays, reflection);
     state.next = select(SLOTS_DONE, shade_first_light(), reflects);
     slots_put_value(SLOTS_SUM, sum, slots_word(state));
     slots_put_value(SLOTS_SCALED, vec3(0.0), select(SLOTS_DONE, 0u, reflects));

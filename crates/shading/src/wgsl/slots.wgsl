@@ -92,9 +92,16 @@ fn slots_reflection_value(field: u32) -> vec4<f32> {
     return bitcast<vec4<f32>>(slots_reflection_at(field));
 }
 
-// Fills a slot's reflection, but for its lobes and their colour. See slots_surface.
-fn slots_put_surface(point: SurfacePoint, barycentrics: vec3<f32>, surface: u32, reflection: Reflection) {
-    let holds = u32(vertex_visibility_holds(point.vertex_cosine));
+// Fills a slot's reflection, but for its lobes and their colour. See slots_surface. `pays`: of the triangle, see
+// vertex_visibility_pays.
+fn slots_put_surface(
+    point: SurfacePoint,
+    barycentrics: vec3<f32>,
+    surface: u32,
+    pays: bool,
+    reflection: Reflection,
+) {
+    let holds = u32(pays && vertex_visibility_holds(point.vertex_cosine));
     slots_put_reflection(SLOTS_NORMAL, point.normal, bitcast<u32>(barycentrics.y));
     slots_put_reflection(SLOTS_TANGENT, point.tangent, (holds << 8u) | (surface << 9u));
     slots_put_reflection(SLOTS_VIEW, surface_to_local(point, point.view), reflection.model);

@@ -20,6 +20,18 @@ fn vertex_visibility_place(vertex: u32, quad: u32) -> vec2<u32> {
     );
 }
 
+// Whether a triangle covers so many pixels that its corners are asked.
+fn vertex_visibility_pays(corners: vec3<u32>) -> bool {
+    let a = vertices[corners.x].position;
+    let b = vertices[corners.y].position;
+    let c = vertices[corners.z].position;
+    let normal = cross(b - a, c - a);
+    let steps = camera_steps(normal, (a + b + c) / 3.0);
+    let pixel = cross(steps[0], steps[1]);
+    let least = 4.0 * VERTEX_VISIBILITY_LEAST_PIXELS * VERTEX_VISIBILITY_LEAST_PIXELS;
+    return dot(pixel, pixel) > 0.0 && dot(normal, normal) >= least * dot(pixel, pixel);
+}
+
 // Whether the corners say anything of a point whose normal is at an angle of this cosine with theirs.
 fn vertex_visibility_holds(vertex_cosine: f32) -> bool {
     return frames[frame_index].vertex_stamp != 0u && vertex_cosine >= VERTEX_VISIBILITY_LEAST_COSINE;

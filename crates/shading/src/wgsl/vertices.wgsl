@@ -1,6 +1,6 @@
 // The kernels that find light fractions at the vertices that a frame sees, once per light.
 
-// Marks the corners of the triangle under a pixel.
+// Marks the corners of the triangle under a pixel, if that covers enough pixels.
 @compute @workgroup_size(8, 8)
 fn vertices_mark(
     @builtin(workgroup_id) workgroup: vec3<u32>,
@@ -13,6 +13,9 @@ fn vertices_mark(
         return;
     }
     let corners = triangles[seen.x].xyz;
+    if !vertex_visibility_pays(corners) {
+        return;
+    }
     vertices_want(corners.x);
     vertices_want(corners.y);
     vertices_want(corners.z);

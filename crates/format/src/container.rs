@@ -71,6 +71,9 @@ pub enum SectionKind {
     SourceTexels = 11,
     /// A [`crate::Transfer`]; optional.
     Transfer = 12,
+    /// Second texture coordinates of vertices, as differences from what neighbours predict;
+    /// optional.
+    SecondUvs = 13,
 }
 
 impl SectionKind {
@@ -88,6 +91,7 @@ impl SectionKind {
             Self::Sources,
             Self::SourceTexels,
             Self::Transfer,
+            Self::SecondUvs,
         ]
         .into_iter()
         .find(|kind| *kind as u32 == value)

@@ -338,6 +338,49 @@ pub(crate) fn decode_vertices(
     Some((vertices, places))
 }
 
+/// Second texture coordinates as differences, with the steps of both before them.
+pub(crate) fn encode_uvs(uvs: &[[f32; 2]], triangles: &[Triangle]) -> Vec<u8> {
+    let expected = Parallelograms::new(triangles, uvs.len());
+    let all = 0..uvs.len();
+    let mut bytes = Vec::with_capacity(2 + 8 * uvs.len());
+    let mut differences = Vec::with_capacity(2 * uvs.len());
+    for component in 0..2 {
+        let numbers: Vec<f32> = uvs.iter().map(|uv| uv[component]).collect();
+        let step = step(&numbers);
+        bytes.push(step as u8);
+        let values: Vec<i32> = (numbers.into_iter().map(|x| to_integer(x, step))).collect();
+        differences.extend(all.clone().map(|i| {
+            let expected = expected.of(i, &all, |other| values[other]);
+            zigzag(values[i].wrapping_sub(expected))
+        }));
+    }
+    bytes.extend(planes(&to_bytes(&differences)));
+    bytes
+}
+
+/// The inverse of [`encode_uvs`]; none if the bytes are not those of `count` vertices, of which there
+/// are some.
+pub(crate) fn decode_uvs(
+    bytes: &[u8],
+    triangles: &[Triangle],
+    count: usize,
+) -> Option<Vec<[f32; 2]>> {
+    let (steps, differences) = bytes.split_at_checked(2)?;
+    if count == 0 || differences.len() != count.checked_mul(8)? {
+        return None;
+    }
+    let expected = Parallelograms::new(triangles, count);
+    let mut uvs = vec![[0.0; 2]; count];
+    let mut decoded = vec![0i32; count];
+    for (component, &step) in steps.iter().enumerate() {
+        undo(&mut decoded, &expected, differences, component * count);
+        for (uv, value) in uvs.iter_mut().zip(&decoded) {
+            uv[component] = from_integer(*value, step as i8);
+        }
+    }
+    Some(uvs)
+}
+
 /// Adds differences, from number `start` of `planes` on, to what is expected.
 fn undo(values: &mut [i32], expected: &Parallelograms, planes: &[u8], start: usize) {
     let all = 0..values.len();
@@ -544,6 +587,37 @@ mod tests {
                     .collect();
                 come_back(&triangles, &vertices, &coefficients, &clusters);
             }
+        }
+    }
+
+    #[test]
+    fn second_uvs_come_back() {
+        let mut random = random();
+        for count in [1u32, 2, 17, 300] {
+            let triangles: Vec<Triangle> = (0..2 * count)
+                .map(|_| Triangle {
+                    vertices: [(); 3].map(|()| random() % (count + 2)),
+                    ..Triangle::zeroed()
+                })
+                .collect();
+            // Steps, and any bits.
+            let steps = |random: u32| (random % 1000) as f32 / 64.0 - 7.0;
+            let bits = |random: u32| f32::from_bits(random << 1 ^ random >> 20);
+            let uvs: Vec<[f32; 2]> = (0..count)
+                .map(|_| [steps(random()), bits(random())])
+                .collect();
+            let bytes = encode_uvs(&uvs, &triangles);
+            let count = count as usize;
+            let decoded = decode_uvs(&bytes, &triangles, count).unwrap();
+            assert_eq!(
+                bytemuck::cast_slice::<_, u32>(&decoded),
+                bytemuck::cast_slice::<_, u32>(&uvs)
+            );
+            assert!(decode_uvs(&bytes, &triangles, count + 1).is_none());
+            assert!(decode_uvs(&bytes[..bytes.len() - 1], &triangles, count).is_none());
+        }
+        for length in [0, 1, 2] {
+            assert!(decode_uvs(&[0; 2][..length], &[], 0).is_none());
         }
     }
 

@@ -67,6 +67,10 @@ pub struct TextureSlot {
     /// Rows of the affine map from the vertex's (u, v, 1) to texture coordinates
     /// (`KHR_texture_transform`); the identity is `[[1, 0, 0], [0, 1, 0]]`.
     pub transform: [[f32; 3]; 2],
+    /// Whether those are the vertices' second ones, [`crate::Scene::second_uvs`]. Tangents always
+    /// follow the first.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub second_uv: bool,
 }
 
 impl TextureSlot {
@@ -75,6 +79,7 @@ impl TextureSlot {
         Self {
             texture,
             transform: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+            second_uv: false,
         }
     }
 }
@@ -277,6 +282,11 @@ pub fn plain_material(name: &str, surface: Surface) -> Material {
 }
 
 impl Material {
+    /// Whether a texture is looked up by second texture coordinates.
+    pub fn uses_second_uv(&self) -> bool {
+        self.slots().any(|slot| slot.second_uv)
+    }
+
     /// The slots in use, the layers' among them.
     pub fn slots(&self) -> impl Iterator<Item = &TextureSlot> {
         (self.slot_options().into_iter().flatten()).chain(self.ratios())
@@ -346,8 +356,9 @@ impl Material {
         slots
     }
 
-    /// Checks every number, and every slot against the textures of the asset.
-    pub fn validate(&self, textures: &[TextureShape]) -> Result<(), Error> {
+    /// Checks every number, and every slot against the textures of the asset and whether its vertices
+    /// have second texture coordinates.
+    pub fn validate(&self, textures: &[TextureShape], second_uvs: bool) -> Result<(), Error> {
         let metadata = |issue, expected: &str, found: std::fmt::Arguments| {
             Err(Error::section(
                 issue,
@@ -361,6 +372,13 @@ impl Material {
                 return metadata(
                     Issue::IndexOutOfRange,
                     "an existing texture",
+                    format_args!("{slot:?} of material {:?}", self.name),
+                );
+            }
+            if slot.second_uv && !second_uvs {
+                return metadata(
+                    Issue::ValueOutOfRange,
+                    "textures by the first texture coordinates, as vertices have no second ones",
                     format_args!("{slot:?} of material {:?}", self.name),
                 );
             }

@@ -74,7 +74,7 @@ impl MaterialAsset {
     /// Checks that every number, length and index is in its range, as it is where an asset is read.
     pub fn validate(&self) -> Result<(), Error> {
         let shapes: Vec<_> = self.textures.iter().map(Texture::shape).collect();
-        self.material.validate(&shapes)?;
+        self.material.validate(&shapes, false)?;
         validate_textures(&self.textures)?;
         let report = &self.report;
         let errors = [

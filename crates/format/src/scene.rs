@@ -141,6 +141,9 @@ pub struct Scene {
     pub report: BakeReport,
     /// Vertices, cluster after cluster.
     pub vertices: Vec<Vertex>,
+    /// Second texture coordinates of every vertex, v down, where a texture is looked up by them
+    /// ([`crate::TextureSlot::second_uv`]); else empty.
+    pub second_uvs: Vec<[f32; 2]>,
     /// Triangles, cluster after cluster.
     pub triangles: Vec<Triangle>,
     /// Clusters.
@@ -183,6 +186,11 @@ pub fn read_scene(bytes: &[u8], limits: &Limits) -> Result<Scene, Error> {
     } else {
         None
     };
+    let second_uvs: Option<Vec<u8>> = if reader.has(SectionKind::SecondUvs) {
+        Some(reader.pod(SectionKind::SecondUvs)?)
+    } else {
+        None
+    };
     reader.finish()?;
     let length = |section, expected: &str, found: usize| {
         let found = format_args!("{found} bytes");
@@ -208,6 +216,16 @@ pub fn read_scene(bytes: &[u8], limits: &Limits) -> Result<Scene, Error> {
     let transfer = transfer
         .map(|bytes| Transfer::decode(&bytes, &clusters))
         .transpose()?;
+    let second_uvs = match second_uvs {
+        None => Vec::new(),
+        Some(bytes) => {
+            let decoded = geometry::decode_uvs(&bytes, &triangles, vertices.len());
+            decoded.ok_or_else(|| {
+                let expected = "2 bytes and 8 per vertex, of which there are some";
+                length(SectionKind::SecondUvs, expected, bytes.len())
+            })?
+        }
+    };
     let scene = Scene {
         name: metadata.name,
         visibility: metadata.visibility,
@@ -216,6 +234,7 @@ pub fn read_scene(bytes: &[u8], limits: &Limits) -> Result<Scene, Error> {
         textures: split_texels(&metadata.textures, &texels)?,
         report: metadata.report,
         vertices,
+        second_uvs,
         triangles,
         clusters,
         coefficients,
@@ -257,6 +276,10 @@ pub fn write_scene(scene: &Scene) -> Result<Vec<u8>, Error> {
     writer.section(SectionKind::Texels, &concatenate_texels(&scene.textures))?;
     if let Some(transfer) = &scene.transfer {
         writer.section(SectionKind::Transfer, &transfer.encode(&scene.clusters))?;
+    }
+    if !scene.second_uvs.is_empty() {
+        let uvs = geometry::encode_uvs(&scene.second_uvs, &scene.triangles);
+        writer.section(SectionKind::SecondUvs, &uvs)?;
     }
     Ok(writer.finish())
 }
@@ -336,6 +359,7 @@ impl Scene {
                 ));
             }
         }
+        validate_second_uvs(self)?;
         validate_clusters(self)?;
         if let Some(transfer) = &self.transfer {
             transfer.validate(&self.clusters)?;
@@ -363,6 +387,29 @@ impl Scene {
     }
 }
 
+fn validate_second_uvs(scene: &Scene) -> Result<(), Error> {
+    let (found, vertices) = (scene.second_uvs.len(), scene.vertices.len());
+    if found != 0 && found != vertices {
+        return Err(Error::section(
+            Issue::BadLength,
+            SectionKind::SecondUvs,
+            format_args!("none, or one pair for each of {vertices} vertices"),
+            format_args!("{found} pairs"),
+        ));
+    }
+    for (index, uv) in scene.second_uvs.iter().enumerate() {
+        if !uv.iter().all(|value| value.is_finite()) {
+            return Err(Error::section(
+                Issue::ValueOutOfRange,
+                SectionKind::SecondUvs,
+                "finite numbers",
+                format_args!("vertex {index}: {uv:?}"),
+            ));
+        }
+    }
+    Ok(())
+}
+
 fn validate_metadata(scene: &Scene) -> Result<(), Error> {
     let metadata = |issue, expected: &str, found: std::fmt::Arguments| {
         Err(Error::section(
@@ -388,7 +435,7 @@ fn validate_metadata(scene: &Scene) -> Result<(), Error> {
     }
     let shapes: Vec<_> = scene.textures.iter().map(Texture::shape).collect();
     for material in &scene.materials {
-        material.validate(&shapes)?;
+        material.validate(&shapes, !scene.second_uvs.is_empty())?;
     }
     validate_textures(&scene.textures)?;
     let errors = &scene.report.errors;

@@ -169,6 +169,7 @@ pub fn scene(random: &mut Random) -> Scene {
             warnings: (0..random.below(3)).map(|_| random.name()).collect(),
         },
         vertices: Vec::new(),
+        second_uvs: Vec::new(),
         triangles: Vec::new(),
         clusters: Vec::new(),
         coefficients: Vec::new(),
@@ -211,6 +212,12 @@ pub fn scene(random: &mut Random) -> Scene {
                     material: random.below(scene.materials.len()) as u16,
                     cluster: cluster as u16,
                 }));
+        }
+    }
+    if random.chance() && !scene.vertices.is_empty() {
+        scene.second_uvs = scene.vertices.iter().map(|_| random.vector()).collect();
+        for slot in scene.materials.iter_mut().flat_map(Material::slots_mut) {
+            slot.second_uv = random.chance();
         }
     }
     scene.transfer = random.maybe(|random| transfer(random, &scene.clusters));
@@ -300,6 +307,7 @@ fn material(random: &mut Random, textures: usize) -> Material {
         (textures > 0 && random.chance()).then(|| TextureSlot {
             texture: random.below(textures) as u32,
             transform: [random.vector(), random.vector()],
+            second_uv: false,
         })
     };
     Material {

@@ -94,6 +94,7 @@ fn material() -> MaterialAsset {
         Some(TextureSlot {
             texture,
             transform: [[2.0, 0.0, 0.5], [0.0, -1.0, 1.0]],
+            second_uv: false,
         })
     };
     let lobe = |roughness| FittedLobe {
@@ -245,6 +246,7 @@ fn scene() -> Scene {
             warnings: vec!["one".to_owned(), "zwei".to_owned()],
         },
         vertices: (0..7).map(vertex).collect(),
+        second_uvs: Vec::new(),
         triangles: vec![
             Triangle {
                 vertices: [0, 1, 2],
@@ -313,6 +315,7 @@ fn materials() -> Vec<Material> {
     let slot = |texture| TextureSlot {
         texture,
         transform: [[2.0, 0.0, 0.5], [0.0, -1.0, 1.0]],
+        second_uv: false,
     };
     let layered = |specular| Surface::DiffuseSpecular {
         diffuse: [0.75, 0.5, 0.25],

@@ -190,13 +190,16 @@ fn textures() {
     let transform = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
     assert_rejected(Issue::IndexOutOfRange, SectionKind::Metadata, |scene| {
         let texture = scene.textures.len() as u32;
-        scene.materials[0].normal_texture = Some(TextureSlot { texture, transform });
+        scene.materials[0].normal_texture = Some(TextureSlot {
+            transform,
+            ..TextureSlot::whole(texture)
+        });
     });
     assert_rejected(Issue::ValueOutOfRange, SectionKind::Metadata, |scene| {
         let transform = [[f32::NAN; 3]; 2];
         scene.materials[0].base_color_texture = Some(TextureSlot {
-            texture: 0,
             transform,
+            ..TextureSlot::whole(0)
         });
     });
     let reject =
@@ -213,6 +216,20 @@ fn textures() {
 fn vertices_and_triangles() {
     assert_rejected(Issue::ValueOutOfRange, SectionKind::Vertices, |scene| {
         scene.vertices[0].uv[1] = f32::NEG_INFINITY;
+    });
+    assert_rejected(Issue::ValueOutOfRange, SectionKind::SecondUvs, |scene| {
+        scene.second_uvs = vec![[0.0, f32::NAN]; scene.vertices.len()];
+    });
+    assert_rejected(Issue::BadLength, SectionKind::SecondUvs, |scene| {
+        scene.second_uvs = vec![[0.0; 2]; scene.vertices.len() - 1];
+    });
+    assert_rejected(Issue::ValueOutOfRange, SectionKind::Metadata, |scene| {
+        scene.second_uvs.clear();
+        let slot = TextureSlot {
+            second_uv: true,
+            ..TextureSlot::whole(0)
+        };
+        scene.materials[0].emission_texture = Some(slot);
     });
     let reject = |edit: fn(&mut Scene)| {
         assert_rejected(Issue::IndexOutOfRange, SectionKind::Triangles, edit);

@@ -12,7 +12,7 @@ const SEEDS: u64 = 200;
 
 #[test]
 fn random_scenes_come_back() {
-    let mut triangles = 0;
+    let (mut triangles, mut second_uvs) = (0, 0);
     for seed in 0..SEEDS {
         let scene = scene(&mut Random::new(seed));
         let bytes = write_scene(&scene).expect("a valid scene");
@@ -23,8 +23,10 @@ fn random_scenes_come_back() {
             "seed {seed}"
         );
         triangles += scene.triangles.len();
+        second_uvs += scene.second_uvs.len();
     }
     assert!(triangles > 0, "the generator made only empty scenes");
+    assert!(second_uvs > 0, "the generator made no second coordinates");
 }
 
 #[test]
@@ -44,7 +46,7 @@ fn random_materials_come_back() {
         let mut without = asset;
         without.material.normal_texture = Some(TextureSlot {
             texture: without.textures.len() as u32,
-            transform: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+            ..TextureSlot::whole(0)
         });
         assert!(write_material(&without).is_err());
     }
@@ -88,6 +90,7 @@ fn a_file_written_from_the_specification_is_read() {
 fn inspect_reports_what_was_written() {
     let scene = Scene {
         transfer: None,
+        second_uvs: Vec::new(),
         ..scene(&mut Random::new(3))
     };
     let bytes = write_scene(&scene).unwrap();

@@ -435,7 +435,8 @@ fn validate_metadata(scene: &Scene) -> Result<(), Error> {
     }
     let shapes: Vec<_> = scene.textures.iter().map(Texture::shape).collect();
     for material in &scene.materials {
-        material.validate(&shapes, !scene.second_uvs.is_empty())?;
+        // The head of a scene, without vertices yet, may have its materials.
+        material.validate(&shapes, scene.second_uvs.len() == scene.vertices.len())?;
     }
     validate_textures(&scene.textures)?;
     let errors = &scene.report.errors;

@@ -40,14 +40,14 @@ pub(crate) struct LobePasses {
     pub(crate) scenes: [wgpu::BindGroupLayout; 2],
     /// Groups 2 of the kernels that find textures and reflections, and of the others.
     images: [wgpu::BindGroupLayout; 2],
-    textures: OnceLock<wgpu::ComputePipeline>,
+    textures: [OnceLock<wgpu::ComputePipeline>; 2],
     reflections: [OnceLock<wgpu::ComputePipeline>; 2],
     diffuse: [OnceLock<wgpu::ComputePipeline>; 2],
     products: [OnceLock<wgpu::ComputePipeline>; 2],
     integrals: [OnceLock<wgpu::ComputePipeline>; 4],
     around: [OnceLock<wgpu::ComputePipeline>; 2],
     image: OnceLock<wgpu::ComputePipeline>,
-    shade: OnceLock<wgpu::ComputePipeline>,
+    shade: [OnceLock<wgpu::ComputePipeline>; 2],
     /// Groups 0 and 1 of the passes for sources.
     pub(crate) sources: [wgpu::BindGroupLayout; 2],
     /// Groups 2 of that for their points and of that for what is shown of them.
@@ -77,6 +77,8 @@ pub(crate) struct Work<'a> {
     pub(crate) reflections: u32,
     /// Whether a material has textures.
     pub(crate) textured: bool,
+    /// Whether one may be looked up by second texture coordinates.
+    pub(crate) second_uvs: bool,
     pub(crate) distant_lights: usize,
     pub(crate) local_lights: usize,
     /// Whether a prefiltered image stands for the distant lights.
@@ -105,6 +107,7 @@ impl<'a> Work<'a> {
             sources,
             reflections: scene.reflections(),
             textured: scene.is_textured(),
+            second_uvs: scene.second_uvs,
             distant_lights: frame.lights.len(),
             local_lights: frame.local_lights.len(),
             image: frame.reflections.is_some(),
@@ -140,14 +143,14 @@ impl LobePasses {
                 layout(device, &[visibility, written(6), written(7)]),
                 layout(device, &[visibility, radiance, read(6), written(7)]),
             ],
-            textures: OnceLock::new(),
+            textures: Default::default(),
             reflections: Default::default(),
             diffuse: Default::default(),
             products: Default::default(),
             integrals: Default::default(),
             around: Default::default(),
             image: OnceLock::new(),
-            shade: OnceLock::new(),
+            shade: Default::default(),
             sources,
             source_images: source_image_layouts(device),
             source_points: OnceLock::new(),
@@ -218,8 +221,10 @@ impl LobePasses {
             pass.dispatch_workgroups(workgroups, 1, 1);
         };
         // Lobes wait later where it is left what is seen of them.
-        if work.textured {
-            run(&self.textures, &SEEN_TEXTURES);
+        for (index, there_are) in [work.textured, work.second_uvs].into_iter().enumerate() {
+            if there_are {
+                run(&self.textures[index], &SEEN_TEXTURES[index]);
+            }
         }
         run(&self.reflections[next], &REFLECTIONS[next]);
         let Some(sources) = work.sources else {
@@ -302,7 +307,8 @@ impl LobePasses {
                     run(pass, &self.image, &IMAGES, 0);
                 }
             }
-            run(pass, &self.shade, &SHADE, 0);
+            let kind = usize::from(work.second_uvs);
+            run(pass, &self.shade[kind], &SHADE[kind], 0);
         }
     }
 }

@@ -90,7 +90,7 @@ struct Kernels {
     vertices_mark: OnceLock<wgpu::ComputePipeline>,
     vertices: OnceLock<wgpu::ComputePipeline>,
     #[cfg(feature = "paper")]
-    cells: OnceLock<wgpu::ComputePipeline>,
+    cells: [OnceLock<wgpu::ComputePipeline>; 2],
     motion: OnceLock<MotionPass>,
     fill: OnceLock<FillPass>,
 }
@@ -506,7 +506,7 @@ impl Renderer {
                         (self.lobes).record_reflection(pass, groups, to, work, reflection);
                     }
                 }
-                pass.set_pipeline(self.cells_pipeline());
+                pass.set_pipeline(self.cells_pipeline(work.second_uvs));
                 pass.set_bind_group(0, groups.0, &[dispatch.offset]);
                 pass.set_bind_group(1, &scene.bind_group, &[]);
                 pass.set_bind_group(2, targets.0, &[]);

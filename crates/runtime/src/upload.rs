@@ -35,6 +35,8 @@ pub struct GpuScene {
     /// How many a material has.
     reflections: Vec<AtomicU32>,
     pub(crate) vertex_count: usize,
+    /// Whether vertices have second texture coordinates.
+    pub(crate) second_uvs: bool,
     pub(crate) ray_offset: f32,
     pub(crate) triangle_count: u32,
     pub(crate) atlas: AtlasLayout,
@@ -260,6 +262,7 @@ impl GpuScene {
                 .map(|material| AtomicU32::new(material.reflections()))
                 .collect(),
             vertex_count: scene.vertices.len(),
+            second_uvs: !scene.second_uvs.is_empty(),
             ray_offset: scene.visibility.ray_offset,
             triangle_count: packed.triangles.len() as u32,
             atlas,
@@ -361,7 +364,7 @@ impl GpuScene {
             });
         };
         let shapes: Vec<TextureShape> = self.textures.iter().map(|texture| texture.shape).collect();
-        material.validate(&shapes)?;
+        material.validate(&shapes, self.second_uvs)?;
         match &self.open {
             Some(open) => open.set_material(index, material)?,
             None if material.shadow_catcher => return Err(Error::NoCatcher { index }),

@@ -85,6 +85,7 @@ pub fn open_scene(scene: &Scene) -> Scene {
         textures: scene.textures.clone(),
         report: relight_format::BakeReport::default(),
         vertices: scene.vertices.clone(),
+        second_uvs: scene.second_uvs.clone(),
         triangles: scene.triangles.clone(),
         clusters: clusters.collect(),
         coefficients: coefficients.collect(),

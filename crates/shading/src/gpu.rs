@@ -259,8 +259,8 @@ pub struct TextureSlot {
     pub width: u32,
     /// Rows.
     pub height: u32,
-    /// 1 where red, green and blue are sRGB encoded.
-    pub srgb: u32,
+    /// [`crate::textures::SRGB`] and [`crate::textures::SECOND_UV`], each where it holds.
+    pub flags: u32,
     /// u of the texture is `dot(transform_u, (u, v, 1))`.
     pub transform_u: [f32; 3],
     /// [`crate::textures::PackedTexture::coarser`].
@@ -325,7 +325,8 @@ pub struct Material {
     pub layer_count: u32,
     /// 0 where there is no Lambertian base anywhere, whatever the textures say.
     pub has_diffuse: u32,
-    /// 0 where there are no textures.
+    /// Pairs of texture coordinates that textures are looked up by: 0 where there are none, 2 where any needs
+    /// the second.
     pub textured: u32,
     /// Multiplies `color`.
     pub base_color_texture: TextureSlot,
@@ -705,7 +706,7 @@ mod tests {
                 place,
                 width,
                 height,
-                srgb,
+                flags,
                 transform_u,
                 coarser,
                 transform_v,

@@ -12,10 +12,14 @@ use crate::surface::{LayerParameters, Model, has_diffuse, visit_layers};
 use crate::textures::{self, PackedTexture, PageLayout};
 use crate::transfer::PackedTransfer;
 
+/// Second texture coordinates that take the room of a vertex.
+pub const SECOND_UVS: usize = size_of::<Vertex>() / size_of::<[f32; 2]>();
+
 /// A scene as buffers and atlas layers.
 #[derive(Clone, Debug)]
 pub struct PackedScene {
-    /// Vertices.
+    /// Vertices, and behind them their second texture coordinates where there are any, [`SECOND_UVS`] in the
+    /// room of a vertex.
     pub vertices: Vec<Vertex>,
     /// Three vertices, then `material | cluster << 16`.
     pub triangles: Vec<[u32; 4]>,
@@ -58,7 +62,9 @@ pub fn pack_scene(scene: &Scene) -> Result<PackedScene, LimitError> {
         }
     }
     Ok(PackedScene {
-        vertices: scene.vertices.iter().map(pack_vertex).collect(),
+        vertices: (scene.vertices.iter().map(pack_vertex))
+            .chain(scene.second_uvs.chunks(SECOND_UVS).map(pack_second_uvs))
+            .collect(),
         triangles: scene
             .triangles
             .iter()
@@ -103,12 +109,13 @@ pub fn packed_bytes(scene: &Scene, textures: bool) -> Result<u64, LimitError> {
         count.max(1) as u64 * size_of::<T>() as u64
     }
     let (atlas, _) = place_clusters(scene)?;
-    let mut bytes = of::<Vertex>(scene.vertices.len())
-        + of::<[u32; 4]>(scene.triangles.len())
-        + of::<Cluster>(scene.clusters.len())
-        + of::<u32>(scene.coefficients.len().div_ceil(2))
-        + of::<Material>(scene.materials.len())
-        + 4 * u64::from(atlas.width) * u64::from(atlas.height) * u64::from(atlas.layers);
+    let mut bytes =
+        of::<Vertex>(scene.vertices.len() + scene.second_uvs.len().div_ceil(SECOND_UVS))
+            + of::<[u32; 4]>(scene.triangles.len())
+            + of::<Cluster>(scene.clusters.len())
+            + of::<u32>(scene.coefficients.len().div_ceil(2))
+            + of::<Material>(scene.materials.len())
+            + 4 * u64::from(atlas.width) * u64::from(atlas.height) * u64::from(atlas.layers);
     if textures {
         let shapes: Vec<_> = scene.textures.iter().map(Texture::shape).collect();
         bytes += textures::place(&shapes)?.0.bytes();
@@ -122,11 +129,18 @@ pub fn pack_material(material: &relight_format::Material, textures: &[PackedText
         slot.and_then(|slot| {
             let texture = textures.get(slot.texture as usize)?;
             let [[a, b, c], [d, e, f]] = slot.transform;
+            let mut flags = 0;
+            if texture.shape.encoding == TextureEncoding::Srgb {
+                flags |= textures::SRGB;
+            }
+            if slot.second_uv {
+                flags |= textures::SECOND_UV;
+            }
             Some(TextureSlot {
                 place: texture.place,
                 width: texture.shape.width,
                 height: texture.shape.height,
-                srgb: u32::from(texture.shape.encoding == TextureEncoding::Srgb),
+                flags,
                 transform_u: [a, b, c],
                 coarser: texture.coarser,
                 transform_v: [d, e, f],
@@ -142,7 +156,11 @@ pub fn pack_material(material: &relight_format::Material, textures: &[PackedText
     };
     let mut packed = Material {
         has_diffuse: u32::from(has_diffuse(material)),
-        textured: u32::from(material.slots().next().is_some()),
+        textured: if material.uses_second_uv() {
+            2
+        } else {
+            u32::from(material.slots().next().is_some())
+        },
         normal_scale: material.normal_scale,
         base_color_texture: slot(material.base_color_texture.as_ref()),
         metallic_roughness_texture: slot(material.metallic_roughness_texture.as_ref()),
@@ -217,6 +235,13 @@ fn pack_vertex(vertex: &relight_format::Vertex) -> Vertex {
         v: vertex.uv[1],
         tangent: vertex.tangent,
     }
+}
+
+/// See textures_second_uv in textures.wgsl.
+fn pack_second_uvs(uvs: &[[f32; 2]]) -> Vertex {
+    let mut six = [[0.0; 2]; SECOND_UVS];
+    six[..uvs.len()].copy_from_slice(uvs);
+    bytemuck::cast(six)
 }
 
 /// Places the tiles of each cluster side by side, rows of clusters from the top, layer
@@ -353,6 +378,7 @@ mod tests {
             materials: Vec::new(),
             textures: Vec::new(),
             report: BakeReport::default(),
+            second_uvs: Vec::new(),
             transfer: None,
             vertices: vec![vertex; 3 * tiles.len()],
             triangles: (0..tiles.len())
@@ -466,6 +492,7 @@ mod tests {
             base_color_texture: Some(FormatSlot {
                 texture: 1,
                 transform: [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]],
+                second_uv: true,
             }),
             metallic_roughness_texture: None,
             normal_texture: None,
@@ -475,7 +502,20 @@ mod tests {
             emission_texture: None,
             shadow_catcher: true,
         });
+        let count = scene.vertices.len();
+        scene.second_uvs = (0..count).map(|i| [i as f32, -(i as f32)]).collect();
         let packed = pack_scene(&scene).expect("fits");
+        assert_eq!(packed.vertices.len(), count + count.div_ceil(SECOND_UVS));
+        let behind: &[[f32; 2]] = bytemuck::cast_slice(&packed.vertices[count..]);
+        assert_eq!(behind[..count], scene.second_uvs);
+        let bytes = size_of_val(&packed.vertices[..]);
+        let without = Scene {
+            second_uvs: Vec::new(),
+            ..scene.clone()
+        };
+        let room = [&scene, &without].map(|scene| packed_bytes(scene, true).expect("fits"));
+        let behind = bytes - count * size_of::<Vertex>();
+        assert_eq!(room[0] - room[1], behind as u64);
         let material = packed.materials[0];
         assert_eq!(
             (material.surface, material.layer_count),
@@ -490,11 +530,16 @@ mod tests {
         assert_eq!((layer.alpha, material.normal_scale), ([0.7, 0.8], 0.9));
         let slot = layer.diffuse_texture;
         assert_eq!(
-            (slot.place, slot.width, slot.height, slot.srgb),
-            (packed.textures[1].place, 2, 1, 1)
+            (slot.place, slot.width, slot.height, slot.flags),
+            (
+                packed.textures[1].place,
+                2,
+                1,
+                textures::SRGB | textures::SECOND_UV
+            )
         );
         assert_eq!((slot.transform_v, slot.last_level), ([4.0, 5.0, 6.0], 1));
-        assert_eq!(material.textured, 1);
+        assert_eq!(material.textured, 2);
         assert_eq!(material.normal_texture, TextureSlot::zeroed());
     }
 }

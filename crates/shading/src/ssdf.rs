@@ -239,6 +239,7 @@ mod tests {
             materials: Vec::new(),
             textures: Vec::new(),
             report: BakeReport::default(),
+            second_uvs: Vec::new(),
             transfer: None,
             vertices: vec![vertex; 6],
             triangles: vec![triangle(0), triangle(1)],

@@ -16,7 +16,7 @@ pub use layers::{Join, LayerParameters, fitted_reflection, has_diffuse, visit_la
 pub(crate) use reflection::schlick;
 pub use reflection::{Appearance, Model, Reflection, metallic_roughness_alpha};
 
-use crate::textures::{self, Filter, Footprint, RGBE_BIAS, decode_rgbe};
+use crate::textures::{self, Filter, Place, RGBE_BIAS, decode_rgbe};
 
 /// Smallest roughness that is shaded, on the scale of GGX alpha. Its lobe falls to a third
 /// within 0.04 rad, little more than a texel of a 128 × 128 visibility bitmap.
@@ -112,16 +112,15 @@ pub fn surface_seen<'a>(
     let position = interpolate(|vertex| Vec3::from(vertex.position).extend(1.0)).xyz();
     let vertex_normal = interpolate(|vertex| Vec3::from(vertex.normal).extend(0.0)).xyz();
     let vertex_tangent = interpolate(|vertex| Vec4::from(vertex.tangent));
-    let uv = interpolate(|vertex| Vec2::from(vertex.uv).extend(0.0).extend(0.0)).xy();
     let [pa, pb, pc] = [a, b, c].map(|vertex| Vec3::from(vertex.position));
     let geometric_normal = unit_or((pb - pa).cross(pc - pa), Vec3::Y);
-    let filter = filter.map(|filter| {
-        (
-            filter.mipmaps,
-            Footprint::new(filter.view, [a, b, c], position),
-        )
-    });
-    let sample = |slot: &TextureSlot| textures::sample(scene, slot, uv, filter);
+    let at = (barycentrics, position);
+    let place = |second| Place::new(scene, triangle.vertices, at, filter, second);
+    let first = place(false);
+    let sample = |slot: &TextureSlot| {
+        let place = if slot.second_uv { place(true) } else { first };
+        textures::sample(scene, slot, place)
+    };
 
     let smooth_normal = unit_or(vertex_normal, geometric_normal);
     let mut normal = smooth_normal;
@@ -271,19 +270,12 @@ pub fn emission(
         .vertices
         .map(|vertex| &scene.vertices[vertex as usize]);
     let weights = barycentrics.to_array();
-    let uv = (corners.iter().zip(weights)).fold(Vec2::ZERO, |uv, (corner, weight)| {
-        uv + Vec2::from(corner.uv) * weight
-    });
     let position = (corners.iter().zip(weights)).fold(Vec3::ZERO, |position, (corner, weight)| {
         position + Vec3::from(corner.position) * weight
     });
-    let filter = filter.map(|filter| {
-        (
-            filter.mipmaps,
-            Footprint::new(filter.view, corners, position),
-        )
-    });
-    emission * textures::sample(scene, slot, uv, filter).xyz()
+    let at = (barycentrics, position);
+    let place = Place::new(scene, triangle.vertices, at, filter, slot.second_uv);
+    emission * textures::sample(scene, slot, place).xyz()
 }
 
 /// Where a ratio is looked up for two unit vectors above the surface, each from 0 to 1; they are
@@ -450,6 +442,7 @@ mod tests {
             }],
             coefficients: vec![0; 12],
             basis: vec![0; 64],
+            second_uvs: Vec::new(),
             transfer: None,
         }
     }
@@ -474,8 +467,8 @@ mod tests {
 
     fn slot(transform: [[f32; 3]; 2]) -> TextureSlot {
         TextureSlot {
-            texture: 0,
             transform,
+            ..TextureSlot::whole(0)
         }
     }
 
@@ -566,6 +559,43 @@ mod tests {
         material.base_color_texture = Some(slot([[2.0, 0.0, -3.1], [0.0, 1.0, 0.0]]));
         assert!((red(&material, 0.3) - 0.5).abs() < ROUNDING);
         assert!(red(&material, 0.175).abs() < ROUNDING);
+    }
+
+    #[test]
+    fn slots_say_which_coordinates_they_are_looked_up_by() {
+        let surface = Surface::MetallicRoughness {
+            base_color: [1.0; 3],
+            metallic: 0.0,
+            roughness: 1.0,
+            anisotropy_strength: 0.0,
+            anisotropy_rotation: 0.0,
+        };
+        let slot = |second_uv| TextureSlot {
+            second_uv,
+            ..TextureSlot::whole(0)
+        };
+        let halves = [[0, 0, 0, 255], [255, 255, 255, 255]];
+        let texture = texture(2, TextureEncoding::Linear, &halves);
+        for second in [false, true] {
+            let mut material = material(surface.clone());
+            material.base_color_texture = Some(slot(second));
+            material.emission = [2.0; 3];
+            material.emission_texture = Some(slot(!second));
+            let mut scene = scene(material, vec![texture.clone()]);
+            // Seen in the middle of one texel, or of the other.
+            for vertex in &mut scene.vertices {
+                vertex.uv = [0.25, 0.5];
+            }
+            scene.second_uvs = vec![[0.75, 0.5]; 3];
+            let found = at(&scene, 0.2, 0.3).appearance.diffuse;
+            let emitted = emission(&scene, 0, Vec3::splat(1.0 / 3.0), None);
+            let of = |bright: bool| Vec3::splat(if bright { 1.0 } else { 0.0 });
+            assert!(found.distance(of(second)) < ROUNDING, "{second}: {found}");
+            assert!(
+                emitted.distance(2.0 * of(!second)) < ROUNDING,
+                "{second}: {emitted}"
+            );
+        }
     }
 
     #[test]
@@ -744,10 +774,7 @@ mod tests {
 
     #[test]
     fn textures_vary_colour_and_roughness_of_a_layer() {
-        let slots = [0, 1].map(|texture| TextureSlot {
-            texture,
-            transform: IDENTITY,
-        });
+        let slots = [0, 1].map(TextureSlot::whole);
         let textures = [[51, 102, 255, 255], [128, 64, 0, 255]]
             .map(|texel| texture(1, TextureEncoding::Linear, &[texel]))
             .to_vec();

@@ -35,6 +35,11 @@ const SIDE_BITS: u32 = 13;
 /// Most texture coordinates that a pixel may cover: far beyond, squares overflow.
 const WIDEST: f32 = 1e3;
 
+/// Of [`crate::gpu::TextureSlot::flags`]: red, green and blue are sRGB encoded.
+pub const SRGB: u32 = 1;
+/// Of the same: looked up by vertices' second texture coordinates.
+pub const SECOND_UV: u32 = 2;
+
 /// The texture of half the width and height; nothing below one texel and for tables.
 ///
 /// Colours are averaged as light. Of a side of odd length three texels go into one, by their shares of it.
@@ -199,9 +204,9 @@ impl Footprint {
         y: Vec2::ZERO,
     };
 
-    /// At a `position` on a triangle.
-    pub fn new(view: &View, [a, b, c]: [&Vertex; 3], position: Vec3) -> Self {
-        let [pa, pb, pc] = [a, b, c].map(|vertex| Vec3::from(vertex.position));
+    /// At a `position` on a triangle, of texture coordinates of its corners.
+    pub fn new(view: &View, corners: [&Vertex; 3], uvs: [Vec2; 3], position: Vec3) -> Self {
+        let [pa, pb, pc] = corners.map(|vertex| Vec3::from(vertex.position));
         let (ab, ac) = (pb - pa, pc - pa);
         let normal = ab.cross(ac);
         let area = normal.length_squared();
@@ -211,10 +216,7 @@ impl Footprint {
         if area == 0.0 {
             return Self::NONE;
         }
-        let (uv_b, uv_c) = (
-            Vec2::from(b.uv) - Vec2::from(a.uv),
-            Vec2::from(c.uv) - Vec2::from(a.uv),
-        );
+        let (uv_b, uv_c) = (uvs[1] - uvs[0], uvs[2] - uvs[0]);
         let along = |step: Vec3| {
             let to_b = normal.dot(step.cross(ac)) / area;
             let to_c = normal.dot(ab.cross(step)) / area;
@@ -222,6 +224,38 @@ impl Footprint {
         };
         let [x, y] = steps.map(along);
         Self { x, y }
+    }
+}
+
+/// A point of a triangle by one of its pairs of texture coordinates: where textures are looked up, and through what.
+#[derive(Clone, Copy)]
+pub(crate) struct Place<'a> {
+    uv: Vec2,
+    filter: Option<(&'a Mipmaps, Footprint)>,
+}
+
+impl<'a> Place<'a> {
+    /// At `barycentrics`, which are those of `position`; by the second pair where the scene has it, or by the first.
+    pub(crate) fn new(
+        scene: &Scene,
+        corners: [u32; 3],
+        (barycentrics, position): (Vec3, Vec3),
+        filter: Option<Filter<'a>>,
+        second: bool,
+    ) -> Self {
+        let vertices = corners.map(|vertex| &scene.vertices[vertex as usize]);
+        let uvs = if second {
+            corners.map(|vertex| Vec2::from(scene.second_uvs[vertex as usize]))
+        } else {
+            vertices.map(|vertex| Vec2::from(vertex.uv))
+        };
+        Self {
+            uv: uvs[0] * barycentrics.x + uvs[1] * barycentrics.y + uvs[2] * barycentrics.z,
+            filter: filter.map(|filter| {
+                let footprint = Footprint::new(filter.view, vertices, uvs, position);
+                (filter.mipmaps, footprint)
+            }),
+        }
     }
 }
 
@@ -264,19 +298,25 @@ impl Taps {
     }
 }
 
-/// RGBA of a texture slot at a vertex's texture coordinates.
-pub(crate) fn sample(
-    scene: &Scene,
-    slot: &TextureSlot,
-    uv: Vec2,
-    filter: Option<(&Mipmaps, Footprint)>,
-) -> Vec4 {
-    let texture = &scene.textures[slot.texture as usize];
+/// RGBA of a texture slot at vertices' texture coordinates, unfiltered.
+pub fn sample_point(textures: &[Texture], slot: &TextureSlot, uv: Vec2) -> Vec4 {
+    bilinear(&textures[slot.texture as usize], transformed(slot, uv))
+}
+
+/// Vertices' texture coordinates -> those of a slot's texture.
+fn transformed(slot: &TextureSlot, uv: Vec2) -> Vec2 {
     let [row_u, row_v] = slot.transform.map(Vec3::from);
-    let uv = Vec2::new(row_u.dot(uv.extend(1.0)), row_v.dot(uv.extend(1.0)));
-    let Some((mipmaps, footprint)) = filter else {
-        return bilinear(texture, uv);
+    Vec2::new(row_u.dot(uv.extend(1.0)), row_v.dot(uv.extend(1.0)))
+}
+
+/// RGBA of a texture slot at a place by its pair of texture coordinates.
+pub(crate) fn sample(scene: &Scene, slot: &TextureSlot, place: Place) -> Vec4 {
+    let Some((mipmaps, footprint)) = place.filter else {
+        return sample_point(&scene.textures, slot, place.uv);
     };
+    let texture = &scene.textures[slot.texture as usize];
+    let uv = transformed(slot, place.uv);
+    let [row_u, row_v] = slot.transform.map(Vec3::from);
     let size = Vec2::new(texture.width as f32, texture.height as f32);
     let side =
         |side: Vec2| Vec2::new(row_u.truncate().dot(side), row_v.truncate().dot(side)) * size;
@@ -520,7 +560,9 @@ fn shelve(rectangles: &[([u32; 2], usize)], side: u32) -> (PageLayout, Vec<[u32;
 /// The constants of this module, as WGSL.
 pub fn wgsl_constants() -> String {
     format!(
-        "const TEXTURES_TAPS: f32 = {TAPS:?};\n\
+        "const TEXTURES_SRGB: u32 = {SRGB}u;\n\
+         const TEXTURES_SECOND_UV: u32 = {SECOND_UV}u;\n\
+         const TEXTURES_TAPS: f32 = {TAPS:?};\n\
          const TEXTURES_SIDE_BITS: u32 = {SIDE_BITS}u;\n\
          const TEXTURES_WIDEST: f32 = {WIDEST:?};\n\
          const TEXTURES_MOST_TAPS: u32 = {MOST_TAPS}u;\n",
@@ -668,7 +710,12 @@ mod tests {
         let at = Vec2::new(53.0, 61.0);
         let place = uv(at);
         let position = Vec3::new(place.x, 0.0, place.y);
-        let found = Footprint::new(&view, corners, position);
+        let found = Footprint::new(
+            &view,
+            corners,
+            corners.map(|corner| corner.uv.into()),
+            position,
+        );
         let step = 0.05;
         for (found, side) in [(found.x, Vec2::X), (found.y, Vec2::Y)] {
             let expected = (uv(at + step * side) - uv(at - step * side)) / (2.0 * step);

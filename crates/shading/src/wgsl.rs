@@ -110,7 +110,8 @@ pub struct Kernel {
 pub const KERNELS: &[Kernel] = &[
     VERTICES_MARK,
     VERTICES,
-    SEEN_TEXTURES,
+    SEEN_TEXTURES[0],
+    SEEN_TEXTURES[1],
     REFLECTIONS[0],
     REFLECTIONS[1],
     DIFFUSE[0],
@@ -124,9 +125,12 @@ pub const KERNELS: &[Kernel] = &[
     AROUND[0],
     AROUND[1],
     IMAGES,
-    SHADE,
+    SHADE[0],
+    SHADE[1],
     #[cfg(feature = "paper")]
-    SHADE_CELLS,
+    SHADE_CELLS[0],
+    #[cfg(feature = "paper")]
+    SHADE_CELLS[1],
     SOURCES,
     SOURCES_SHOWN,
 ];
@@ -147,9 +151,19 @@ pub const VERTICES: Kernel = Kernel {
     constants: &[],
 };
 
-/// What every pixel sees of its material's textures.
-pub const SEEN_TEXTURES: Kernel =
-    shading("textures", (Entry::SeenTextures, "seen_textures_main"), &[]);
+/// What every pixel sees of its material's textures by their first texture coordinates, and by the second.
+pub const SEEN_TEXTURES: [Kernel; 2] = [
+    shading(
+        "textures",
+        (Entry::SeenTextures, "seen_textures_main"),
+        &[("TEXTURES_SECOND_UVS", 0.0)],
+    ),
+    shading(
+        "textures, second",
+        (Entry::SeenTextures, "seen_textures_main"),
+        &[("TEXTURES_SECOND_UVS", 1.0)],
+    ),
+];
 
 /// What every pixel's Lambertian base shows of lights; the same by one visible fraction for all of a light.
 pub const DIFFUSE: [Kernel; 2] = [
@@ -234,8 +248,19 @@ pub const AROUND: [Kernel; 2] = [
 /// What a reflection shows of a prefiltered image.
 pub const IMAGES: Kernel = shading("images", (Entry::Images, "images_main"), &[]);
 
-/// Radiance of every pixel.
-pub const SHADE: Kernel = shading("shade", (Entry::Shade, "shade_main"), &[]);
+/// Radiance of every pixel; the same of scenes with second texture coordinates.
+pub const SHADE: [Kernel; 2] = [
+    shading(
+        "shade",
+        (Entry::Shade, "shade_main"),
+        &[("TEXTURES_SECOND_UVS", 0.0)],
+    ),
+    shading(
+        "shade, second",
+        (Entry::Shade, "shade_main"),
+        &[("TEXTURES_SECOND_UVS", 1.0)],
+    ),
+];
 
 const fn shading(
     name: &'static str,
@@ -250,14 +275,20 @@ const fn shading(
     }
 }
 
-/// Radiance of every pixel, by cells.
+/// Radiance of every pixel, by cells; the same of scenes with second texture coordinates.
 #[cfg(feature = "paper")]
-pub const SHADE_CELLS: Kernel = Kernel {
-    name: "shade by cells",
-    entry: Entry::ShadeCells,
-    entry_point: "cells_main",
-    constants: &[],
-};
+pub const SHADE_CELLS: [Kernel; 2] = [
+    shading(
+        "shade by cells",
+        (Entry::ShadeCells, "cells_main"),
+        &[("TEXTURES_SECOND_UVS", 0.0)],
+    ),
+    shading(
+        "shade by cells, second",
+        (Entry::ShadeCells, "cells_main"),
+        &[("TEXTURES_SECOND_UVS", 1.0)],
+    ),
+];
 
 /// Which points of every source every pixel sees.
 pub const SOURCES: Kernel = shading("sources", (Entry::Sources, "sources_main"), &[]);

@@ -12,6 +12,7 @@ const BOUNDS: &[(&str, [u64; 2])] = &[
     ("vertices mark", [24, 24]),
     ("vertices", [84, 96]),
     ("textures", [48, 56]),
+    ("textures, second", [48, 64]),
     ("diffuse", [84, 88]),
     ("diffuse, ambient", [60, 80]),
     ("reflections", [72, 96]),
@@ -26,6 +27,7 @@ const BOUNDS: &[(&str, [u64; 2])] = &[
     ("around, image", [84, 80]),
     ("images", [60, 64]),
     ("shade", [48, 72]),
+    ("shade, second", [48, 80]),
     ("sources", [60, 88]),
     ("sources, shown", [72, 96]),
 ];

@@ -122,6 +122,7 @@ fn vertex(position: Vec3, normal: Vec3, tangent: Vec3, uv: [f32; 2]) -> Vertex {
         tangent,
         bitangent_sign: 1.0,
         uv: Vec2::from(uv),
+        second_uv: Vec2::ZERO,
     }
 }
 

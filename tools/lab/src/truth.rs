@@ -319,6 +319,7 @@ pub(crate) mod test_scene {
             clusters: Vec::new(),
             coefficients: Vec::new(),
             basis: Vec::new(),
+            second_uvs: Vec::new(),
             transfer: None,
         }
     }

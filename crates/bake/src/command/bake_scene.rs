@@ -324,6 +324,7 @@ fn fingerprint(scene: &format::Scene) -> u128 {
         textures,
         report,
         vertices,
+        second_uvs,
         triangles,
         clusters,
         coefficients,
@@ -347,6 +348,9 @@ fn fingerprint(scene: &format::Scene) -> u128 {
         fingerprint.add_texture(texture);
     }
     fingerprint.add(bytemuck::cast_slice(vertices));
+    if !second_uvs.is_empty() {
+        fingerprint.add(bytemuck::cast_slice(second_uvs));
+    }
     fingerprint.add(bytemuck::cast_slice(triangles));
     fingerprint.add(bytemuck::cast_slice(clusters));
     fingerprint.add(bytemuck::cast_slice(coefficients));

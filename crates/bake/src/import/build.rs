@@ -44,6 +44,8 @@ pub(super) struct GivenVertex {
     pub tangent: Option<(Vec3, f32)>,
     /// Zero where there are none.
     pub uv: Vec2,
+    /// Of the material's second set; zero where there is none.
+    pub second_uv: Vec2,
     /// Linear; multiplies the material's.
     pub color: Option<[f32; 3]>,
 }
@@ -146,6 +148,7 @@ impl<'a> Builder<'a> {
                 tangent,
                 bitangent_sign,
                 uv: given.uv,
+                second_uv: given.second_uv,
             }
         };
         let mut vertices: Vec<Vertex> = (part.vertices.iter().zip(normals)).map(complete).collect();

@@ -172,6 +172,7 @@ mod tests {
             tangent: Vec3::X,
             bitangent_sign: 1.0,
             uv: Vec2::ZERO,
+            second_uv: Vec2::ZERO,
         };
         let mut vertices = vec![vertex; 5];
         let mut triangles = vec![[0, 1, 2], [1, 0, 3], [2, 3, 4], [3, 4, 2]];

@@ -482,6 +482,7 @@ fn push_part(
                     normal,
                     tangent: None,
                     uv: uv.map_or(Vec2::ZERO, |uv| obj.uvs[uv as usize].into()),
+                    second_uv: Vec2::ZERO,
                     color: obj.colors.get(position as usize).map(|encoded| {
                         encoded.map(|x| colors::linear(x.clamp(0.0, largest) / largest))
                     }),

@@ -4,14 +4,16 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
 
-use glam::Vec3;
-use relight_format::{Specular, Surface};
+use glam::{Vec2, Vec3};
+use relight_format::{Specular, Surface, TextureSlot};
+use relight_shading::surface::{emission, surface_point};
 use serde_json::{Value, json};
 
 use super::build::face_normal;
 use super::{Error, Options, gltf, obj};
 use crate::files::{Access, Files};
 use crate::mesh::{Mesh, Vertex};
+use crate::transfer::surfaces::bare_scene;
 
 /// Vectors that should be equal or orthogonal are computed along different paths in f32.
 const TOLERANCE: f32 = 1e-5;
@@ -1252,6 +1254,124 @@ fn painted(mesh: &Mesh, vertex: usize) -> [u8; 3] {
     let [x, y] = [uv.x * texture.width as f32, uv.y * texture.height as f32].map(|x| x as usize);
     let at = 4 * (y * texture.width as usize + x);
     [0, 1, 2].map(|k| texture.texels[at + k])
+}
+
+/// The textured square with a second set of coordinates, whose u runs up and whose v runs right.
+fn square_of_two_sets() -> (Value, Vec<u8>) {
+    let (mut json, mut blob) = textured_square(&half_clear());
+    json["textures"] = json!([{"source": 0}]);
+    let turned = [0.0f32, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 0.0];
+    let set = add_floats(&mut json, &mut blob, "VEC2", &turned);
+    json["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_1"] = json!(set);
+    (json, blob)
+}
+
+#[test]
+fn textures_of_two_sets_are_kept_and_tangents_follow_the_normal_map() {
+    let (mut json, blob) = square_of_two_sets();
+    json["materials"][0]["normalTexture"] = json!({"index": 0, "texCoord": 1});
+    json["materials"][0]["emissiveFactor"] = json!([1, 1, 1]);
+    json["materials"][0]["emissiveTexture"] = json!({"index": 0, "texCoord": 2});
+    let attributes = &mut json["meshes"][0]["primitives"][0]["attributes"];
+    attributes
+        .as_object_mut()
+        .expect("an object")
+        .remove("TANGENT");
+    let mesh = import_good(&json, &blob);
+    let [warning] = &mesh.warnings[..] else {
+        panic!("one warning: {:?}", mesh.warnings);
+    };
+    assert!(warning.contains("materials[0].emissiveTexture uses a third set"));
+    let material = &mesh.materials[0];
+    let second = |slot: &Option<TextureSlot>| slot.map(|slot| slot.second_uv);
+    assert_eq!(second(&material.normal_texture), Some(false));
+    assert_eq!(second(&material.base_color_texture), Some(true));
+    assert_eq!(second(&material.emission_texture), None);
+    for vertex in &mesh.vertices {
+        let Vec3 { x, y, .. } = vertex.position;
+        assert_eq!(vertex.uv.to_array(), [y, x]);
+        assert_eq!(vertex.second_uv.to_array(), [x, 1.0 - y]);
+        assert_close(vertex.tangent, Vec3::Y);
+    }
+    // Without the set that is missing its textures are seen at one point.
+    json["materials"][0]["normalTexture"]["texCoord"] = json!(3);
+    let mesh = import_good(&json, &blob);
+    let missing = "is textured but has no TEXCOORD_3";
+    assert!(
+        mesh.warnings.iter().any(|text| text.contains(missing)),
+        "{:?}",
+        mesh.warnings
+    );
+}
+
+/// What bounces and `lab truth` see: a second set that is the first one turned shows what turning the texture does.
+#[test]
+fn surfaces_are_seen_by_their_second_set() {
+    let mut png = std::io::Cursor::new(Vec::new());
+    image::RgbaImage::from_fn(8, 8, |x, y| {
+        image::Rgba([30 * x as u8, 30 * y as u8, 99, 255])
+    })
+    .write_to(&mut png, image::ImageFormat::Png)
+    .expect("PNG encodes");
+    let (mut json, mut blob) = textured_square(png.get_ref());
+    json["textures"] = json!([{"source": 0}]);
+    json["materials"][0]["emissiveFactor"] = json!([1, 1, 1]);
+    let mut two_sets = json.clone();
+    // (u, v) -> (v, 1 - u) of the corners.
+    let turned = [1.0f32, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
+    let set = add_floats(&mut two_sets, &mut blob, "VEC2", &turned);
+    two_sets["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_1"] = json!(set);
+    two_sets["materials"][0]["emissiveTexture"] = json!({"index": 0, "texCoord": 1});
+    json["buffers"] = two_sets["buffers"].clone();
+    json["materials"][0]["emissiveTexture"] = json!({"index": 0, "extensions": {
+        "KHR_texture_transform": {"rotation": std::f32::consts::FRAC_PI_2, "offset": [0.0, 1.0]},
+    }});
+    json["extensionsUsed"] = json!(["KHR_texture_transform"]);
+    let [one, two] = [&json, &two_sets].map(|json| {
+        let mesh = import_good(json, &blob);
+        assert!(mesh.warnings.is_empty(), "{:?}", mesh.warnings);
+        bare_scene(&mesh)
+    });
+    assert!(one.second_uvs.is_empty() && two.second_uvs.len() == two.vertices.len());
+    for (triangle, weights) in [
+        (0, [0.2, 0.3, 0.5]),
+        (1, [0.6, 0.3, 0.1]),
+        (1, [0.1, 0.1, 0.8]),
+    ] {
+        let seen = |scene: &relight_format::Scene| {
+            let point = surface_point(scene, triangle, weights.into(), Vec3::new(0.3, 0.2, 5.0));
+            let emitted = emission(scene, triangle, weights.into(), None);
+            (point.appearance.diffuse, emitted)
+        };
+        let ((color, emitted), (color_of_one, emitted_of_one)) = (seen(&two), seen(&one));
+        assert_close(color, color_of_one);
+        assert_close(emitted, emitted_of_one);
+        assert!((color.x - emitted.x).abs() > 1e-3, "{color} {emitted}");
+    }
+}
+
+#[test]
+fn alpha_cuts_by_a_second_set() {
+    let (mut json, blob) = square_of_two_sets();
+    json["textures"] = json!([{"source": 0, "sampler": 0}]);
+    let material = &mut json["materials"][0];
+    material["alphaMode"] = json!("MASK");
+    material["pbrMetallicRoughness"]["baseColorTexture"]["texCoord"] = json!(1);
+    material["normalTexture"] = json!({"index": 0});
+    let mesh = import_good(&json, &blob);
+    assert!(
+        mesh.materials[0]
+            .base_color_texture
+            .expect("a texture")
+            .second_uv
+    );
+    assert!((area(&mesh) - 0.5).abs() < 1e-4, "{}", area(&mesh));
+    for vertex in &mesh.vertices {
+        let Vec3 { x, y, .. } = vertex.position;
+        assert!(y >= 0.5 - 1e-4, "{vertex:?}");
+        assert!(vertex.second_uv.distance(Vec2::new(y, x)) < 1e-5);
+        assert!(vertex.uv.distance(Vec2::new(x, 1.0 - y)) < 1e-5);
+    }
 }
 
 #[test]

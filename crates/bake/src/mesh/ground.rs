@@ -80,6 +80,7 @@ pub fn append(
                 tangent: Vec3::X,
                 bitangent_sign: 1.0,
                 uv: Vec2::from(uv),
+                second_uv: Vec2::ZERO,
             });
         }
     }

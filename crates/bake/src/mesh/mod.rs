@@ -27,6 +27,8 @@ pub struct Vertex {
     pub bitangent_sign: f32,
     /// Texture coordinates; v points down, as rows of an image do.
     pub uv: Vec2,
+    /// The others of a material whose textures use two sets; else zero.
+    pub second_uv: Vec2,
 }
 
 impl From<Vertex> for format::Vertex {
@@ -74,6 +76,11 @@ impl Mesh {
     /// Vertices of every triangle.
     pub fn indices(&self) -> Vec<[u32; 3]> {
         self.triangles.iter().map(|t| t.vertices).collect()
+    }
+
+    /// Whether a texture is looked up by second texture coordinates.
+    pub(crate) fn has_second_uvs(&self) -> bool {
+        self.materials.iter().any(format::Material::uses_second_uv)
     }
 
     /// Corners of a triangle, metres.

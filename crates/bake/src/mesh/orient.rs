@@ -242,6 +242,7 @@ mod tests {
                 tangent: tangent::around_axis(normal),
                 bitangent_sign: 1.0,
                 uv: glam::Vec2::ZERO,
+                second_uv: glam::Vec2::ZERO,
             });
         }
         let faces = [

@@ -155,6 +155,7 @@ mod tests {
                     tangent: Vec3::ZERO,
                     bitangent_sign: 0.0,
                     uv: Vec2::new(x.abs(), 1.0 - y),
+                    second_uv: Vec2::ZERO,
                 });
             }
         }

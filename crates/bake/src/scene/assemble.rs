@@ -17,6 +17,8 @@ const LARGE_ERROR: f32 = 0.025;
 pub struct Cluster {
     /// As stored.
     pub vertices: Vec<format::Vertex>,
+    /// Their second texture coordinates, where the scene has them.
+    pub second_uvs: Vec<[f32; 2]>,
     /// Indices into `vertices`; `cluster` is 0.
     pub triangles: Vec<format::Triangle>,
     /// Visibility of the vertices.
@@ -109,6 +111,7 @@ fn append(scene: &mut format::Scene, cluster: Cluster) -> Result<(), Error> {
     scene.coefficients.extend(compressed.coefficients);
     scene.basis.extend(compressed.basis);
     scene.vertices.extend(cluster.vertices);
+    scene.second_uvs.extend(cluster.second_uvs);
     let triangles = cluster.triangles.iter().map(|triangle| format::Triangle {
         vertices: triangle.vertices.map(|vertex| first_vertex + vertex),
         cluster: number,

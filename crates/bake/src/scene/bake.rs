@@ -138,6 +138,7 @@ impl<'a> Bake<'a> {
             textures: std::mem::take(&mut mesh.textures),
             report,
             vertices: Vec::new(),
+            second_uvs: Vec::new(),
             triangles: Vec::new(),
             clusters: Vec::new(),
             coefficients: Vec::new(),

@@ -321,6 +321,7 @@ mod tests {
                 tangent: (triangle[1] - triangle[0]).normalize(),
                 bitangent_sign: 1.0,
                 uv: Vec2::ZERO,
+                second_uv: Vec2::ZERO,
             }));
             let vertices = [base, base + 1, base + 2];
             let material = 0;

@@ -6,6 +6,7 @@ use relight_shading::accuracy::accuracy;
 use relight_shading::surface::{
     MIN_ALPHA, Model, Reflection, metallic_roughness_alpha, visit_layers,
 };
+use relight_shading::textures::sample_point;
 
 use crate::mesh::Mesh;
 
@@ -102,10 +103,10 @@ fn alphas(material: &Material, textures: &[Texture], roughness: f32, strength: f
     let places = (0..TEXTURE_SIDE).flat_map(|y| (0..TEXTURE_SIDE).map(move |x| [x, y]));
     places
         .map(|place| {
-            let uv = place.map(|i| (i as f32 + 0.5) / TEXTURE_SIDE as f32);
+            let uv = Vec2::from(place.map(|i| (i as f32 + 0.5) / TEXTURE_SIDE as f32));
             let channel = |slot: &Option<TextureSlot>, channel: usize| {
-                let texel = slot.as_ref().and_then(|slot| texel(slot, textures, uv));
-                texel.map_or(1.0, |texel| f32::from(texel[channel]) / 255.0)
+                let texel = slot.as_ref().map(|slot| sample_point(textures, slot, uv));
+                texel.map_or(1.0, |texel| texel[channel])
             };
             let alpha = alpha(
                 roughness * channel(slots[0], 1),
@@ -115,17 +116,6 @@ fn alphas(material: &Material, textures: &[Texture], roughness: f32, strength: f
             Vec2::from(alpha.to_array().map(step))
         })
         .collect()
-}
-
-/// The texel that a slot has for texture coordinates.
-fn texel(slot: &TextureSlot, textures: &[Texture], [u, v]: [f32; 2]) -> Option<[u8; 4]> {
-    let texture = textures.get(slot.texture as usize)?;
-    let [x, y] = slot
-        .transform
-        .map(|[a, b, c]| (a * u + b * v + c).rem_euclid(1.0));
-    let at = |x: f32, size: u32| ((x * size as f32) as u32).min(size - 1) as usize;
-    let index = at(y, texture.height) * texture.width as usize + at(x, texture.width);
-    texture.texels.as_chunks::<4>().0.get(index).copied()
 }
 
 /// As people are told.

@@ -16,14 +16,22 @@ const UV_STEP: f32 = 1.0 / (1 << 16) as f32;
 /// A vertex as stored. Positions stay as they are: rounded to 2⁻¹⁸ of the diagonal, which saves
 /// two bytes in a hundred, they no longer lie in the planes that rays were cast against.
 pub(super) fn rounded(vertex: format::Vertex) -> format::Vertex {
-    // Plus zero, for −0 is not a multiple like others.
-    let round = |number: f32, step: f32| (number / step).round() * step + 0.0;
     format::Vertex {
         position: vertex.position,
         normal: vertex.normal.map(|x| round(x, NORMAL_STEP)),
         tangent: vertex.tangent.map(|x| round(x, TANGENT_STEP)),
-        uv: vertex.uv.map(|x| round(x, UV_STEP)),
+        uv: rounded_uv(vertex.uv),
     }
+}
+
+/// Second texture coordinates as stored.
+pub(super) fn rounded_uv(uv: [f32; 2]) -> [f32; 2] {
+    uv.map(|x| round(x, UV_STEP))
+}
+
+/// Plus zero, for −0 is not a multiple like others.
+fn round(number: f32, step: f32) -> f32 {
+    (number / step).round() * step + 0.0
 }
 
 /// Orders triangles and vertices. Returns triangles, with their corners renumbered, and the

@@ -6,7 +6,7 @@
 //! | bytes | header |
 //! |---|---|
 //! | 8 | magic, `RLPARTS\n` |
-//! | 4, 4 | u32: version 4, 0 |
+//! | 4, 4 | u32: version 5, 0 |
 //! | 16 | u128: [fingerprint](crate::scene::Bake::fingerprint) |
 //! | 4, 4, 4 | u32: shard (from 1), shards, chunks of the whole scene |
 //! | 4 | CRC-32 of the header so far |
@@ -38,7 +38,7 @@ pub use payload::encode;
 use payload::{decode, take};
 
 const MAGIC: [u8; 8] = *b"RLPARTS\n";
-const VERSION: u32 = 4;
+const VERSION: u32 = 5;
 const HEADER_BYTES: usize = 48;
 const RECORD_BYTES: usize = 16;
 /// Chunk number of the record that ends a finished shard.

@@ -181,6 +181,9 @@ impl Prepared<'_> {
         let (triangles, order) = layout::walk(&triangles, used.len());
         let order: Vec<u32> = order.into_iter().map(|number| used[number]).collect();
         let vertex = |&vertex: &u32| layout::rounded(self.mesh.vertices[vertex as usize].into());
+        let second_uv = |&vertex: &u32| {
+            layout::rounded_uv(self.mesh.vertices[vertex as usize].second_uv.into())
+        };
         let column = |&vertex: &u32| {
             let place = self.places[vertex as usize];
             vertices.partition_point(|&other| other < place)
@@ -194,6 +197,11 @@ impl Prepared<'_> {
         };
         Cluster {
             vertices: order.iter().map(vertex).collect(),
+            second_uvs: if self.mesh.has_second_uvs() {
+                order.iter().map(second_uv).collect()
+            } else {
+                Vec::new()
+            },
             triangles,
             compressed: compressed.reordered(&columns),
             errors,

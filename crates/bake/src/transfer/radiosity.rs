@@ -573,6 +573,7 @@ pub(super) mod tests {
                     tangent: u.normalize(),
                     bitangent_sign: 1.0,
                     uv: Vec2::new(s, t),
+                    second_uv: Vec2::ZERO,
                 });
             }
             for vertices in [[0, 1, 2], [0, 2, 3]] {

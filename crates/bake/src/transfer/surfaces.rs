@@ -182,6 +182,13 @@ pub fn bare_scene(mesh: &Mesh) -> format::Scene {
         textures: mesh.textures.clone(),
         report: format::BakeReport::default(),
         vertices: mesh.vertices.iter().map(|&vertex| vertex.into()).collect(),
+        second_uvs: if mesh.has_second_uvs() {
+            (mesh.vertices.iter())
+                .map(|vertex| vertex.second_uv.into())
+                .collect()
+        } else {
+            Vec::new()
+        },
         triangles: (mesh.triangles.iter())
             .map(|triangle| format::Triangle {
                 vertices: triangle.vertices,

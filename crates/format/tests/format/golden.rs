@@ -47,6 +47,24 @@ fn scenes_of_version_1() {
     );
 }
 
+/// What scenes of this version did not have at first.
+#[test]
+fn scenes_with_second_texture_coordinates() {
+    let mut scene = scene();
+    scene.second_uvs = (0..7u8).map(|i| [0.5 * f32::from(i), 0.1]).collect();
+    for slot in scene.materials[0].slots_mut().skip(1) {
+        slot.second_uv = true;
+    }
+    assert!(scene.materials[0].uses_second_uv());
+    let written = write_scene(&scene).unwrap();
+    let frozen = golden("scene_second_uvs.relight", &written);
+    assert_eq!(read_scene(&frozen, &Limits::default()).unwrap(), scene);
+    assert!(
+        content(&frozen) == content(&written),
+        "the writer's layout changed"
+    );
+}
+
 #[test]
 fn environments_of_version_1() {
     let written = write_environment(&environment()).unwrap();

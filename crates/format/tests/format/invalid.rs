@@ -225,6 +225,7 @@ fn vertices_and_triangles() {
     });
     assert_rejected(Issue::ValueOutOfRange, SectionKind::Metadata, |scene| {
         scene.second_uvs.clear();
+        assert!(!scene.vertices.is_empty());
         let slot = TextureSlot {
             second_uv: true,
             ..TextureSlot::whole(0)

@@ -6,9 +6,10 @@ use super::Renderer;
 use crate::layouts::compute_pipeline;
 
 impl Renderer {
-    pub(super) fn cells_pipeline(&self) -> &wgpu::ComputePipeline {
+    pub(super) fn cells_pipeline(&self, second_uvs: bool) -> &wgpu::ComputePipeline {
         let layouts = [&self.frame_layout, &self.scene_layout, &self.image_layout];
-        (self.kernels.cells)
-            .get_or_init(|| compute_pipeline(&self.device, &layouts, &wgsl::SHADE_CELLS))
+        let index = usize::from(second_uvs);
+        (self.kernels.cells[index])
+            .get_or_init(|| compute_pipeline(&self.device, &layouts, &wgsl::SHADE_CELLS[index]))
     }
 }

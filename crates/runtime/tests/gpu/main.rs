@@ -145,6 +145,10 @@ fn main() -> ExitCode {
             textures::fifteen_maps_of_2048_are_drawn,
         ),
         with_gpu(
+            "textures::second_coordinates_are_drawn",
+            textures::second_coordinates_are_drawn,
+        ),
+        with_gpu(
             "textures::distant_textures_are_averaged",
             textures::distant_textures_are_averaged,
         ),

@@ -59,6 +59,7 @@ pub fn sphere_over_plane() -> Scene {
         clusters: Vec::new(),
         coefficients: Vec::new(),
         basis: Vec::new(),
+        second_uvs: Vec::new(),
         transfer: None,
     };
     let quads = 16;
@@ -291,8 +292,8 @@ fn plane_material() -> Material {
     };
     Material {
         base_color_texture: Some(TextureSlot {
-            texture: 0,
             transform: [[3.0, 0.5, 0.1], [-0.5, 3.0, 0.2]],
+            ..TextureSlot::whole(0)
         }),
         ..plain_material("checkerboard", surface)
     }
@@ -308,8 +309,8 @@ fn sphere_material() -> Material {
     };
     Material {
         normal_texture: Some(TextureSlot {
-            texture: 1,
             transform: [[8.0, 0.0, 0.0], [0.0, 4.0, 0.0]],
+            ..TextureSlot::whole(1)
         }),
         normal_scale: 0.5,
         ..plain_material("dimpled", surface)

@@ -5,7 +5,9 @@ use relight_format::{
     Camera, FieldOfView, Material, Scene, Surface, Texture, TextureEncoding, TextureSlot,
 };
 use relight_runtime::offscreen::Gpu;
-use relight_runtime::{Error, Frame, Image, Method, SphericalGaussian, Viewpoint, twin, wgpu};
+use relight_runtime::{
+    CellsOptions, Error, Frame, Image, Method, SphericalGaussian, Viewpoint, twin, wgpu,
+};
 use relight_shading::textures::coarser;
 use wgpu::util::{DeviceExt as _, TextureDataOrder};
 
@@ -22,8 +24,8 @@ pub fn textured(side: u32) -> Scene {
     scene.textures.clear();
     let slot = |texture| {
         Some(TextureSlot {
-            texture,
             transform: [[1.5, 0.2, 0.1], [-0.3, 2.0, 0.4]],
+            ..TextureSlot::whole(texture)
         })
     };
     let material = |index: u32| Material {
@@ -90,6 +92,61 @@ pub fn fifteen_maps_of_2048_are_drawn(gpu: &mut Gpu) -> Outcome {
     let error = relative_rmse(&found, &expected);
     println!("relative RMSE {error:e}");
     assert!(error <= FRAME_RELATIVE_RMSE, "{error}");
+    Ok(())
+}
+
+/// Textures by second coordinates are those by first ones where both are the same numbers, and pictures of both at
+/// once, emission among them, are the twin's.
+pub fn second_coordinates_are_drawn(gpu: &mut Gpu) -> Outcome {
+    let first = textured(64);
+    let lights = lights();
+    let frame = frame(&lights, POLAR);
+    let (width, height) = (60, 45);
+    let uploaded = gpu.upload(&first)?;
+    let expected = gpu.render(&uploaded, &frame, width, height)?.linear;
+    let mut second = first.clone();
+    second.second_uvs = first.vertices.iter().map(|vertex| vertex.uv).collect();
+    for (index, vertex) in second.vertices.iter_mut().enumerate() {
+        vertex.uv = [0.37 * index as f32, -0.61 * index as f32];
+    }
+    for slot in second.materials.iter_mut().flat_map(Material::slots_mut) {
+        slot.second_uv = true;
+    }
+    let uploaded = gpu.upload(&second)?;
+    let found = gpu.render(&uploaded, &frame, width, height)?.linear;
+    assert!(found == expected);
+    let mut both = first.clone();
+    both.second_uvs = (first.vertices.iter())
+        .map(|vertex| [3.0 * vertex.uv[1] + 0.2, -2.0 * vertex.uv[0]])
+        .collect();
+    for (index, material) in both.materials.iter_mut().enumerate() {
+        material.emission = [0.2, 0.1, 0.3];
+        material.emission_texture = Some(TextureSlot::whole(3 * index as u32));
+        for (slot, bit) in material.slots_mut().zip(0..) {
+            slot.second_uv = (0b01_1010_0110 >> (index + bit)) & 1 == 1;
+        }
+    }
+    // Cells without thresholds: close to one, one of the two may divide a cell and the other not.
+    let even = CellsOptions {
+        uniform: Some([2, 8]),
+        ..CellsOptions::default()
+    };
+    let mut without = both.clone();
+    (without.materials.iter_mut().flat_map(Material::slots_mut))
+        .for_each(|slot| slot.second_uv = false);
+    let uploaded = gpu.upload(&both)?;
+    for method in [POLAR, Method::Cells(even)] {
+        let frame = Frame { method, ..frame };
+        let found = gpu.render(&uploaded, &frame, width, height)?.linear;
+        let error = relative_rmse(&found, &twin::render(&both, &frame, width, height)?);
+        let other = relative_rmse(&found, &twin::render(&without, &frame, width, height)?);
+        println!("relative RMSE {error:e}; by first coordinates alone {other}");
+        assert!(error <= FRAME_RELATIVE_RMSE, "{error}");
+        assert!(other > 0.05, "{other}");
+    }
+    // A material may not ask for what vertices do not have.
+    let uploaded = gpu.upload(&first)?;
+    assert!(uploaded.set_material(0, &both.materials[1]).is_err());
     Ok(())
 }
 

@@ -142,8 +142,9 @@ struct TextureSlot {
     // 0: no texture.
     width: u32,
     height: u32,
-    // 1: red, green and blue are sRGB encoded. 0: all channels are linear.
-    srgb: u32,
+    // TEXTURES_SRGB: red, green and blue are sRGB encoded, else all channels are linear.
+    // TEXTURES_SECOND_UV: u and v are those of textures_second_uv.
+    flags: u32,
     // u and v of the texture are dot(row, vec3(u, v, 1)) of the vertex.
     transform_u: vec3<f32>,
     // As `place`, of the texture at half its size; the next halves stand to its right, one above the

@@ -12,8 +12,17 @@ var<private> lobes_greys: array<f32, MAX_SPECULAR_LOBES>;
 
 // What the pixel sees of one of its material's textures: base colour, metallic-roughness, normal map, anisotropy; of
 // every layer diffuse and specular colour (3 channels), roughnesses (2), weight (1).
-fn surface_texture(index: u32, texture: TextureSlot, uv: vec2<f32>, footprint: vec4<f32>) -> vec4<f32> {
-    return textures_sample(texture, uv, footprint);
+fn surface_texture(index: u32, texture: TextureSlot, place: TexturePlace) -> vec4<f32> {
+    if !TEXTURES_SECOND_UVS || (texture.flags & TEXTURES_SECOND_UV) == 0u {
+        return textures_sample(texture, place.uv, place.footprint);
+    }
+    let a = textures_vertex(place.corners.x, true);
+    let b = textures_vertex(place.corners.y, true);
+    let c = textures_vertex(place.corners.z, true);
+    let weights = place.barycentrics;
+    let uv = vec2(a.u, a.v) * weights.x + vec2(b.u, b.v) * weights.y + vec2(c.u, c.v) * weights.z;
+    let position = a.position * weights.x + b.position * weights.y + c.position * weights.z;
+    return textures_sample(texture, uv, textures_footprint(a, b, c, position));
 }
 
 fn lobes_of(point: SurfacePoint, reflection: Reflection) {

@@ -189,7 +189,7 @@ fn slots_texture(index: u32) -> u32 {
     return SLOTS_FIRST + select(index, of_layer, index >= SURFACE_OWN_TEXTURES);
 }
 
-fn surface_texture(index: u32, texture: TextureSlot, uv: vec2<f32>, footprint: vec4<f32>) -> vec4<f32> {
+fn surface_texture(index: u32, texture: TextureSlot, place: TexturePlace) -> vec4<f32> {
     let field = slots_texture(index);
     var words = vec4(0u);
     if field < SLOTS_FIELDS {

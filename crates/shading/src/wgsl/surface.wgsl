@@ -1,5 +1,15 @@
 // Twin of surface.rs.
 
+// Where textures are looked up: a point of a triangle, by its first texture coordinates and by what it takes to find
+// the second.
+struct TexturePlace {
+    uv: vec2<f32>,
+    // See textures_footprint.
+    footprint: vec4<f32>,
+    corners: vec3<u32>,
+    barycentrics: vec3<f32>,
+}
+
 // One specular reflection, textures applied and parameters clamped to what is shaded.
 struct Reflection {
     // Colour at normal incidence, or at every angle.
@@ -21,9 +31,7 @@ struct Appearance {
     found: Reflection,
     wanted: u32,
     material: u32,
-    uv: vec2<f32>,
-    // See textures_footprint.
-    footprint: vec4<f32>,
+    place: TexturePlace,
     view_cosine: f32,
 }
 
@@ -36,9 +44,7 @@ struct SurfaceShape {
     vertex_cosine: f32,
     tangent: vec3<f32>,
     view: vec3<f32>,
-    uv: vec2<f32>,
-    // See textures_footprint.
-    footprint: vec4<f32>,
+    place: TexturePlace,
     handedness: f32,
 }
 
@@ -92,10 +98,11 @@ fn surface_shape(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32
     if materials[material_index].textured != 0u {
         footprint = textures_footprint(a, b, c, position);
     }
+    let place = TexturePlace(uv, footprint, corners, barycentrics);
     let normal_texture = materials[material_index].normal_texture;
     if normal_texture.width != 0u {
         let normal_scale = materials[material_index].normal_scale;
-        let mapped = surface_texture(2u, normal_texture, uv, footprint).xyz * 2.0 - 1.0;
+        let mapped = surface_texture(2u, normal_texture, place).xyz * 2.0 - 1.0;
         let bitangent = cross(normal, tangent) * handedness;
         let scaled = tangent * (mapped.x * normal_scale)
             + bitangent * (mapped.y * normal_scale)
@@ -120,8 +127,7 @@ fn surface_shape(corners: vec3<u32>, material_index: u32, barycentrics: vec3<f32
         dot(smooth_normal, normal),
         tangent,
         view,
-        uv,
-        footprint,
+        place,
         handedness,
     );
 }
@@ -137,14 +143,12 @@ fn surface_point(
     let normal = shape.normal;
     var tangent = shape.tangent;
     let view = shape.view;
-    let uv = shape.uv;
     let handedness = shape.handedness;
-    let footprint = shape.footprint;
+    let place = shape.place;
     var appearance: Appearance;
     appearance.wanted = wanted;
     appearance.material = material_index;
-    appearance.uv = uv;
-    appearance.footprint = footprint;
+    appearance.place = place;
     appearance.view_cosine = dot(normal, view);
     var anisotropic = false;
     // Direction of anisotropy relative to the tangent, and its strength.
@@ -152,7 +156,7 @@ fn surface_point(
     var strength = 1.0;
     let anisotropy_texture = materials[material_index].anisotropy_texture;
     if anisotropy_texture.width != 0u {
-        let texel = surface_texture(3u, anisotropy_texture, uv, footprint);
+        let texel = surface_texture(3u, anisotropy_texture, place);
         strength = texel.z;
         direction = texel.xy * 2.0 - 1.0;
         if dot(direction, direction) < SURFACE_DEGENERATE_LENGTH_SQUARED {
@@ -163,13 +167,13 @@ fn surface_point(
         var color = materials[material_index].color;
         let color_texture = materials[material_index].base_color_texture;
         if color_texture.width != 0u {
-            color *= surface_texture(0u, color_texture, uv, footprint).xyz;
+            color *= surface_texture(0u, color_texture, place).xyz;
         }
         var metallic = materials[material_index].metallic;
         var roughness = materials[material_index].roughness;
         let factor_texture = materials[material_index].metallic_roughness_texture;
         if factor_texture.width != 0u {
-            let factors = surface_texture(1u, factor_texture, uv, footprint);
+            let factors = surface_texture(1u, factor_texture, place);
             metallic *= factors.z;
             roughness *= factors.y;
         }
@@ -247,9 +251,10 @@ fn surface_emission(corners: vec3<u32>, material_index: u32, barycentrics: vec3<
     if slot.width == 0u {
         return emission;
     }
-    let a = vertices[corners.x];
-    let b = vertices[corners.y];
-    let c = vertices[corners.z];
+    let second = (slot.flags & TEXTURES_SECOND_UV) != 0u;
+    let a = textures_vertex(corners.x, second);
+    let b = textures_vertex(corners.y, second);
+    let c = textures_vertex(corners.z, second);
     let uv = vec2(a.u, a.v) * barycentrics.x + vec2(b.u, b.v) * barycentrics.y + vec2(c.u, c.v) * barycentrics.z;
     let position = a.position * barycentrics.x + b.position * barycentrics.y + c.position * barycentrics.z;
     return emission * textures_sample(slot, uv, textures_footprint(a, b, c, position)).xyz;
@@ -275,7 +280,7 @@ fn surface_layer_weight(appearance: Appearance, i: u32) -> f32 {
     if texture.width == 0u {
         return weight;
     }
-    return weight * surface_texture(7u + 4u * i, texture, appearance.uv, appearance.footprint).x;
+    return weight * surface_texture(7u + 4u * i, texture, appearance.place).x;
 }
 
 fn surface_layer_diffuse(appearance: Appearance, i: u32) -> vec3<f32> {
@@ -284,7 +289,7 @@ fn surface_layer_diffuse(appearance: Appearance, i: u32) -> vec3<f32> {
     if texture.width == 0u {
         return diffuse;
     }
-    return diffuse * surface_texture(4u + 4u * i, texture, appearance.uv, appearance.footprint).xyz;
+    return diffuse * surface_texture(4u + 4u * i, texture, appearance.place).xyz;
 }
 
 // A layer's reflection by itself, its parameters not yet clamped.
@@ -298,11 +303,11 @@ fn surface_layer_reflection(appearance: Appearance, i: u32) -> Reflection {
     );
     let specular_texture = materials[appearance.material].layers[i].specular_texture;
     if specular_texture.width != 0u {
-        reflection.specular *= surface_texture(5u + 4u * i, specular_texture, appearance.uv, appearance.footprint).xyz;
+        reflection.specular *= surface_texture(5u + 4u * i, specular_texture, appearance.place).xyz;
     }
     let roughness_texture = materials[appearance.material].layers[i].roughness_texture;
     if roughness_texture.width != 0u {
-        let roughness = surface_texture(6u + 4u * i, roughness_texture, appearance.uv, appearance.footprint).xy;
+        let roughness = surface_texture(6u + 4u * i, roughness_texture, appearance.place).xy;
         switch reflection.model {
             case MODEL_BLINN_PHONG: {
                 // A quotient by zero need not be infinite here.

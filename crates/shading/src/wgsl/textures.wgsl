@@ -1,5 +1,44 @@
 // Twin of textures.rs.
 
+// Whether textures may be looked up by second texture coordinates; only where a scene has them, as it takes registers.
+override TEXTURES_SECOND_UVS: bool = true;
+
+// Second texture coordinates of a vertex: six take the room of one, behind all of them.
+fn textures_second_uv(index: u32) -> vec2<f32> {
+    let six = vertices[frames[frame_index].vertex_count + index / 6u];
+    switch index % 6u {
+        case 0u: {
+            return six.position.xy;
+        }
+        case 1u: {
+            return vec2(six.position.z, six.u);
+        }
+        case 2u: {
+            return six.normal.xy;
+        }
+        case 3u: {
+            return vec2(six.normal.z, six.v);
+        }
+        case 4u: {
+            return six.tangent.xy;
+        }
+        default: {
+            return six.tangent.zw;
+        }
+    }
+}
+
+// A vertex, with its second texture coordinates in place of the first where those are asked for.
+fn textures_vertex(index: u32, second: bool) -> Vertex {
+    var vertex = vertices[index];
+    if TEXTURES_SECOND_UVS && second {
+        let uv = textures_second_uv(index);
+        vertex.u = uv.x;
+        vertex.v = uv.y;
+    }
+    return vertex;
+}
+
 // How far vertices' texture coordinates go from column to column (xy) and from row to row (zw) of the
 // picture, at a point of a triangle.
 fn textures_footprint(a: Vertex, b: Vertex, c: Vertex, position: vec3<f32>) -> vec4<f32> {
@@ -93,7 +132,7 @@ fn textures_row(slot: TextureSlot, level: u32, uv: vec2<f32>, row: u32) -> vec4<
     let a = (vec2<u32>(vec2<i32>(low) + vec2<i32>(n)) + vec2(0u, row)) % n;
     let b = vec2((a.x + 1u) % n.x, a.y);
     let layer = place >> (2u * TEXTURES_SIDE_BITS);
-    let srgb = slot.srgb != 0u;
+    let srgb = (slot.flags & TEXTURES_SRGB) != 0u;
     let left = textures_texel(origin + a, layer, srgb);
     let right = textures_texel(origin + b, layer, srgb);
     return select(1.0 - f.y, f.y, row == 1u) * mix(left, right, f.x);

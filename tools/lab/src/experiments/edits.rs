@@ -252,10 +252,7 @@ fn dimpled(scene: &Scene, scale: f32) -> Scene {
     for material in &mut scene.materials {
         if material.name != "ground" {
             material.normal_scale = scale;
-            material.normal_texture = Some(TextureSlot {
-                texture: 0,
-                transform: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
-            });
+            material.normal_texture = Some(TextureSlot::whole(0));
         }
     }
     scene

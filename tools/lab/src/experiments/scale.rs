@@ -198,6 +198,7 @@ fn middle([a, b]: [Vertex; 2]) -> Vertex {
         normal,
         tangent: (tangent - tangent.dot(normal) * normal).normalize_or(across),
         uv: 0.5 * (a.uv + b.uv),
+        second_uv: 0.5 * (a.second_uv + b.second_uv),
         ..a
     }
 }

@@ -108,7 +108,12 @@ pub(super) fn cut(
     let size = DVec2::new(f64::from(texture.width), f64::from(texture.height));
     let place = |vertex: &Vertex| {
         let rows = (cutout.slot.transform).map(|row| row.map(f64::from));
-        let uv = vertex.uv.as_dvec2();
+        let uv = if cutout.slot.second_uv {
+            vertex.second_uv
+        } else {
+            vertex.uv
+        };
+        let uv = uv.as_dvec2();
         DVec2::from(rows.map(|[a, b, c]| a * uv.x + b * uv.y + c)) * size
     };
     let coordinates: Vec<DVec2> = vertices.iter().map(place).collect();
@@ -348,8 +353,13 @@ impl Knife<'_> {
     /// By position, then by texture coordinates.
     fn order(&self, a: u32, b: u32) -> Ordering {
         let key = |index: u32| {
-            let Vertex { position, uv, .. } = self.vertices[index as usize];
-            [position.x, position.y, position.z, uv.x, uv.y]
+            let Vertex {
+                position: p,
+                uv: a,
+                second_uv: b,
+                ..
+            } = self.vertices[index as usize];
+            [p.x, p.y, p.z, a.x, a.y, b.x, b.y]
         };
         let pairs = key(a).into_iter().zip(key(b));
         pairs
@@ -390,6 +400,7 @@ impl Knife<'_> {
             let vertex = Vertex {
                 position: a.position * w[0] + b.position * w[1] + c.position * w[2],
                 uv: a.uv * w[0] + b.uv * w[1] + c.uv * w[2],
+                second_uv: a.second_uv * w[0] + b.second_uv * w[1] + c.second_uv * w[2],
                 ..framed(
                     a,
                     a.normal * w[0] + b.normal * w[1] + c.normal * w[2],
@@ -413,6 +424,7 @@ impl Knife<'_> {
         let vertex = Vertex {
             position: between(a.position, b.position),
             uv: a.uv + (b.uv - a.uv) * t,
+            second_uv: a.second_uv + (b.second_uv - a.second_uv) * t,
             ..framed(
                 a,
                 between(a.normal, b.normal),

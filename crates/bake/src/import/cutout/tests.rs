@@ -62,6 +62,7 @@ fn sheet(cells: u32, low: Vec2, high: Vec2) -> (Vec<Vertex>, Vec<[u32; 3]>) {
             tangent: Vec3::X,
             bitangent_sign: 1.0,
             uv: low + (high - low) * Vec2::new(s, t),
+            second_uv: Vec2::ZERO,
         });
         vertices.len() as u32 - 1
     };

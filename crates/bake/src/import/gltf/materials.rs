@@ -18,8 +18,8 @@ use super::{Document, resolve};
 /// A material and what its primitives must know.
 pub(super) struct Converted {
     pub(super) material: Material,
-    /// n of the TEXCOORD_n that its textures use.
-    pub(super) uv_set: u32,
+    /// n of the TEXCOORD_n that its textures use: that which tangents follow, and another.
+    pub(super) uv_sets: (u32, Option<u32>),
     pub(super) double_sided: bool,
     pub(super) needs_tangents: bool,
     pub(super) cutout: Option<Cutout>,
@@ -277,16 +277,27 @@ impl<'a> Materials<'a> {
             .filter(|_| emission != [0.0; 3]),
         ];
         let set = |reference: &Reference| reference.transform.tex_coord.unwrap_or(reference.uv_set);
-        let uv_set = references.iter().flatten().next().map_or(0, set);
+        // Tangents are those of the normal map's coordinates, or else of the anisotropy's.
+        let framed = [2, 3]
+            .into_iter()
+            .find_map(|index| references[index].as_ref());
+        let sets = framed.into_iter().chain(references.iter().flatten());
+        let sets: Vec<u32> = sets.map(set).collect();
+        let first = sets.first().copied().unwrap_or(0);
+        let second = sets.into_iter().find(|set| *set != first);
         let mut slots = [None; 5];
         for (slot, reference) in slots.iter_mut().zip(references) {
             let Some(reference) = reference else { continue };
-            if set(&reference) == uv_set {
-                *slot = Some(self.slot(&reference, builder)?);
+            let own = set(&reference);
+            if own == first || Some(own) == second {
+                *slot = Some(TextureSlot {
+                    second_uv: own != first,
+                    ..self.slot(&reference, builder)?
+                });
             } else {
                 builder.warn(format!(
-                    "{} uses other texture coordinates than the material's first texture and is \
-                     left out",
+                    "{} uses a third set of texture coordinates, beside two that other textures of \
+                     the material use, and is left out",
                     reference.place
                 ));
             }
@@ -319,7 +330,7 @@ impl<'a> Materials<'a> {
             cutout,
             needs_tangents: normal_texture.is_some() || anisotropy.strength > 0.0,
             material,
-            uv_set,
+            uv_sets: (first, second),
             double_sided: source.double_sided,
         });
         self.converted.insert(key, self.list.len() - 1);
@@ -449,7 +460,10 @@ impl<'a> Materials<'a> {
         let image = self.image(texture, place)?;
         let key = (image.value(), reference.encoding == TextureEncoding::Srgb);
         if let Some(&texture) = self.images.get(&key) {
-            return Ok(TextureSlot { texture, transform });
+            return Ok(TextureSlot {
+                transform,
+                ..TextureSlot::whole(texture)
+            });
         }
         let source = document.get(image, place)?;
         let place = format!("images[{image}]");
@@ -471,7 +485,10 @@ impl<'a> Materials<'a> {
         )?);
         let texture = self.textures.len() as u32 - 1;
         self.images.insert(key, texture);
-        Ok(TextureSlot { texture, transform })
+        Ok(TextureSlot {
+            transform,
+            ..TextureSlot::whole(texture)
+        })
     }
 }
 

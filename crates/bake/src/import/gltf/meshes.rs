@@ -215,7 +215,7 @@ impl Document<'_> {
         }
         let material = materials.convert(primitive.material, builder)?;
         let Converted {
-            uv_set,
+            uv_sets,
             double_sided,
             needs_tangents,
             ..
@@ -249,16 +249,30 @@ impl Document<'_> {
             .map(|index| self.floats::<4>(index, &key("TANGENT")))
             .transpose()?;
         optional(tangents.as_ref().map(Vec::len).as_slice(), "TANGENT")?;
-        let uv_name = format!("TEXCOORD_{uv_set}");
-        let uvs = attribute(Semantic::TexCoords(uv_set))
-            .map(|index| self.floats::<2>(index, &key(&uv_name)))
-            .transpose()?;
-        optional(uvs.as_ref().map(Vec::len).as_slice(), &uv_name)?;
+        let mut missing = None;
+        let mut uvs_of = |uv_set: Option<u32>| {
+            let Some(uv_set) = uv_set else {
+                return Ok(None);
+            };
+            let uv_name = format!("TEXCOORD_{uv_set}");
+            let uvs = attribute(Semantic::TexCoords(uv_set))
+                .map(|index| self.floats::<2>(index, &key(&uv_name)))
+                .transpose()?;
+            optional(uvs.as_ref().map(Vec::len).as_slice(), &uv_name)?;
+            if uvs.is_none() {
+                missing.get_or_insert(uv_name);
+            }
+            Ok(uvs)
+        };
+        let uvs = uvs_of(Some(uv_sets.0))?;
+        let second_uvs = uvs_of(uv_sets.1)?;
         let colors = attribute(Semantic::Colors(0))
             .map(|index| self.colors(index, &key("COLOR_0")))
             .transpose()?;
         optional(colors.as_ref().map(Vec::len).as_slice(), "COLOR_0")?;
-        if uvs.is_none() && materials.list[material].has_textures() {
+        if let Some(uv_name) = missing
+            && materials.list[material].has_textures()
+        {
             builder.warn(format!("{place} is textured but has no {uv_name}"));
         }
 
@@ -289,11 +303,15 @@ impl Document<'_> {
             });
             let normal =
                 (normals.as_ref()).and_then(|normals| direction(cofactors, normals[index]));
+            let uv = |uvs: &Option<Vec<[f32; 2]>>| {
+                uvs.as_ref().map_or(Vec2::ZERO, |uvs| uvs[index].into())
+            };
             vertices.push(GivenVertex {
                 position,
                 normal,
                 tangent,
-                uv: uvs.as_ref().map_or(Vec2::ZERO, |uvs| uvs[index].into()),
+                uv: uv(&uvs),
+                second_uv: uv(&second_uvs),
                 color: colors.as_ref().map(|colors| colors[index]),
             });
         }

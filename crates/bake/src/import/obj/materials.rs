@@ -251,6 +251,9 @@ impl Textures<'_> {
         let ([su, sv], [ou, ov]) = (map.scale, map.offset);
         // OBJ's v points up: v' = 1 - ((1 - v) sv + ov).
         let transform = [[su, 0.0, ou], [0.0, sv, 1.0 - sv - ov]];
-        Ok(index.map(|texture| TextureSlot { texture, transform }))
+        Ok(index.map(|texture| TextureSlot {
+            transform,
+            ..TextureSlot::whole(texture)
+        }))
     }
 }

@@ -150,6 +150,7 @@ fn average(a: &Vertex, b: &Vertex, position: Vec3) -> Vertex {
         tangent: (a.tangent + b.tangent) * 0.5,
         bitangent_sign: a.bitangent_sign,
         uv: (a.uv + b.uv) * 0.5,
+        second_uv: (a.second_uv + b.second_uv) * 0.5,
     }
 }
 
@@ -171,6 +172,7 @@ mod tests {
             tangent: Vec3::X,
             bitangent_sign: -1.0,
             uv: Vec2::new(position.x * 3.0 - position.y, position.z + 0.25),
+            second_uv: Vec2::new(position.z - position.x, position.y),
         }
     }
 
@@ -272,6 +274,7 @@ mod tests {
                 assert!(normal.distance(found.normal) < TOLERANCE);
                 let expected = vertex(found.position);
                 assert!(expected.uv.distance(found.uv) < TOLERANCE);
+                assert!(expected.second_uv.distance(found.second_uv) < TOLERANCE);
                 assert_eq!(found.tangent, expected.tangent);
             }
         }

@@ -302,6 +302,7 @@ mod tests {
             tangent: Vec3::X,
             bitangent_sign: 1.0,
             uv: position.xz(),
+            second_uv: position.yx(),
         }
     }
 

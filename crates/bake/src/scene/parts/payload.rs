@@ -7,8 +7,8 @@ use crate::compress::Compressed;
 use crate::scene::Cluster;
 use crate::transfer::compress::{ClusterTransfer, Group};
 
-/// Clusters to bytes: u32 number of clusters, then each: u32 vertices, triangles and
-/// tiles, f32 coefficient scale, u64 basis bytes, f64 squared error, the sums of errors, then
+/// Clusters to bytes: u32 number of clusters, then each: u32 vertices, second texture coordinates,
+/// triangles and tiles, f32 coefficient scale, u64 basis bytes, f64 squared error, the sums of errors, then
 /// the arrays; of bounced light u64 weights, u64 scales (0 where no group begins) and u64 basis
 /// bytes, the weights, and where a group begins u32 rank, u32 outputs, f64 squared error, f64
 /// squared light, scales and basis.
@@ -18,6 +18,7 @@ pub fn encode(clusters: &[Cluster]) -> Vec<u8> {
     for cluster in clusters {
         let compressed = &cluster.compressed;
         bytes.extend((cluster.vertices.len() as u32).to_le_bytes());
+        bytes.extend((cluster.second_uvs.len() as u32).to_le_bytes());
         bytes.extend((cluster.triangles.len() as u32).to_le_bytes());
         bytes.extend(compressed.tiles.to_le_bytes());
         bytes.extend(compressed.coefficient_scale.to_le_bytes());
@@ -25,6 +26,7 @@ pub fn encode(clusters: &[Cluster]) -> Vec<u8> {
         bytes.extend(compressed.squared_error.to_le_bytes());
         bytes.extend(bytemuck::bytes_of(&cluster.errors));
         bytes.extend(array_bytes(&cluster.vertices));
+        bytes.extend(array_bytes(&cluster.second_uvs));
         bytes.extend(array_bytes(&cluster.triangles));
         bytes.extend(array_bytes(&compressed.coefficients));
         bytes.extend(array_bytes(&compressed.basis));
@@ -59,7 +61,7 @@ pub(super) fn decode(mut bytes: &[u8]) -> Option<Vec<Cluster>> {
     let count: u32 = take(bytes)?;
     let mut clusters = Vec::new();
     for _ in 0..count {
-        let [vertices, triangles, tiles]: [u32; 3] = take(bytes)?;
+        let [vertices, second_uvs, triangles, tiles]: [u32; 4] = take(bytes)?;
         let coefficient_scale: f32 = take(bytes)?;
         let basis: u64 = take(bytes)?;
         let squared_error: f64 = take(bytes)?;
@@ -70,6 +72,7 @@ pub(super) fn decode(mut bytes: &[u8]) -> Option<Vec<Cluster>> {
         let channels = u64::from(tiles) * CHANNELS_PER_TILE as u64;
         let mut cluster = Cluster {
             vertices: take_array(bytes, u64::from(vertices))?,
+            second_uvs: take_array(bytes, u64::from(second_uvs))?,
             triangles: take_array(bytes, u64::from(triangles))?,
             compressed: Compressed {
                 tiles,

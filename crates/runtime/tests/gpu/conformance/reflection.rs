@@ -199,6 +199,8 @@ fn scene() -> Scene {
             vertex.tangent = random.direction().extend(sign).into();
             vertex.uv = [4.0 * random.unit() - 2.0, 4.0 * random.unit() - 2.0];
             scene.vertices.push(vertex);
+            let uv = [4.0 * random.unit() - 2.0, 4.0 * random.unit() - 2.0];
+            scene.second_uvs.push(uv);
         }
         // All of one triangle's tangents agree on the handedness, as an import's do.
         for other in 1..3 {
@@ -239,6 +241,7 @@ fn material(random: &mut Random) -> Material {
                 [random.unit(), random.unit(), random.unit()],
                 [random.unit(), -random.unit(), random.unit()],
             ],
+            second_uv: random.unit() < 0.3,
         })
     };
     let kind = random.next() % 4;
@@ -325,7 +328,8 @@ fn specular(random: &mut Random, most_lobes: u64) -> Specular {
 
 fn answers(gpu: &Gpu, scene: &Scene, queries: &[Query]) -> Result<Vec<Vec4>, Failed> {
     let packed = pack_scene(scene)?;
-    let frame = gpu::Frame::new(&view(), &packed.atlas, packed.distance_clamp);
+    let mut frame = gpu::Frame::new(&view(), &packed.atlas, packed.distance_clamp);
+    frame.vertex_count = scene.vertices.len() as u32;
     let frame = super::buffer(gpu, &scenes::batch(&frame), wgpu::BufferUsages::UNIFORM);
     let tables = super::storage(gpu, &gpu_tables());
     let vertices = super::storage(gpu, &packed.vertices);

@@ -127,6 +127,7 @@ fn matches_twin(mesh: &Path) -> Outcome {
             method,
             antialias: false,
             exposure: 1.0,
+            shadow_map: None,
             background: Background::Transparent,
         };
         let mut encoder = gpu

@@ -121,6 +121,14 @@ pub enum Error {
         /// What the image is.
         found: String,
     },
+    /// A shadow map that cannot be looked up.
+    #[error("shadow map: expected {expected}, found {found}")]
+    ShadowMap {
+        /// What was expected.
+        expected: &'static str,
+        /// What it is.
+        found: String,
+    },
     /// A material that is to catch shadows in a scene that was uploaded without any.
     #[error(
         "material {index}: expected a scene uploaded with a material that catches shadows, found none"

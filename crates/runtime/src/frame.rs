@@ -8,11 +8,12 @@ use relight_shading::local_light::{LocalLight, Spot};
 use relight_shading::polar::PolarOptions;
 use relight_shading::prefiltered::Prefiltered;
 use relight_shading::shade::Method;
+use relight_shading::shadow_map::Lookup;
 use relight_shading::sources::Sources;
 use relight_shading::spherical_gaussian::SphericalGaussian;
 
 use crate::placement::check_rotation;
-use crate::{Background, Error, Placement};
+use crate::{Background, Error, Placement, ShadowMap};
 
 /// An environment asset in the form that frames take: made once, for any number of frames.
 #[derive(Clone, Debug)]
@@ -63,6 +64,8 @@ pub struct Frame<'a> {
     /// The environment's suns, lamps and windows, which its lobes and its image do not have:
     /// [`Sources::new`]. Rays against the scene shadow them.
     pub sources: Option<&'a Sources>,
+    /// What of one of the sources the app's own things hide. Default nothing, which costs nothing.
+    pub shadow_map: Option<ShadowMap<'a>>,
     /// Turns the lights, the image and the sources, world space. Of unit length.
     pub rotation: Quat,
     /// Lights inside the scene, at most [`MAX_LOCAL_LIGHTS`](relight_shading::gpu::MAX_LOCAL_LIGHTS).
@@ -90,6 +93,7 @@ impl<'a> Frame<'a> {
             lights,
             reflections: None,
             sources: None,
+            shadow_map: None,
             rotation: Quat::IDENTITY,
             local_lights: &[],
             method: Method::Polar(PolarOptions::STANDARD),
@@ -163,6 +167,9 @@ impl<'a> Frame<'a> {
                 .map(|light| (&local(light)).into())
                 .collect(),
             sources: self.sources.map(|sources| sources.turned(&rotation)),
+            shadow_map: (self.shadow_map.as_ref())
+                .map(|map| map.lookup(placement))
+                .transpose()?,
             reflection_rotation: rotation.transpose(),
             to_world: placement.to_scene().transpose(),
         })
@@ -176,6 +183,7 @@ pub(crate) struct LocalFrame {
     pub(crate) lights: Vec<SphericalGaussian>,
     pub(crate) local_lights: Vec<gpu::LocalLight>,
     pub(crate) sources: Option<Sources>,
+    pub(crate) shadow_map: Option<Lookup>,
     /// Directions to those of the reflected image.
     pub(crate) reflection_rotation: Mat3,
     /// Directions to those of the world.
@@ -255,6 +263,7 @@ mod tests {
             rotation: Quat::from_rotation_y(std::f32::consts::FRAC_PI_2),
             reflections: None,
             sources: None,
+            shadow_map: None,
             local_lights: &[],
             method: Method::Ambient,
             antialias: false,

@@ -37,7 +37,8 @@
 //! - Cameras: a view each, prepared in any order into one encoder.
 //! - Scenes and places: [`Renderer::prepare`] takes [`Instance`]s, each with a [`Placement`]. They hide
 //!   one another. **They neither shadow nor light one another**: visibility is baked per scene. What
-//!   must throw a shadow on something is baked with it.
+//!   must throw a shadow on something is baked with it, or drawn by the app into a [`ShadowMap`] of a sun, a lamp or a
+//!   window: [`Frame::shadow_map`], with what else moves and is in no scene.
 //! - Threads: renderers, scenes and lights may be shared. [`Renderer::upload_while`], which can be stopped, and
 //!   [`EnvironmentLight::new`] take time and belong on a thread of their own. An asset is replaced by
 //!   assigning the new scene to the old one; [`Renderer::upload_bytes`] says before what it takes.
@@ -103,6 +104,7 @@ mod pass_times;
 mod placement;
 mod renderer;
 mod resources;
+mod shadow_map;
 mod tiles;
 mod transfer;
 #[cfg(feature = "twin")]
@@ -127,9 +129,11 @@ pub use relight_shading::local_light::{LocalLight, Spot};
 pub use relight_shading::polar::PolarOptions;
 pub use relight_shading::prefiltered::Prefiltered;
 pub use relight_shading::shade::{CellsOptions, Method};
+pub use relight_shading::shadow_map::DepthImage;
 pub use relight_shading::sources::Sources;
 pub use relight_shading::spherical_gaussian::SphericalGaussian;
 pub use renderer::Renderer;
+pub use shadow_map::{Depths, ShadowMap};
 pub use upload::GpuScene;
 pub use view::View;
 pub use {glam, wgpu};

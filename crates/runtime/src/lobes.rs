@@ -5,7 +5,7 @@ use std::sync::OnceLock;
 
 use relight_shading::wgsl::{
     AROUND, DIFFUSE, IMAGES, INTEGRALS, Kernel, PRODUCTS, REFLECTIONS, SEEN_TEXTURES, SHADE,
-    SOURCES, SOURCES_SHOWN,
+    SOURCES, SOURCES_SHADOWED, SOURCES_SHOWN,
 };
 use relight_shading::{gpu, slots};
 
@@ -14,7 +14,7 @@ use crate::layouts::{
     source_image_layouts, texture_entry, written,
 };
 use crate::tiles::{Dispatch, WORKGROUP};
-use crate::{Frame, GpuScene, Method};
+use crate::{Frame, GpuScene, Method, shadow_map};
 
 /// Pixels of a workgroup.
 const WORKGROUP_PIXELS: u32 = WORKGROUP * WORKGROUP;
@@ -52,7 +52,10 @@ pub(crate) struct LobePasses {
     pub(crate) sources: [wgpu::BindGroupLayout; 2],
     /// Groups 2 of that for their points and of that for what is shown of them.
     pub(crate) source_images: [wgpu::BindGroupLayout; 2],
+    /// Group 3 of that for their points, with an app's shadow map.
+    pub(crate) shadow_map: wgpu::BindGroupLayout,
     source_points: OnceLock<wgpu::ComputePipeline>,
+    source_points_shadowed: OnceLock<wgpu::ComputePipeline>,
     sources_shown: OnceLock<wgpu::ComputePipeline>,
 }
 
@@ -99,6 +102,8 @@ pub(crate) struct SourceWork<'a> {
     pub(crate) groups: [&'a wgpu::BindGroup; 2],
     /// Groups 2, as [`LobePasses::source_images`].
     pub(crate) images: &'a [wgpu::BindGroup; 2],
+    /// Group 3, with an app's shadow map.
+    pub(crate) shadow_map: Option<&'a wgpu::BindGroup>,
 }
 
 impl<'a> Work<'a> {
@@ -153,7 +158,9 @@ impl LobePasses {
             shade: Default::default(),
             sources,
             source_images: source_image_layouts(device),
+            shadow_map: shadow_map::layout(device),
             source_points: OnceLock::new(),
+            source_points_shadowed: OnceLock::new(),
             sources_shown: OnceLock::new(),
         }
     }
@@ -230,20 +237,29 @@ impl LobePasses {
         let Some(sources) = work.sources else {
             return;
         };
-        let mut run = |kernel: &OnceLock<wgpu::ComputePipeline>, made_of, scene, images, z| {
-            let (layout, group): (&wgpu::BindGroupLayout, &wgpu::BindGroup) = scene;
-            let layouts = [&self.sources[0], layout, &self.source_images[images]];
-            let make = || compute_pipeline(&self.device, &layouts, made_of);
-            pass.set_pipeline(kernel.get_or_init(make));
-            pass.set_bind_group(0, sources.groups[0], &[offset]);
-            pass.set_bind_group(1, group, &[]);
-            pass.set_bind_group(2, &sources.images[images], &[]);
-            pass.dispatch_workgroups(workgroups, 1, z);
-        };
+        let mut run =
+            |kernel: &OnceLock<wgpu::ComputePipeline>, made_of: &Kernel, scene, images, z| {
+                let (layout, group): (&wgpu::BindGroupLayout, &wgpu::BindGroup) = scene;
+                let mut layouts = vec![&self.sources[0], layout, &self.source_images[images]];
+                if let (true, Some(map)) = (*made_of == SOURCES_SHADOWED, sources.shadow_map) {
+                    layouts.push(&self.shadow_map);
+                    pass.set_bind_group(3, map, &[]);
+                }
+                let make = || compute_pipeline(&self.device, &layouts, made_of);
+                pass.set_pipeline(kernel.get_or_init(make));
+                pass.set_bind_group(0, sources.groups[0], &[offset]);
+                pass.set_bind_group(1, group, &[]);
+                pass.set_bind_group(2, &sources.images[images], &[]);
+                pass.dispatch_workgroups(workgroups, 1, z);
+            };
         // Which points are seen holds for the next reflections.
         if next == 0 {
             let scene = (&self.sources[1], sources.groups[1]);
-            run(&self.source_points, &SOURCES, scene, 0, sources.count);
+            let (kernel, made_of) = match sources.shadow_map {
+                None => (&self.source_points, &SOURCES),
+                Some(_) => (&self.source_points_shadowed, &SOURCES_SHADOWED),
+            };
+            run(kernel, made_of, scene, 0, sources.count);
         }
         let scene = (&self.scenes[0], &scenes[0]);
         run(&self.sources_shown, &SOURCES_SHOWN, scene, 1, 1);

@@ -192,6 +192,10 @@ impl Renderer {
         ]
     }
 
+    pub(crate) fn shadow_map_layout(&self) -> &wgpu::BindGroupLayout {
+        &self.lobes.shadow_map
+    }
+
     pub(crate) fn owner(&self) -> &Owner {
         &self.owner
     }
@@ -446,6 +450,11 @@ impl Renderer {
             view.resources[index].fill(self, scene, frame, &image, part, &placed)?;
             match (view.open.get_mut(index), &scene.open) {
                 (Some(open), Some(scene)) => {
+                    // Without what hides light, the app's things among it.
+                    let frame = &Frame {
+                        shadow_map: None,
+                        ..frame.clone()
+                    };
                     open.fill(self, scene, frame, &image, part, &placed)?;
                 }
                 (Some(open), None) => *open = Resources::default(),
@@ -494,6 +503,7 @@ impl Renderer {
                 count,
                 groups: [resources.source_group()?, scene.sources.as_ref().ok()?],
                 images: images.sources.as_ref()?,
+                shadow_map: resources.shadow_group(),
             })
         });
         let work = lobes::Work::of(frame, scene, sources);

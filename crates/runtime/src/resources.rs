@@ -9,6 +9,7 @@ use relight_shading::vertex_visibility;
 
 use crate::frame::LocalFrame;
 use crate::loading::check_storage;
+use crate::shadow_map::BoundMap;
 use crate::tiles::{self, Dispatch, Region, Tiling};
 use crate::transfer::Slot;
 use crate::upload::ProductsOfLight;
@@ -37,6 +38,7 @@ pub(crate) struct Resources {
     vertex_group: Option<wgpu::BindGroup>,
     /// Group 0 of the passes for sources.
     source_group: Option<wgpu::BindGroup>,
+    shadow_map: BoundMap,
     /// Where instances may be seen, if anywhere.
     regions: Vec<Option<Region>>,
     dispatches: Vec<Dispatch>,
@@ -147,6 +149,10 @@ impl Resources {
             self.views = views;
         }
         self.bind_frames(renderer);
+        let lookups = instances.iter().map(|(local, _)| local.shadow_map);
+        let layout = renderer.shadow_map_layout();
+        self.shadow_map
+            .fill(renderer, layout, frame.shadow_map.as_ref(), lookups)?;
         self.fill_sources(renderer, scene, instances)
     }
 
@@ -263,6 +269,11 @@ impl Resources {
     /// Group 0 of the passes for sources; `None` where the frame has none.
     pub(crate) fn source_group(&self) -> Option<&wgpu::BindGroup> {
         self.source_group.as_ref()
+    }
+
+    /// Group 3 of it, where the frame has a shadow map.
+    pub(crate) fn shadow_group(&self) -> Option<&wgpu::BindGroup> {
+        self.shadow_map.group()
     }
 
     /// Runs of instances that may be seen.

@@ -179,6 +179,21 @@ pub struct SourcePoint {
     pub cone_cosine: f32,
 }
 
+/// How an app's own shadow map is looked up; a matrix to its clip space follows for each instance, up to
+/// [`MAX_BATCH`] (16 bytes).
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct ShadowMap {
+    /// 1 where depth grows with distance from the light, −1 where it falls.
+    pub sign: f32,
+    /// What hides a point is nearer by more than this, in units of depth.
+    pub bias: f32,
+    /// Which source it is of.
+    pub source: u32,
+    /// Zero.
+    pub reserved: u32,
+}
+
 /// A box of the hierarchy of what blocks rays (32 bytes).
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]

@@ -33,6 +33,7 @@ pub mod reference;
 pub mod shade;
 #[cfg(feature = "paper")]
 pub mod shade_cells;
+pub mod shadow_map;
 pub mod slots;
 pub mod sources;
 pub mod spherical_gaussian;

@@ -24,6 +24,7 @@ use crate::camera::View;
 use crate::gpu;
 use crate::models;
 use crate::occluders::Occluders;
+use crate::shadow_map::{DepthImage, Lookup};
 use crate::spherical_gaussian::{SphericalGaussian, energy};
 use crate::surface::{MAX_REFLECTIONS, Model, Reflection, SurfacePoint};
 
@@ -81,7 +82,10 @@ const OWN: f32 = 2.0;
 const STEP: [u32; 2] = [3_242_174_889, 2_447_445_414];
 
 /// Texels of four words for what a pixel sees of a source: a word about its groups, and one of the bits of each.
-pub const SEEN_TEXELS: u32 = (1 + GROUPS).div_ceil(4);
+pub const SEEN_TEXELS: u32 = (2 + GROUPS).div_ceil(4);
+
+/// Of the word about groups: an app's shadow map takes light away, how much of it says one more word behind the others.
+const SHADOWED: u32 = 1 << (3 * GROUPS);
 
 /// Of a source and a workgroup's 64 pixels: how many such groups of texels lie side by side in an image.
 pub const SEEN_COLUMNS: u32 = 16;
@@ -127,6 +131,12 @@ impl Sources {
     /// Number of sources, at least 1.
     pub fn count(&self) -> usize {
         self.grids.len()
+    }
+
+    /// The direction that a source's light comes from, in the middle of it; `None` where there is no such source.
+    pub fn axis(&self, source: usize) -> Option<Vec3> {
+        let cones = self.points.chunks_exact(STRIDE as usize);
+        Some(cones.map(|all| all[0].direction).nth(source)?.into())
     }
 
     /// Per source [`STRIDE`] entries.
@@ -275,6 +285,8 @@ pub struct Lit<'a> {
     pub ray_offset: f32,
     /// The pixel whose square is lit, with antialiasing; without, a point is.
     pub pixel: Option<Pixel<'a>>,
+    /// An app's own shadow map.
+    pub shadow_map: Option<(Lookup, DepthImage<'a>)>,
 }
 
 /// A pixel that sees a surface.
@@ -303,6 +315,8 @@ pub struct Seen {
     finer: bool,
     /// Of every group that is not seen whole, a bit for each of its places or points.
     points: [u32; GROUPS as usize],
+    /// Part of its light that an app's shadow map takes away.
+    hidden: f32,
 }
 
 /// What rays to a source, or to one of its groups, have told.
@@ -362,8 +376,15 @@ impl Lit<'_> {
             from_point,
         };
         let all = self.sources.points.chunks_exact(STRIDE as usize);
-        all.map(|all| self.seen_of(all, point, &start, rays))
-            .collect()
+        let mut found: Vec<Seen> = all
+            .map(|all| self.seen_of(all, point, &start, rays))
+            .collect();
+        if let Some((lookup, image)) = &self.shadow_map
+            && let Some(seen) = found.get_mut(lookup.source)
+        {
+            seen.hidden = lookup.hidden(image, point.position);
+        }
+        found
     }
 
     /// The same of the source that has these entries.
@@ -525,7 +546,7 @@ impl Lit<'_> {
                     bits &= bits - 1;
                 }
             }
-            sum
+            sum * (1.0 - seen.hidden)
         };
         let all = self.sources.points.chunks_exact(STRIDE as usize);
         all.zip(seen).map(of_source).sum()
@@ -582,6 +603,7 @@ pub fn wgsl_constants() -> String {
         ("SOURCE_FIRST_PLACE", FIRST_PLACE),
         ("SOURCE_FIRST_POINT", FIRST_POINT),
         ("SOURCE_SEEN_TEXELS", SEEN_TEXELS),
+        ("SOURCE_SHADOWED", SHADOWED),
         ("SOURCE_SEEN_COLUMNS", SEEN_COLUMNS),
     ];
     let constants = counts.map(|(name, count)| format!("const {name}: u32 = {count}u;\n"));
@@ -744,6 +766,7 @@ mod tests {
             occluders: &empty,
             ray_offset: 0.0,
             pixel: None,
+            shadow_map: None,
         };
         let reflection = Reflection::new(Model::Ggx, Vec3::splat(0.6), Vec2::splat(0.3));
         for appearance in [
@@ -806,6 +829,7 @@ mod tests {
                 occluders: &occluders,
                 ray_offset: 0.0,
                 pixel: None,
+                shadow_map: None,
             };
             let point = local_point(Appearance::new(Vec3::ONE, &[]), Vec3::Z);
             lit.radiance(&point, &mut 0).x

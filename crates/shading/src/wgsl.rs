@@ -45,7 +45,8 @@ pub enum Entry {
     /// Visibility buffer to linear radiance by cells: `cells_main`, workgroups of 8 × 8 pixels.
     #[cfg(feature = "paper")]
     ShadeCells,
-    /// Visibility buffer, and what it shows of textures, to which points of sources it sees: `sources_main`, workgroups
+    /// Visibility buffer, and what it shows of textures, to which points of sources it sees: `sources_main` or,
+    /// with an app's own shadow map, `sources_shadowed_main`, workgroups
     /// of 8 × 8 pixels.
     Sources,
     /// Those, and materials, to what sources add to the radiance: `sources_shown_main`, workgroups of 8 × 8 pixels.
@@ -132,6 +133,7 @@ pub const KERNELS: &[Kernel] = &[
     #[cfg(feature = "paper")]
     SHADE_CELLS[1],
     SOURCES,
+    SOURCES_SHADOWED,
     SOURCES_SHOWN,
 ];
 
@@ -292,6 +294,13 @@ pub const SHADE_CELLS: [Kernel; 2] = [
 
 /// Which points of every source every pixel sees.
 pub const SOURCES: Kernel = shading("sources", (Entry::Sources, "sources_main"), &[]);
+
+/// The same, with an app's own shadow map.
+pub const SOURCES_SHADOWED: Kernel = shading(
+    "sources, shadow map",
+    (Entry::Sources, "sources_shadowed_main"),
+    &[],
+);
 
 /// What those add to every pixel.
 pub const SOURCES_SHOWN: Kernel = shading(
@@ -478,6 +487,7 @@ pub fn source(entry: Entry) -> String {
             source += &library(SLOTS);
             source += include_str!("wgsl/source_points.wgsl");
             source += include_str!("wgsl/occluders.wgsl");
+            source += include_str!("wgsl/shadow_map.wgsl");
             source += include_str!("wgsl/sources.wgsl");
         }
         Entry::SourcesShown => {

@@ -29,6 +29,7 @@ const BOUNDS: &[(&str, [u64; 2])] = &[
     ("shade", [48, 72]),
     ("shade, second", [48, 80]),
     ("sources", [60, 88]),
+    ("sources, shadow map", [60, 96]),
     ("sources, shown", [72, 96]),
 ];
 

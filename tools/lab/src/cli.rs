@@ -276,6 +276,7 @@ fn run_truth(arguments: &Truth) -> anyhow::Result<Value> {
                     occluders: &occluders,
                     ray_offset: 0.0,
                     pixel: None,
+                    shadow_map: None,
                 }),
                 ..Lighting::default()
             };

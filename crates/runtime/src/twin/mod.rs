@@ -18,6 +18,7 @@ use relight_shading::occluders::Occluders;
 use relight_shading::pixel_visibility::{PIXELS, SIDE};
 use relight_shading::prefiltered::Prefiltered;
 use relight_shading::shade::{Lighting, Method, Reflections};
+use relight_shading::shadow_map::DepthImage;
 use relight_shading::sources::{Lit, Pixel};
 use relight_shading::ssdf::{Basis, SignedDistance, Ssdf};
 use relight_shading::surface::{SurfacePoint, emission, has_diffuse, surface_seen};
@@ -33,6 +34,7 @@ pub use visibility_buffer::visibility_buffer;
 
 use crate::frame::{LocalFrame, bounds, near_plane};
 use crate::resources::first_ids;
+use crate::shadow_map::ShadowMap;
 use crate::{Before, Error, Frame, Image, Placement, occluders};
 
 /// A scene in a place.
@@ -434,6 +436,8 @@ struct Stage<'a> {
     /// With antialiasing.
     surfaces: Option<Surfaces>,
     reflections: Option<&'a Prefiltered>,
+    /// Of the app's own shadow map.
+    depths: Option<DepthImage<'a>>,
 }
 
 /// One of its instances.
@@ -529,7 +533,10 @@ impl<'a> Stage<'a> {
                 Box::new(Staged {
                     scene: &open.scene,
                     first_id,
-                    local: local.clone(),
+                    local: LocalFrame {
+                        shadow_map: None,
+                        ..local.clone()
+                    },
                     prepared: &open.prepared,
                     fractions: None,
                     open: None,
@@ -579,6 +586,9 @@ impl<'a> Stage<'a> {
             },
             surfaces,
             reflections: frame.reflections,
+            depths: (frame.shadow_map.as_ref())
+                .map(ShadowMap::image)
+                .transpose()?,
         })
     }
 
@@ -750,6 +760,7 @@ impl<'a> Stage<'a> {
                     .get_or_init(|| occluders::build(staged.scene)),
                 ray_offset: staged.scene.visibility.ray_offset,
                 pixel: None,
+                shadow_map: local.shadow_map.zip(self.depths),
             }),
             lights: &local.lights,
             local: &local.local_lights,

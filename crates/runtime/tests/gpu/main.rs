@@ -11,6 +11,7 @@ mod examples;
 mod generate;
 mod loading;
 mod scenes;
+mod shadow_map;
 #[path = "../../examples/support/mod.rs"]
 #[allow(clippy::duplicate_mod, reason = "every example has it as well")]
 mod support;
@@ -191,6 +192,10 @@ fn main() -> ExitCode {
         with_gpu("engine::instances_match_twin", engine::instances_match_twin),
         with_gpu("engine::batches_match_twin", engine::batches_match_twin),
         with_gpu(
+            "shadow_map::shadow_maps_match_twin",
+            shadow_map::shadow_maps_match_twin,
+        ),
+        with_gpu(
             "engine::turning_the_world_changes_nothing",
             engine::turning_the_world_changes_nothing,
         ),
@@ -254,6 +259,7 @@ fn frame(lights: &[SphericalGaussian], method: Method) -> Frame<'_> {
         method,
         antialias: false,
         exposure: 0.8,
+        shadow_map: None,
         background: Background::Transparent,
     }
 }

@@ -14,7 +14,8 @@ fn sources_seen_row(workgroup: u32, source: u32) -> u32 {
 // seen in part a word of bits. The other texels are written where those have any.
 //
 // Bits of the lowest byte: all of the group is seen; of the next: part of it; of the third: which are points,
-// and not places.
+// and not places. SOURCE_SHADOWED: behind the groups' words is one more, the part of the light that an app's shadow map
+// takes away.
 fn sources_seen_place(row: u32, texel: u32, invocation: u32) -> vec2<u32> {
     let column = row % SOURCE_SEEN_COLUMNS * SOURCE_SEEN_TEXELS + texel;
     return vec2(64u * column + invocation, row / SOURCE_SEEN_COLUMNS);

@@ -9,19 +9,49 @@ fn sources_main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
     @builtin(local_invocation_index) invocation: u32,
 ) {
+    if sources_find(workgroup, invocation) {
+        sources_write(workgroup, invocation);
+    }
+}
+
+// The same where an app has a shadow map of its own.
+@compute @workgroup_size(8, 8)
+fn sources_shadowed_main(
+    @builtin(workgroup_id) workgroup: vec3<u32>,
+    @builtin(local_invocation_index) invocation: u32,
+) {
+    if sources_find(workgroup, invocation) {
+        if workgroup.z == shadow_map.source && sources_seen[sources_word(0u)] != 0u {
+            let hidden = shadow_map_hidden(slots_reflection_value(SLOTS_POSITION).xyz);
+            if hidden > 0.0 {
+                sources_seen[sources_word(0u)] |= SOURCE_SHADOWED;
+                sources_seen[sources_word(1u + SOURCE_GROUPS)] = bitcast<u32>(hidden);
+            }
+        }
+        sources_write(workgroup, invocation);
+    }
+}
+
+// Whether there is anything to find them for.
+fn sources_find(workgroup: vec3<u32>, invocation: u32) -> bool {
     slots_enter(workgroup.x, invocation);
     sources_own = invocation;
     let pixel = tile_pixel(invocation);
     let seen = seen_triangle(pixel);
     if seen.x >= frames[frame_index].triangle_count {
-        return;
+        return false;
     }
     for (var word = 0u; word < 4u * SOURCE_SEEN_TEXELS; word++) {
         sources_seen[sources_word(word)] = 0u;
     }
     sources_points(workgroup.z, pixel, seen.y, triangles[seen.x].xyz);
+    return true;
+}
+
+fn sources_write(workgroup: vec3<u32>, invocation: u32) {
     let row = sources_seen_row(workgroup.x, workgroup.z);
-    let partly = (sources_seen[sources_word(0u)] >> SOURCE_GROUPS) & ((1u << SOURCE_GROUPS) - 1u);
+    let shadowed = SOURCE_SHADOWED >> SOURCE_GROUPS;
+    let partly = (sources_seen[sources_word(0u)] >> SOURCE_GROUPS) & (((1u << SOURCE_GROUPS) - 1u) | shadowed);
     let count = select(1u, SOURCE_SEEN_TEXELS, partly != 0u);
     for (var texel = 0u; texel < count; texel++) {
         let words = vec4(

@@ -84,6 +84,9 @@ fn sources_shown(
             group++;
         }
     }
+    if (told & SOURCE_SHADOWED) != 0u {
+        sum *= 1.0 - bitcast<f32>(sources_seen_word(row, 1u + SOURCE_GROUPS, invocation));
+    }
     return sum;
 }
 

@@ -98,6 +98,7 @@ fn of_geometry(
             occluders: &occluders,
             ray_offset: 0.0,
             pixel: None,
+            shadow_map: None,
         }),
         ..Lighting::default()
     };

@@ -463,7 +463,11 @@ impl Writer {
             );
         };
         let raw: &[u8] = bytemuck::cast_slice(values);
-        let stored = compression::compress(raw).map_err(|error| {
+        let compress = match kind {
+            SectionKind::Basis => compression::compress_noise,
+            _ => compression::compress,
+        };
+        let stored = compress(raw).map_err(|error| {
             Error::section(
                 Issue::BadCompression,
                 kind,

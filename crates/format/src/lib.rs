@@ -37,6 +37,7 @@ pub use material::{
     TextureSlot, plain_material,
 };
 pub use material_asset::{MaterialAsset, MaterialReport, read_material, write_material};
+pub use prediction::predict;
 pub use scene::{
     BakeReport, CHANNELS_PER_TILE, Cluster, MAX_TILES_PER_CLUSTER, Representation, Scene, Triangle,
     Vertex, VisibilityErrors, VisibilityParameters, read_scene, write_scene,

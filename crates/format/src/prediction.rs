@@ -60,8 +60,8 @@ fn sizes(resolution: u32) -> Option<(usize, usize)> {
     Some((n, texels))
 }
 
-/// What the texels before it, row by row, make of a texel.
-fn predict(image: impl Fn(usize) -> i8, texel: usize, n: usize) -> i8 {
+/// What the texels before it, row by row, make of a texel of an image of `n` texels a row.
+pub fn predict(image: impl Fn(usize) -> i8, texel: usize, n: usize) -> i8 {
     let (x, y) = (texel % n, texel / n);
     let at = |left: usize, up: usize| i32::from(image(texel - left - up * n));
     // Those outside are taken to be as their neighbours.

@@ -1,5 +1,7 @@
 //! Basis images -> integers as stored, and each vertex's coefficients, fitted to those.
 
+use std::f32::consts::SQRT_2;
+
 use nalgebra::DMatrix;
 use relight_format::CHANNELS_PER_TILE;
 
@@ -7,14 +9,20 @@ use super::fit::{Images, solve_each};
 use super::samples::{Fitted, Samples};
 use crate::simd::product;
 
-/// What rounding may add to the error, as a part of the error allowed: the squares of both
-/// come to less than a tenth of its square.
-const BASIS_ROUNDING: f32 = 0.25;
-const COEFFICIENT_ROUNDING: f32 = 0.15;
+/// What rounding may add to the error, as a part of the error allowed: about where a byte more lowers the error
+/// by as much here as in another image or a smaller cluster.
+const BASIS_ROUNDING: f32 = 0.32;
+const COEFFICIENT_ROUNDING: f32 = 0.2;
 /// What coefficients of the coefficient scale are stored as.
 const MAX_COEFFICIENT: f32 = 32767.0;
 /// Coefficients of an image are multiples of at most this.
 const MAX_MULTIPLE: f32 = 1024.0;
+/// Finest and coarsest steps of texels, in that which would do for all alike.
+const FINEST: f32 = 0.7;
+const COARSEST: f32 = 16.0;
+/// Differences from predictions are rounded up from this part of a step on, and of a coarse one: the smaller
+/// they are the fewer bits they take (Sullivan 1996).
+const ROUND_UP: [f32; 2] = [0.62, 0.75];
 /// Largest step of basis images, in 127ths of their largest texel.
 const MAX_STEP: f32 = 16.0;
 /// SSDFs whose errors are summed in one product of matrices.
@@ -85,14 +93,19 @@ pub(crate) fn decode(coefficients: &[i16], basis: &[i8], coefficient_scale: f32)
 }
 
 /// Quantises images and fits coefficients to them. Rounding takes its part of `max_error`,
-/// the root mean square that `Compressed::error` may have, radians.
+/// the root mean square that `Compressed::error` is expected to have or may have, radians.
 pub fn encode(fitted: &Fitted, images: &Images, max_error: f32) -> Compressed {
     let Samples { ssdfs, weights } = fitted.samples;
     let (texels, vertices) = ssdfs.shape();
     let channels = images.values.ncols();
     // What an error of one radian everywhere costs.
     let cost = fitted.weights.sum() / vertices as f32;
-    let quantised = quantise(images, max_error * BASIS_ROUNDING / cost.sqrt());
+    let costs = weights.column_mean();
+    let quantised = quantise(
+        images,
+        max_error * BASIS_ROUNDING / cost.sqrt(),
+        costs.as_slice(),
+    );
     let decoded = quantised.map(|value: i8| f32::from(value) / 127.0);
     let systems = fitted.systems(&decoded);
     let coefficients = solve_each(&systems, channels);
@@ -181,19 +194,41 @@ fn squared_error(found: &[f32], exact: &[f32], weights: &[f32]) -> f32 {
     sums.iter().sum()
 }
 
-/// Images in steps that together err by `rounding`, radians root mean square, and the values
-/// that those stand for. Images of small coefficients need less precision: they take part of
-/// the range, and compress better.
-fn quantise(images: &Images, rounding: f32) -> DMatrix<i8> {
+/// Images in steps that together cost `rounding`, radians root mean square, and the values that
+/// those stand for, where an error of one radian at a texel costs `costs`.
+///
+/// Images of small coefficients need less precision: they take part of the range. So do texels
+/// whose errors cost little, below the horizon and far from boundaries: at the least sum of bits,
+/// steps go with the inverse root of the cost. What is stored are differences from what is predicted; so
+/// it is differences that are multiples of coarser steps, and readers need not know which.
+fn quantise(images: &Images, rounding: f32, costs: &[f32]) -> DMatrix<i8> {
     let (texels, channels) = images.values.shape();
+    let side = texels.isqrt();
+    let mean = costs.iter().sum::<f32>() / texels as f32;
+    // Steps in that which would do for all texels alike.
+    let coarseness: Vec<f32> = (costs.iter())
+        .map(|cost| (mean / cost).sqrt().clamp(FINEST, COARSEST))
+        .collect();
+    let least = coarseness.iter().copied().fold(f32::MAX, f32::min);
     let each = rounding * (12.0 / channels as f32).sqrt();
     let mut quantised = DMatrix::zeros(texels, channels);
     let pairs = quantised.column_iter_mut().zip(images.values.column_iter());
     for ((mut out, image), amplitude) in pairs.zip(&images.amplitudes) {
         let finest = image.amax() / 127.0;
-        if finest > 0.0 {
-            let step = (each / amplitude).clamp(finest, MAX_STEP * finest);
-            out.zip_apply(&image, |out, value| *out = (value / step).round() as i8);
+        if finest == 0.0 {
+            continue;
+        }
+        let wanted = each / amplitude;
+        let step = (wanted * least).clamp(finest, MAX_STEP * finest);
+        for texel in 0..texels {
+            // The nearest power of two. Nothing is finer than a step.
+            let multiple = (wanted * coarseness[texel] / step * SQRT_2).max(1.0) as u32;
+            let multiple = (1u32 << multiple.ilog2()) as f32;
+            let predicted = f32::from(relight_format::predict(|other| out[other], texel, side));
+            let difference = (image[texel] / step - predicted) / multiple;
+            let up = ROUND_UP[usize::from(multiple > 1.0)];
+            let multiples = (difference.abs() + 1.0 - up).floor().copysign(difference);
+            out[texel] = (predicted + multiples * multiple).clamp(-127.0, 127.0) as i8;
         }
     }
     quantised

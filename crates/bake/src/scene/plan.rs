@@ -17,7 +17,7 @@ use crate::transfer::compress::ClusterTransfer;
 /// What the error aimed at, squared, is worth in bytes per vertex.
 const BYTES_PER_ERROR: f32 = 20.0;
 /// Bytes that a texel of a basis image and a coefficient take in a file, about.
-const BASIS_BYTES: f32 = 0.28;
+const BASIS_BYTES: f32 = 0.19;
 const COEFFICIENT_BYTES: f32 = 0.8;
 /// Part of a cluster's squared error that a split is taken to take away at most.
 const SPLIT_GAIN: f32 = 0.75;
@@ -50,13 +50,14 @@ impl Prepared<'_> {
             let Planned {
                 triangles,
                 coefficients,
+                error,
             } = planned;
             self.report()?;
             let members = self.vertices_of(&triangles);
             let samples = samples.select(&columns(&members, vertices));
             let fitted = samples.fitted();
             let (images, _) = compress::alternate(&fitted, coefficients, ROUNDS);
-            let compressed = compress::encode(&fitted, &images, aim);
+            let compressed = compress::encode(&fitted, &images, error.max(aim));
             let part = (&triangles[..], &members[..], &samples);
             Ok(self.cluster(part, probes, compressed, bounced))
         };
@@ -87,11 +88,12 @@ impl Prepared<'_> {
             let (images, coefficients) =
                 compress::reweight(&fitted, &basis, channels, PLANNING_ROUNDS);
             let compressed = compress::encode(&fitted, &images, aim);
-            let error = compressed.error() / aim;
+            let error = compressed.error();
             Tried {
+                error,
                 tiles: compressed.tiles,
                 bytes: compressed.tiles as f32 * tile_bytes,
-                worth: count * BYTES_PER_ERROR * error * error,
+                worth: count * BYTES_PER_ERROR * (error / aim).powi(2),
                 coefficients,
             }
         };
@@ -102,6 +104,7 @@ impl Prepared<'_> {
         plan.push(Planned {
             triangles: triangles.to_vec(),
             coefficients: whole.coefficients,
+            error: whole.error,
         });
         let split_bytes = whole.tiles as f32 * texels * 4.0 * BASIS_BYTES;
         let hopeless = SPLIT_GAIN * whole.worth < split_bytes;
@@ -218,6 +221,8 @@ struct Planned {
     triangles: Vec<u32>,
     /// As they were fitted to thinned samples.
     coefficients: DMatrix<f32>,
+    /// As it was there, radians. What is far off for want of images needs no fine rounding.
+    error: f32,
 }
 
 /// What a number of tiles would cost.
@@ -227,6 +232,8 @@ struct Tried {
     /// Of the error that is left, in bytes.
     worth: f32,
     coefficients: DMatrix<f32>,
+    /// Radians.
+    error: f32,
 }
 
 impl Tried {

@@ -42,8 +42,9 @@ fn main() {
             continue;
         }
         if rows.is_empty() {
+            let unit = if threads == 1 { "thread" } else { "threads" };
             println!(
-                "Microseconds for a vertex, {threads} threads, best of {rounds} rounds in turn:\n"
+                "Microseconds for a vertex, {threads} {unit}, best of {rounds} rounds in turn:\n"
             );
             println!("| {} |", COLUMNS.map(|(head, _)| head).join(" | "));
             println!("| --- |{}", " ---: |".repeat(COLUMNS.len() - 1));

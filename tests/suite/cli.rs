@@ -30,6 +30,10 @@ pub fn trials() -> Vec<Trial> {
     vec![
         Trial::test("cli::usage", usage),
         Trial::test("cli::scene", scene),
+        Trial::test(
+            "cli::second_texture_coordinates",
+            second_texture_coordinates,
+        ),
         Trial::test("cli::budget", budget),
         Trial::test("cli::refine_error", refine_error),
         Trial::test("cli::environment", environment),
@@ -62,6 +66,24 @@ pub fn bake_environment(image: &Path, output: &Path, lobes: usize) -> Command {
     bake.arg("environment").arg(image).arg("-o").arg(output);
     bake.args(["--lobes", &lobes.to_string()]);
     bake
+}
+
+/// What materials look up by a second set of texture coordinates, vertices of the asset have.
+fn second_texture_coordinates() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let input =
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../tools/fuzz/corpus/gltf/two_sets.glb");
+    let output = folder.path().join("two_sets.relight");
+    expect_success(&mut bake_scene(&input, &output));
+    let limits = relight_format::Limits::default();
+    let scene = relight_format::read_scene(&std::fs::read(&output)?, &limits)?;
+    assert!(scene.materials[0].uses_second_uv());
+    assert_eq!(scene.second_uvs.len(), scene.vertices.len());
+    // They are no copies: at no corner of the square they agree.
+    let pairs = scene.vertices.iter().zip(&scene.second_uvs);
+    let differ = pairs.filter(|(vertex, second)| vertex.uv != **second);
+    assert!(differ.count() >= 4);
+    Ok(())
 }
 
 fn names(folder: &Path) -> Vec<String> {

@@ -158,19 +158,19 @@ pub(super) struct Prepared<'a> {
 
 impl<'a> Prepared<'a> {
     pub(super) fn new(
-        mut mesh: Mesh,
+        mesh: Mesh,
         placed: Placed,
         chunks: Vec<Vec<u32>>,
         (contours, radiosity): (ContourMesh, Option<Radiosity>),
         options: &Options,
         monitor: Monitor<'a>,
     ) -> Self {
-        let tilt = |material: relight_format::Material| match material.normal_texture {
+        let tilt = |material: &relight_format::Material| match material.normal_texture {
             Some(_) => NORMAL_MAP_TILT,
             None => 0.0,
         };
         let mirrors = mesh.materials.iter().map(mirrors).collect();
-        let tilts = mesh.materials.drain(..).map(tilt).collect();
+        let tilts = mesh.materials.iter().map(tilt).collect();
         let mut by_place: Vec<u32> = (0..placed.places.len() as u32).collect();
         by_place.sort_by_key(|&vertex| placed.places[vertex as usize]);
         let kept = if options.sample_spacing > 0.0 {

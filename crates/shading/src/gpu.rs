@@ -164,7 +164,7 @@ pub struct Light {
     pub vertex_spokes: f32,
 }
 
-/// A direction that a source's light comes from (32 bytes).
+/// A direction that a source's light comes from, or a cone around several (32 bytes).
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct SourcePoint {
@@ -172,10 +172,10 @@ pub struct SourcePoint {
     pub direction: [f32; 3],
     /// Distance that rays start from the surface, the same for all; metres.
     pub ray_offset: f32,
-    /// Its share of the source's light: ∫ radiance dω, linear Rec.709.
+    /// Its share of the source's light: ∫ radiance dω, linear Rec.709; zero on the rim. Of a source's first entry, the
+    /// cone around all others: how many rays a group asks for where something is in the way, then zeros.
     pub light: [f32; 3],
-    /// Of a source's first entry, whose direction is the axis of a cone around the others: the
-    /// cosine of its half angle. 0 in others.
+    /// Of a cone, whose axis is the direction: the cosine of its half angle. 0 in others.
     pub cone_cosine: f32,
 }
 

@@ -81,7 +81,8 @@ const OWN: f32 = 2.0;
 /// Effectiveness of Quasirandom Sequences".
 const STEP: [u32; 2] = [3_242_174_889, 2_447_445_414];
 
-/// Texels of four words for what a pixel sees of a source: a word about its groups, and one of the bits of each.
+/// Texels of four words for what a pixel sees of a source: a word about its groups, one of the bits of each, and one of
+/// what an app's shadow map takes away.
 pub const SEEN_TEXELS: u32 = (2 + GROUPS).div_ceil(4);
 
 /// Of the word about groups: an app's shadow map takes light away, how much of it says one more word behind the others.

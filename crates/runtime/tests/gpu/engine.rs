@@ -165,16 +165,16 @@ fn placements() -> [Placement; 3] {
 }
 
 fn radiance(gpu: &Gpu, view: &View) -> Result<Image, Error> {
-    let bytes = gpu.read_texture(view.radiance().expect("prepared"))?;
     let [width, height] = view.size();
     Ok(Image {
         width,
         height,
-        pixels: bytemuck::pod_collect_to_vec(&bytes),
+        pixels: gpu.read_radiance(view)?,
     })
 }
 
-fn prepare(
+/// The radiance of a frame.
+pub fn prepare(
     gpu: &Gpu,
     view: &mut View,
     instances: &[Instance],

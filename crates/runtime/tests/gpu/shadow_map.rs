@@ -9,6 +9,7 @@ use relight_runtime::{
 };
 use wgpu::util::{DeviceExt as _, TextureDataOrder};
 
+use crate::engine::prepare;
 use crate::{OTHER_RAYS, Outcome, POLAR, frame, lights, relative_rmse, scenes, sources};
 
 const SIZE: [u32; 2] = [96, 72];
@@ -49,26 +50,6 @@ fn texture(gpu: &Gpu, depths: &[u16]) -> wgpu::TextureView {
         bytemuck::cast_slice(depths),
     );
     texture.create_view(&wgpu::TextureViewDescriptor::default())
-}
-
-fn draw(
-    gpu: &Gpu,
-    view: &mut relight_runtime::View,
-    instances: &[Instance],
-    frame: &Frame,
-) -> Result<Image, Error> {
-    let mut encoder = gpu
-        .device
-        .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-    gpu.renderer.prepare(&mut encoder, view, instances, frame)?;
-    gpu.queue.submit([encoder.finish()]);
-    let [width, height] = SIZE;
-    let pixels = gpu.read_radiance(view)?;
-    Ok(Image {
-        width,
-        height,
-        pixels,
-    })
 }
 
 /// Pixels that differ from their twin by more than rounding.
@@ -114,7 +95,7 @@ pub fn shadow_maps_match_twin(gpu: &mut Gpu) -> Outcome {
     let nearer = stripes();
     let reversed: Vec<u16> = nearer.iter().map(|depth| u16::MAX - depth).collect();
     let mut view = gpu.renderer.view(SIZE)?;
-    let unshadowed = draw(gpu, &mut view, &instances, &without)?;
+    let unshadowed = prepare(gpu, &mut view, &instances, &without)?;
     let mut pictures = Vec::new();
     for (depths, matrix, reversed, antialias) in [
         (&nearer, matrix, false, false),
@@ -134,7 +115,7 @@ pub fn shadow_maps_match_twin(gpu: &mut Gpu) -> Outcome {
             antialias,
             ..without.clone()
         };
-        let found = draw(gpu, &mut view, &instances, &with(Depths::Texture(&texture)))?;
+        let found = prepare(gpu, &mut view, &instances, &with(Depths::Texture(&texture)))?;
         let floats: Vec<f32> = depths.iter().map(|&d| f32::from(d) / 65535.0).collect();
         let image = Depths::Image(DepthImage {
             width: SIDE,
@@ -148,7 +129,7 @@ pub fn shadow_maps_match_twin(gpu: &mut Gpu) -> Outcome {
         assert!(different(&found, &unshadowed) > 500, "no shadow");
         pictures.push(found);
         // Each has depths where it cannot read them.
-        let found = draw(gpu, &mut view, &instances, &with(image));
+        let found = prepare(gpu, &mut view, &instances, &with(image));
         assert!(matches!(found, Err(Error::ShadowMap { .. })));
         let on_gpu = with(Depths::Texture(&texture));
         let found = twin::render_instances(&placed, &on_gpu, SIZE[0], SIZE[1]);
@@ -157,15 +138,15 @@ pub fn shadow_maps_match_twin(gpu: &mut Gpu) -> Outcome {
         let mut other = on_gpu.clone();
         other.shadow_map.as_mut().expect("a map").source = 7;
         if !antialias {
-            assert!(draw(gpu, &mut view, &instances, &other)? == unshadowed);
+            assert!(prepare(gpu, &mut view, &instances, &other)? == unshadowed);
         }
         other.shadow_map.as_mut().expect("a map").bias = f32::NAN;
-        let found = draw(gpu, &mut view, &instances, &other);
+        let found = prepare(gpu, &mut view, &instances, &other);
         assert!(matches!(found, Err(Error::ShadowMap { .. })));
     }
     assert!(relative_rmse(&pictures[0], &pictures[1]) < 1e-2);
     // It goes, and nothing of it is left.
-    assert!(draw(gpu, &mut view, &instances, &without)? == unshadowed);
+    assert!(prepare(gpu, &mut view, &instances, &without)? == unshadowed);
     if let Some(folder) = std::env::var_os("RELIGHT_TEST_PICTURES") {
         let folder = std::path::PathBuf::from(folder);
         for (name, image) in [("without", &unshadowed), ("with", &pictures[0])] {

@@ -78,14 +78,15 @@ struct Light {
     vertex_spokes: f32,
 }
 
-// A direction that a source's light comes from.
+// A direction that a source's light comes from, or a cone around several.
 struct SourcePoint {
     direction: vec3<f32>,
     // Distance that rays start from the surface, the same for all.
     ray_offset: f32,
-    // Its share of the source's light.
+    // Its share of the source's light. Of a source's first entry, the cone around all others: how many rays a group asks
+    // for where something is in the way, then zeros.
     light: vec3<f32>,
-    // Of a source's first entry: the cosine of the half angle of a cone around the others.
+    // Of a cone: the cosine of its half angle.
     cone_cosine: f32,
 }
 

@@ -71,6 +71,7 @@ fn product_by<T: Number>(arch: Arch, a: &DMatrix<T>, b: &DMatrix<T>) -> DMatrix<
     let (rows, inner) = a.shape();
     let mut product = DMatrix::from_element(rows, b.ncols(), T::ZERO);
     let mut panel = vec![T::ZERO; inner * T::PANEL];
+    let factors = side_by_side(b);
     for first in (0..rows).step_by(T::PANEL) {
         let count = T::PANEL.min(rows - first);
         // Rows side by side; those beyond the last are zero.
@@ -83,7 +84,8 @@ fn product_by<T: Number>(arch: Arch, a: &DMatrix<T>, b: &DMatrix<T>) -> DMatrix<
         }
         arch.dispatch(Panel {
             values: &panel,
-            factor: b.as_slice(),
+            factors: &factors,
+            columns: b.ncols(),
             inner,
             first,
             count,
@@ -94,10 +96,25 @@ fn product_by<T: Number>(arch: Arch, a: &DMatrix<T>, b: &DMatrix<T>) -> DMatrix<
     product
 }
 
+/// Rows of every [`COLUMNS`] columns of a matrix, as they are read: one row after another, then those of the
+/// next columns. Beyond the last column the last is repeated.
+fn side_by_side<T: Number>(matrix: &DMatrix<T>) -> Vec<[T; COLUMNS]> {
+    let (rows, columns) = matrix.shape();
+    let mut side_by_side = Vec::with_capacity(rows * columns.div_ceil(COLUMNS));
+    for first in (0..columns).step_by(COLUMNS) {
+        let column = |j: usize| &matrix.as_slice()[(first + j).min(columns - 1) * rows..][..rows];
+        let columns: [&[T]; COLUMNS] = std::array::from_fn(column);
+        side_by_side.extend((0..rows).map(|row| columns.map(|column| column[row])));
+    }
+    side_by_side
+}
+
 /// Some rows of a product.
 struct Panel<'a, T> {
     values: &'a [T],
-    factor: &'a [T],
+    /// As [`side_by_side`] has them.
+    factors: &'a [[T; COLUMNS]],
+    columns: usize,
     inner: usize,
     first: usize,
     count: usize,
@@ -110,34 +127,29 @@ impl<T: Number> WithSimd for Panel<'_, T> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let columns = self.factor.len() / self.inner.max(1);
-        let vectors = T::vectors::<S>(self.values);
+        let columns = self.columns;
+        let (vectors, _) = T::vectors::<S>(self.values).as_chunks::<VECTORS>();
         let per_panel = vectors.len() / self.inner.max(1);
         let mut sums = vec![T::ZERO; COLUMNS * T::PANEL];
         for block in (0..self.inner).step_by(INNER) {
             let length = INNER.min(self.inner - block);
             for column in (0..columns).step_by(COLUMNS) {
-                // Beyond the last column the last is multiplied again, and left.
-                let factors: [&[T]; COLUMNS] = std::array::from_fn(|j| {
-                    let start = (column + j).min(columns - 1) * self.inner + block;
-                    &self.factor[start..start + length]
-                });
-                for vector in (0..per_panel).step_by(VECTORS) {
+                let factors = &self.factors[column / COLUMNS * self.inner + block..][..length];
+                for vector in 0..per_panel {
                     let mut held = [[T::splat(simd, T::ZERO); VECTORS]; COLUMNS];
-                    for k in 0..length {
-                        let at = (block + k) * per_panel + vector;
-                        let rows: [T::Vector<S>; VECTORS] =
-                            std::array::from_fn(|i| vectors[at + i]);
-                        for (held, factor) in held.iter_mut().zip(&factors) {
-                            let factor = T::splat(simd, factor[k]);
-                            for (held, rows) in held.iter_mut().zip(rows) {
-                                *held = T::add(simd, *held, T::multiply(simd, rows, factor));
+                    let rows = vectors[block * per_panel + vector..].iter();
+                    for (rows, factor) in rows.step_by(per_panel).zip(factors) {
+                        for j in 0..COLUMNS {
+                            let factor = T::splat(simd, factor[j]);
+                            for i in 0..VECTORS {
+                                let product = T::multiply(simd, rows[i], factor);
+                                held[j][i] = T::add(simd, held[j][i], product);
                             }
                         }
                     }
-                    let all = T::vectors_mut::<S>(&mut sums);
+                    let (all, _) = T::vectors_mut::<S>(&mut sums).as_chunks_mut();
                     for (j, held) in held.into_iter().enumerate() {
-                        all[j * per_panel + vector..][..VECTORS].copy_from_slice(&held);
+                        all[j * per_panel + vector] = held;
                     }
                 }
                 for (j, sums) in sums.chunks_exact(T::PANEL).enumerate() {

@@ -67,11 +67,19 @@ impl Compressed {
         }
     }
 
-    /// The stored SSDF of a vertex, radians, at every texel.
-    pub(crate) fn decode(&self, vertex: usize) -> Vec<f32> {
+    /// What is stored, radians: one row per texel, one column per vertex.
+    pub(crate) fn ssdfs(&self) -> DMatrix<f32> {
         let channels = self.tiles as usize * CHANNELS_PER_TILE;
-        let coefficients = &self.coefficients[vertex * channels..][..channels];
-        decode(coefficients, &self.basis, self.coefficient_scale)
+        let texels = self.basis.len() / channels;
+        let scale = self.coefficient_scale / (MAX_COEFFICIENT * 127.0);
+        let images = DMatrix::from_fn(texels, channels, |texel, channel| {
+            let (tile, lane) = (channel / CHANNELS_PER_TILE, channel % CHANNELS_PER_TILE);
+            f32::from(self.basis[(tile * texels + texel) * CHANNELS_PER_TILE + lane])
+        });
+        let coefficients = self.coefficients.iter().map(|c| f32::from(*c) * scale);
+        let vertices = self.coefficients.len() / channels;
+        let coefficients = DMatrix::from_iterator(channels, vertices, coefficients);
+        product(&images, &coefficients)
     }
 }
 
@@ -99,7 +107,7 @@ pub fn encode(fitted: &Fitted, images: &Images, max_error: f32) -> Compressed {
     let (texels, vertices) = ssdfs.shape();
     let channels = images.values.ncols();
     // What an error of one radian everywhere costs.
-    let cost = fitted.weights.sum() / vertices as f32;
+    let cost = fitted.of_texels[0].sum() / vertices as f32;
     let costs = weights.column_mean();
     let quantised = quantise(
         images,
@@ -114,7 +122,7 @@ pub fn encode(fitted: &Fitted, images: &Images, max_error: f32) -> Compressed {
     let rounding = max_error * COEFFICIENT_ROUNDING / (channels as f32).sqrt();
     let steps: Vec<f32> = (0..channels)
         .map(|channel| {
-            let cost = systems.row(channel * (channel + 3) / 2).sum() / vertices as f32;
+            let cost = systems.column(channel * (channel + 3) / 2).sum() / vertices as f32;
             rounding * (12.0 / cost).sqrt()
         })
         .collect();

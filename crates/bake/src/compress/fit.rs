@@ -3,17 +3,21 @@
 //! Principal component analysis finds a basis, and alternating weighted least squares the one
 //! that is stored.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 
 use super::samples::{Fitted, Samples};
-use crate::simd::product;
+use crate::simd::{self, product};
 
-/// Subspace iterations; four separate the spectrum of SSDFs to well below quantisation.
-const ITERATIONS: usize = 4;
+/// Subspace iterations; two separate the spectrum of SSDFs to well below quantisation.
+const ITERATIONS: usize = 2;
 /// Lengths of principal axes, in that of the longest, that come from rounding.
 const NOISE: f64 = 1e-4;
 /// Extra vectors in the subspace iteration, to converge the last ones kept.
 const OVERSAMPLING: usize = 6;
+/// Systems that are solved side by side.
+const SYSTEMS: usize = 8;
+/// A number of each of them.
+type Each = [f64; SYSTEMS];
 
 /// Images whose weighted sums are SSDFs.
 #[derive(Clone)]
@@ -81,6 +85,59 @@ pub fn analyse(samples: &Samples, rank: usize) -> FittedBasis {
     }
 }
 
+/// Images fitted to samples with their weights, and the coefficients that they go with.
+pub(crate) struct Fit {
+    /// One row per image, one column per vertex.
+    pub(crate) coefficients: DMatrix<f32>,
+    /// What is off without rounding, root mean square over vertices, radians.
+    pub(crate) error: f32,
+}
+
+/// Fits of more and fewer images to the same samples.
+pub(crate) struct Fits<'a> {
+    fitted: &'a Fitted<'a>,
+    images: DMatrix<f32>,
+    /// For coefficients of all `images`; those of the first few are among them.
+    systems: DMatrix<f32>,
+}
+
+impl<'a> Fits<'a> {
+    /// Of at most so many images.
+    pub(crate) fn new(fitted: &'a Fitted<'a>, basis: &FittedBasis, channels: usize) -> Self {
+        let channels = channels.min(basis.images.values.ncols());
+        let images = basis.images.values.columns(0, channels).into_owned();
+        let systems = fitted.systems(&images);
+        Self {
+            fitted,
+            images,
+            systems,
+        }
+    }
+
+    /// One round from the first `channels` principal components.
+    pub(crate) fn fit(&self, channels: usize) -> Fit {
+        let fitted = self.fitted;
+        let all = self.images.ncols();
+        let channels = channels.min(all);
+        let (pairs, all_pairs) = (triangle(channels), triangle(all));
+        let mut systems = DMatrix::zeros(self.systems.nrows(), pairs + channels);
+        systems
+            .columns_mut(0, pairs)
+            .copy_from(&self.systems.columns(0, pairs));
+        systems
+            .columns_mut(pairs, channels)
+            .copy_from(&self.systems.columns(all_pairs, channels));
+        let coefficients = solve_each(&systems, channels);
+        let images = fitted.images(&coefficients).transpose();
+        let error = fitted.error(&images, &coefficients);
+        let (_, coefficients) = principal(&images, &coefficients);
+        Fit {
+            coefficients,
+            error,
+        }
+    }
+}
+
 /// Fits the first `channels` images to the samples anew, with their weights: principal
 /// components spend most of their variance where an error costs nothing. Returns the
 /// coefficients that the images go with, too: one row per image, one column per vertex.
@@ -106,13 +163,11 @@ pub(crate) fn alternate(
 ) -> (Images, DMatrix<f32>) {
     let channels = coefficients.nrows();
     let mut values = DMatrix::zeros(fitted.samples.ssdfs.nrows(), channels);
-    let (weights, weighted) = (fitted.weights.transpose(), fitted.weighted.transpose());
     for round in 0..rounds {
         if round > 0 {
             coefficients = solve_each(&fitted.systems(&values), channels);
         }
-        let systems = normal_equations(&coefficients, &weights, &weighted);
-        let images = solve_each(&systems, channels);
+        let images = fitted.images(&coefficients);
         for (texel, image) in fitted.texels.iter().zip(images.column_iter()) {
             values.row_mut(*texel).copy_from(&image.transpose());
         }
@@ -124,8 +179,26 @@ pub(crate) fn alternate(
 impl Fitted<'_> {
     /// Normal equations of every vertex for its coefficients of images.
     pub(super) fn systems(&self, images: &DMatrix<f32>) -> DMatrix<f32> {
-        let factors = images.select_rows(&self.texels).transpose();
-        normal_equations(&factors, &self.weights, &self.weighted)
+        let factors = images.select_rows(&self.texels);
+        let [weights, weighted] = &self.of_vertices;
+        normal_equations(&factors, weights, weighted)
+    }
+
+    /// Images that fit coefficients best: one row per image, one column per fitted texel.
+    fn images(&self, coefficients: &DMatrix<f32>) -> DMatrix<f32> {
+        let [weights, weighted] = &self.of_texels;
+        let systems = normal_equations(&coefficients.transpose(), weights, weighted);
+        solve_each(&systems, coefficients.nrows())
+    }
+
+    /// Root mean square over vertices of what is off at the fitted texels, radians.
+    fn error(&self, images: &DMatrix<f32>, coefficients: &DMatrix<f32>) -> f32 {
+        let found = product(images, coefficients);
+        let [weights, _] = &self.of_texels;
+        let squared = (found.as_slice().iter().zip(self.ssdfs.as_slice()))
+            .zip(weights.as_slice())
+            .map(|((found, exact), weight)| f64::from((found - exact).powi(2) * weight));
+        (squared.sum::<f64>() / coefficients.ncols() as f64).sqrt() as f32
     }
 
     /// Fits the texels left out to coefficients, without weights.
@@ -195,58 +268,119 @@ fn principal_axes(covariance: DMatrix<f64>) -> (DMatrix<f64>, Vec<f64>) {
     (eigen.eigenvectors.select_columns(&order), lengths)
 }
 
-/// Normal equations for factors of `factors`, one column per equation, with `weights` and
-/// right sides `weighted`, one row per equation. One column per system: the upper triangle
-/// of its matrix by columns, then its right side.
+/// Pairs of so many, where order does not count.
+fn triangle(channels: usize) -> usize {
+    channels * (channels + 1) / 2
+}
+
+/// Normal equations for factors of `factors`, one row per equation, with `weights` and right
+/// sides `weighted`, one column per equation and one row per system. One row per system: the
+/// upper triangle of its matrix by columns, then its right side.
 fn normal_equations(
     factors: &DMatrix<f32>,
     weights: &DMatrix<f32>,
     weighted: &DMatrix<f32>,
 ) -> DMatrix<f32> {
-    let channels = factors.nrows();
-    let pairs = channels * (channels + 1) / 2;
+    let (equations, channels) = factors.shape();
+    let pairs = triangle(channels);
     // A normal matrix is a weighted sum of products of factors.
-    let mut products = DMatrix::zeros(pairs, factors.ncols());
-    for (mut products, factors) in products.column_iter_mut().zip(factors.column_iter()) {
-        let pair = |j: usize| (0..=j).map(move |i| (i, j));
-        for (product, (i, j)) in products.iter_mut().zip((0..channels).flat_map(pair)) {
-            *product = factors[i] * factors[j];
+    let mut products = DMatrix::zeros(equations, pairs);
+    let mut columns = products.as_mut_slice().chunks_exact_mut(equations.max(1));
+    let factor = |channel: usize| &factors.as_slice()[channel * equations..][..equations];
+    for j in 0..channels {
+        for (i, products) in (0..=j).zip(&mut columns) {
+            for ((product, a), b) in products.iter_mut().zip(factor(i)).zip(factor(j)) {
+                *product = a * b;
+            }
         }
     }
-    let mut systems = DMatrix::zeros(pairs + channels, weights.ncols());
-    systems
-        .rows_mut(0, pairs)
-        .copy_from(&product(&products, weights));
-    systems
-        .rows_mut(pairs, channels)
-        .copy_from(&product(factors, weighted));
+    let mut systems = DMatrix::zeros(weights.nrows(), pairs + channels);
+    let (matrices, right) = systems.as_mut_slice().split_at_mut(weights.nrows() * pairs);
+    matrices.copy_from_slice(product(weights, &products).as_slice());
+    right.copy_from_slice(product(weighted, factors).as_slice());
     systems
 }
 
-/// Solves packed systems, one per column.
+/// Solves packed systems, one per row: one solution per column.
 pub(super) fn solve_each(systems: &DMatrix<f32>, channels: usize) -> DMatrix<f32> {
-    let mut solutions = DMatrix::zeros(channels, systems.ncols());
-    for (mut solution, system) in solutions.column_iter_mut().zip(systems.column_iter()) {
-        solution.copy_from(&solve(system.as_slice(), channels));
-    }
+    let (count, pairs) = (systems.nrows(), triangle(channels));
+    let mut solutions = DMatrix::zeros(channels, count);
+    let mut system = vec![[0.0; SYSTEMS]; pairs + channels];
+    let solved = solutions
+        .as_mut_slice()
+        .chunks_mut(SYSTEMS * channels.max(1));
+    simd::arch().dispatch(|| {
+        for (first, solved) in (0..).step_by(SYSTEMS).zip(solved) {
+            // Those beyond the last keep the values of others: what they give is not looked at.
+            let rows = first..count.min(first + SYSTEMS);
+            let columns = systems.as_slice().chunks_exact(count);
+            for (all, column) in system.iter_mut().zip(columns) {
+                for (number, value) in all.iter_mut().zip(&column[rows.clone()]) {
+                    *number = f64::from(*value);
+                }
+            }
+            let (normal, right) = system.split_at_mut(pairs);
+            solve(normal, right);
+            for (lane, solved) in solved.chunks_exact_mut(channels).enumerate() {
+                for (solved, all) in solved.iter_mut().zip(&*right) {
+                    *solved = all[lane] as f32;
+                }
+            }
+        }
+    });
     solutions
 }
 
-/// Solves a packed system.
-fn solve(system: &[f32], channels: usize) -> DVector<f32> {
-    let (packed, right) = system.split_at(channels * (channels + 1) / 2);
-    let mut normal = DMatrix::from_fn(channels, channels, |i, j| {
-        let (i, j) = (i.min(j), i.max(j));
-        f64::from(packed[j * (j + 1) / 2 + i])
-    });
-    // Images that quantise to nothing must not make the system singular.
-    let ridge = 1e-7 * normal.trace() / channels as f64 + f64::MIN_POSITIVE;
+/// Solves systems by the lower triangles of their matrices, one row after another, with a ridge that images
+/// of nothing need (Cholesky). `right` becomes the solutions: zero where a matrix is not positive.
+#[inline(always)]
+fn solve(normal: &mut [Each], right: &mut [Each]) {
+    let channels = right.len();
+    let row = |i: usize| i * (i + 1) / 2;
+    let mut trace = [0.0; SYSTEMS];
     for i in 0..channels {
-        normal[(i, i)] += ridge;
+        let diagonal = normal[row(i) + i];
+        trace = std::array::from_fn(|lane| trace[lane] + diagonal[lane]);
     }
-    let right = DVector::from_iterator(channels, right.iter().map(|&r| f64::from(r)));
-    normal
-        .cholesky()
-        .map_or_else(|| DVector::zeros(channels), |factor| factor.solve(&right))
-        .cast::<f32>()
+    let ridge: Each =
+        std::array::from_fn(|lane| 1e-7 * trace[lane] / channels as f64 + f64::MIN_POSITIVE);
+    let mut positive = [true; SYSTEMS];
+    for i in 0..channels {
+        let (above, this) = normal.split_at_mut(row(i));
+        for j in 0..i {
+            let other = &above[row(j)..=row(j) + j];
+            let rest = less_products(this[j], &this[..j], &other[..j]);
+            // The diagonal holds its inverses.
+            this[j] = std::array::from_fn(|lane| rest[lane] * other[j][lane]);
+        }
+        let diagonal: Each = std::array::from_fn(|lane| this[i][lane] + ridge[lane]);
+        let rest = less_products(diagonal, &this[..i], &this[..i]);
+        for lane in 0..SYSTEMS {
+            positive[lane] &= rest[lane] > 0.0;
+            this[i][lane] = 1.0 / rest[lane].sqrt();
+        }
+        let rest = less_products(right[i], &this[..i], &right[..i]);
+        right[i] = std::array::from_fn(|lane| rest[lane] * this[i][lane]);
+    }
+    for i in (0..channels).rev() {
+        let mut rest = right[i];
+        for j in i + 1..channels {
+            let (factor, solution) = (normal[row(j) + i], right[j]);
+            rest = std::array::from_fn(|lane| rest[lane] - factor[lane] * solution[lane]);
+        }
+        let inverse = normal[row(i) + i];
+        right[i] = std::array::from_fn(|lane| rest[lane] * inverse[lane]);
+    }
+    for solution in right {
+        *solution = std::array::from_fn(|lane| if positive[lane] { solution[lane] } else { 0.0 });
+    }
+}
+
+/// A number less products.
+#[inline(always)]
+fn less_products(mut rest: Each, a: &[Each], b: &[Each]) -> Each {
+    for (a, b) in a.iter().zip(b) {
+        rest = std::array::from_fn(|lane| rest[lane] - a[lane] * b[lane]);
+    }
+    rest
 }

@@ -17,7 +17,7 @@ mod samples;
 pub use encode::encode;
 pub(crate) use encode::{Compressed, decode};
 pub use error::{Normal, Weighting};
-pub(crate) use fit::alternate;
+pub(crate) use fit::{Fit, Fits, alternate};
 pub use fit::{analyse, reweight};
 pub use samples::Samples;
 

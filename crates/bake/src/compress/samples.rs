@@ -21,9 +21,11 @@ pub struct Samples {
 pub struct Fitted<'a> {
     pub(super) samples: &'a Samples,
     pub(super) texels: Vec<usize>,
-    /// Products of weights and SSDFs.
-    pub(super) weighted: DMatrix<f32>,
-    pub(super) weights: DMatrix<f32>,
+    /// SSDFs at them.
+    pub(super) ssdfs: DMatrix<f32>,
+    /// Weights, and their products with SSDFs: one row per texel, and one row per vertex.
+    pub(super) of_texels: [DMatrix<f32>; 2],
+    pub(super) of_vertices: [DMatrix<f32>; 2],
 }
 
 impl Samples {
@@ -77,9 +79,14 @@ impl Samples {
     /// The texels that count: all near a boundary above some vertex's horizon, few others.
     pub fn fitted(&self) -> Fitted<'_> {
         let mut largest = vec![0.0f32; self.weights.nrows()];
-        for column in self.weights.column_iter() {
-            for (largest, weight) in largest.iter_mut().zip(&column) {
-                *largest = largest.max(*weight);
+        // By slices and comparisons, as vector instructions want it.
+        for column in self.weights.as_slice().chunks_exact(largest.len()) {
+            for (largest, weight) in largest.iter_mut().zip(column) {
+                *largest = if *weight > *largest {
+                    *weight
+                } else {
+                    *largest
+                };
             }
         }
         let bound = IDLE * largest.iter().copied().fold(0.0, f32::max);
@@ -94,16 +101,19 @@ impl Samples {
             idle += usize::from(!busy);
         }
         let mut weights = self.weights.select_rows(&texels);
-        for mut column in weights.column_iter_mut() {
+        for column in weights.as_mut_slice().chunks_exact_mut(texels.len()) {
             for (weight, factor) in column.iter_mut().zip(&factors) {
                 *weight *= factor;
             }
         }
+        let ssdfs = self.ssdfs.select_rows(&texels);
+        let weighted = ssdfs.component_mul(&weights);
         Fitted {
             samples: self,
-            weighted: self.ssdfs.select_rows(&texels).component_mul(&weights),
+            of_vertices: [weights.transpose(), weighted.transpose()],
+            of_texels: [weights, weighted],
             texels,
-            weights,
+            ssdfs,
         }
     }
 }

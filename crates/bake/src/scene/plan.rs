@@ -2,20 +2,20 @@
 //! long as they lower the sum of bytes and of what errors are worth in bytes.
 
 use nalgebra::DMatrix;
-use relight_format as format;
 use relight_format::CHANNELS_PER_TILE;
+use relight_format::{self as format, math};
 
 use super::assemble::Cluster;
 use super::bounce::ChunkLight;
 use super::layout;
 use super::sample::Prepared;
 use super::surface::{ErrorSums, Probe};
-use crate::compress::{self, Compressed, Samples};
+use crate::compress::{self, Compressed, Fit, Fits, Samples};
 use crate::monitor::Interrupted;
 use crate::transfer::compress::ClusterTransfer;
 
 /// What the error aimed at, squared, is worth in bytes per vertex.
-const BYTES_PER_ERROR: f32 = 20.0;
+const BYTES_PER_ERROR: f32 = 17.5;
 /// Bytes that a texel of a basis image and a coefficient take in a file, about.
 const BASIS_BYTES: f32 = 0.19;
 const COEFFICIENT_BYTES: f32 = 0.8;
@@ -23,10 +23,10 @@ const COEFFICIENT_BYTES: f32 = 0.8;
 const SPLIT_GAIN: f32 = 0.75;
 /// A cluster of fewer vertices is not split further: its basis would outweigh it.
 const MIN_CLUSTER_VERTICES: usize = 96;
-/// Rounds of fitting images and coefficients to each other, when clusters are planned and
-/// when they are made.
-const PLANNING_ROUNDS: usize = 1;
-const ROUNDS: usize = 3;
+/// Rounds of fitting images and coefficients to each other when clusters are made; one tells when they are planned.
+const ROUNDS: usize = 2;
+/// Part of the error aimed at that rounding adds.
+const ROUNDING: f32 = 0.38;
 
 impl Prepared<'_> {
     /// Divides a chunk into clusters and compresses them.
@@ -83,16 +83,19 @@ impl Prepared<'_> {
         let texels = self.options.basis_resolution.pow(2) as f32;
         let tile_bytes =
             CHANNELS_PER_TILE as f32 * (texels * BASIS_BYTES + count * COEFFICIENT_BYTES);
+        let fits = Fits::new(&fitted, &basis, max_channels);
         let with_tiles = |tiles: u32| {
-            let channels = tiles as usize * CHANNELS_PER_TILE;
-            let (images, coefficients) =
-                compress::reweight(&fitted, &basis, channels, PLANNING_ROUNDS);
-            let compressed = compress::encode(&fitted, &images, aim);
-            let error = compressed.error();
+            let Fit {
+                coefficients,
+                error,
+            } = fits.fit(tiles as usize * CHANNELS_PER_TILE);
+            let tiles = coefficients.nrows().div_ceil(CHANNELS_PER_TILE) as u32;
+            // Rounding takes its part of the error allowed.
+            let error = math::hypot(error, ROUNDING * aim);
             Tried {
                 error,
-                tiles: compressed.tiles,
-                bytes: compressed.tiles as f32 * tile_bytes,
+                tiles,
+                bytes: tiles as f32 * tile_bytes,
                 worth: count * BYTES_PER_ERROR * (error / aim).powi(2),
                 coefficients,
             }
@@ -120,6 +123,7 @@ impl Prepared<'_> {
         let mut keyed: Vec<(f32, u32)> = triangles.iter().map(|&t| (position(t), t)).collect();
         keyed.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         let (low, high) = keyed.split_at(keyed.len() / 2);
+        drop(fits);
         drop((fitted, basis));
         let mut split_cost = 0.0;
         for half in [low, high] {
@@ -161,7 +165,8 @@ impl Prepared<'_> {
         compressed: Compressed,
         bounced: Option<&ChunkLight>,
     ) -> Cluster {
-        let stored = |column: usize| compressed.decode(column);
+        let decoded = compressed.ssdfs();
+        let stored = |column: usize| decoded.column(column).as_slice().to_vec();
         let exact = |column: usize| samples.ssdf(column).to_vec();
         let mut errors = ErrorSums::at_vertices(&compressed, vertices.len());
         for probe in probes {

@@ -204,7 +204,8 @@ pub(super) struct Truth {
     #[arg(long, default_value_t = 0)]
     pub(super) seed: u32,
     /// How often light may bounce off other surfaces before it reaches the one that is seen, 0 to 256; 0 is
-    /// direct light only. From the fifth bounce on paths also end by chance, without bias, so that 64
+    /// direct light only: that of the surroundings, of lights, and with `--kind full` of surfaces that emit, which
+    /// are bounced light to the runtime. From the fifth bounce on paths also end by chance, without bias, so that 64
     /// stands for all [default: 64 for a baked file with bounced light, else 0].
     #[arg(long, value_parser = clap::value_parser!(u32).range(0..=256))]
     pub(super) bounces: Option<u32>,

@@ -381,6 +381,41 @@ mod tests {
     }
 
     #[test]
+    fn light_of_a_surface_counts_as_that_of_the_distance() {
+        // A black wall that glows takes half of what the plane sees.
+        let albedo = Vec3::new(0.8, 0.5, 0.2);
+        let mut triangles = test_scene::plane_and_wall();
+        triangles[2..].iter_mut().for_each(|wall| wall.reverse());
+        let mut scene = test_scene::scene(albedo.into(), &triangles);
+        let mut glowing = scene.materials[0].clone();
+        glowing.surface = lambert([0.0; 3]);
+        glowing.emission = [1.0, 2.0, 3.0];
+        scene.materials.push(glowing);
+        scene.triangles[2..]
+            .iter_mut()
+            .for_each(|wall| wall.material = 1);
+        let geometry = Geometry::new(&scene, test_scene::view(8));
+        let dark = image(8, 4, |_| [0.0; 3]);
+        let sampler = EnvironmentSampler::new(&dark, 0.0);
+        for bounces in [0, 1, 3] {
+            let options = Options {
+                samples: 256,
+                filter: Filter::Center,
+                seed: 6,
+                bounces,
+            };
+            let image = render(&geometry, &[], &sampler, &[], [8, 8], &options, &|| ());
+            let (mean, error) = mean_and_error(&image);
+            let exact = albedo * Vec3::new(0.5, 1.0, 1.5);
+            let most = MOST_STANDARD_ERRORS * error + 1e-4;
+            assert!(
+                (mean - exact).abs().cmple(most).all(),
+                "{bounces}: {mean} ± {error}, not {exact}"
+            );
+        }
+    }
+
+    #[test]
     fn a_lambertian_plane_sees_the_irradiance() {
         let environment = image(64, 32, mottled);
         let options = Options {

@@ -95,6 +95,8 @@ impl<'a, L: DistantLight> Paths<'a, L> {
         let stride = DIMENSIONS + self.local.len() as u32;
         let (mut radiance, mut throughput) = (Vec3::ZERO, Vec3::ONE);
         let mut reflector = Reflector { ..*first };
+        let materials = &self.geometry.scene.materials;
+        let emits = (materials.iter()).any(|material| Vec3::from(material.emission) != Vec3::ZERO);
         for bounce in 0..=self.bounces {
             let pair = |dimension| draws.pair(bounce * stride + dimension);
             if bounce > 0 || part == Part::Whole {
@@ -120,7 +122,7 @@ impl<'a, L: DistantLight> Paths<'a, L> {
                 break;
             };
             let direction = reflector.point.to_world(light);
-            if bounce == self.bounces {
+            if bounce == self.bounces && !emits {
                 radiance += throughput * self.distant_part(&reflector, view, direction);
                 break;
             }
@@ -137,6 +139,10 @@ impl<'a, L: DistantLight> Paths<'a, L> {
                 break;
             };
             throughput *= value / density;
+            if bounce == self.bounces {
+                radiance += throughput * next.emission;
+                break;
+            }
             if bounce >= SURE_BOUNCES {
                 let survival = throughput.max_element().min(MOST_SURVIVAL);
                 if pair(4)[0] >= survival {

@@ -6,7 +6,7 @@ mod common;
 
 use nalgebra::DMatrix;
 use relight_bake::internals::DistanceTransform;
-use relight_bake::internals::compress::{self, Samples, Weighting};
+use relight_bake::internals::compress::{self, Fits, Samples, Weighting};
 use relight_bake::internals::visibility::RayCaster;
 use relight_bake::internals::visibility::{self, Crossings, Directions};
 
@@ -14,7 +14,7 @@ const RESOLUTION: u32 = 64;
 /// Images of the largest default cluster.
 const CHANNELS: usize = 16;
 /// As a cluster is made, once planned.
-const ROUNDS: usize = 3;
+const ROUNDS: usize = 2;
 const MAX_ERROR: f32 = 0.005;
 
 fn main() {
@@ -24,8 +24,8 @@ fn main() {
         if index == 0 {
             println!("us per vertex, one thread, best of {rounds} rounds");
             println!(
-                "{:<14}{:>10}{:>10}{:>10}{:>10}{:>10}{:>16}",
-                "mesh", "vertices", "analyse", "select", "reweight", "encode", "error, rad"
+                "{:<14}{:>10}{:>10}{:>10}{:>10}{:>10}{:>10}{:>16}",
+                "mesh", "vertices", "analyse", "select", "plan", "fit", "encode", "error, rad"
             );
         }
         // Groups from all over the mesh: harder to compress than one neighbourhood is.
@@ -50,20 +50,27 @@ fn main() {
             std::hint::black_box(samples.fitted());
         });
         let fitted = samples.fitted();
-        let reweight = common::best(rounds, || {
-            std::hint::black_box(compress::reweight(&fitted, &basis, CHANNELS, ROUNDS));
+        let plan = common::best(rounds, || {
+            std::hint::black_box(Fits::new(&fitted, &basis, CHANNELS).fit(CHANNELS));
         });
-        let (images, _) = compress::reweight(&fitted, &basis, CHANNELS, ROUNDS);
+        let start = Fits::new(&fitted, &basis, CHANNELS)
+            .fit(CHANNELS)
+            .coefficients;
+        let fit = common::best(rounds, || {
+            std::hint::black_box(compress::alternate(&fitted, start.clone(), ROUNDS));
+        });
+        let (images, _) = compress::alternate(&fitted, start, ROUNDS);
         let encode = common::best(rounds, || {
             std::hint::black_box(compress::encode(&fitted, &images, MAX_ERROR));
         });
         let per_vertex = |seconds: f64| seconds * 1e6 / count as f64;
         println!(
-            "{:<14}{count:>10}{:>10.0}{:>10.0}{:>10.0}{:>10.0}{:>16.4}",
+            "{:<14}{count:>10}{:>10.0}{:>10.0}{:>10.0}{:>10.0}{:>10.0}{:>16.4}",
             subject.name,
             per_vertex(analyse),
             per_vertex(select),
-            per_vertex(reweight),
+            per_vertex(plan),
+            per_vertex(fit),
             per_vertex(encode),
             compress::encode(&fitted, &images, MAX_ERROR).error(),
         );

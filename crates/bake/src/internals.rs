@@ -5,7 +5,7 @@ pub use crate::ssdf::DistanceTransform;
 
 /// Compression of a cluster's SSDFs.
 pub mod compress {
-    pub use crate::compress::{Normal, Samples, Weighting, analyse, encode, reweight};
+    pub use crate::compress::{Fit, Fits, Normal, Samples, Weighting, alternate, analyse, encode};
 }
 
 /// What is done to meshes.

@@ -85,16 +85,17 @@ pub fn analyse(samples: &Samples, rank: usize) -> FittedBasis {
     }
 }
 
-/// Images fitted to samples with their weights, and the coefficients that they go with.
-pub(crate) struct Fit {
-    /// One row per image, one column per vertex.
-    pub(crate) coefficients: DMatrix<f32>,
+/// What images fitted to samples with their weights give: principal components spend most of their variance where
+/// an error costs nothing.
+pub struct Fit {
+    /// That the images go with: one row per image, one column per vertex.
+    pub coefficients: DMatrix<f32>,
     /// What is off without rounding, root mean square over vertices, radians.
-    pub(crate) error: f32,
+    pub error: f32,
 }
 
 /// Fits of more and fewer images to the same samples.
-pub(crate) struct Fits<'a> {
+pub struct Fits<'a> {
     fitted: &'a Fitted<'a>,
     images: DMatrix<f32>,
     /// For coefficients of all `images`; those of the first few are among them.
@@ -103,7 +104,7 @@ pub(crate) struct Fits<'a> {
 
 impl<'a> Fits<'a> {
     /// Of at most so many images.
-    pub(crate) fn new(fitted: &'a Fitted<'a>, basis: &FittedBasis, channels: usize) -> Self {
+    pub fn new(fitted: &'a Fitted<'a>, basis: &FittedBasis, channels: usize) -> Self {
         let channels = channels.min(basis.images.values.ncols());
         let images = basis.images.values.columns(0, channels).into_owned();
         let systems = fitted.systems(&images);
@@ -115,7 +116,7 @@ impl<'a> Fits<'a> {
     }
 
     /// One round from the first `channels` principal components.
-    pub(crate) fn fit(&self, channels: usize) -> Fit {
+    pub fn fit(&self, channels: usize) -> Fit {
         let fitted = self.fitted;
         let all = self.images.ncols();
         let channels = channels.min(all);
@@ -138,25 +139,10 @@ impl<'a> Fits<'a> {
     }
 }
 
-/// Fits the first `channels` images to the samples anew, with their weights: principal
-/// components spend most of their variance where an error costs nothing. Returns the
-/// coefficients that the images go with, too: one row per image, one column per vertex.
-pub fn reweight(
-    fitted: &Fitted,
-    basis: &FittedBasis,
-    channels: usize,
-    rounds: usize,
-) -> (Images, DMatrix<f32>) {
-    let channels = channels.min(basis.images.values.ncols());
-    let values = basis.images.values.columns(0, channels).into_owned();
-    let coefficients = solve_each(&fitted.systems(&values), channels);
-    alternate(fitted, coefficients, rounds)
-}
-
 /// Alternating least squares from coefficients, which takes the error to a fraction of that
 /// of principal components in a few rounds: of images, then, before the next round, of
 /// coefficients.
-pub(crate) fn alternate(
+pub fn alternate(
     fitted: &Fitted,
     mut coefficients: DMatrix<f32>,
     rounds: usize,

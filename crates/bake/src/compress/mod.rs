@@ -17,8 +17,7 @@ mod samples;
 pub use encode::encode;
 pub(crate) use encode::{Compressed, decode};
 pub use error::{Normal, Weighting};
-pub(crate) use fit::{Fit, Fits, alternate};
-pub use fit::{analyse, reweight};
+pub use fit::{Fit, Fits, alternate, analyse};
 pub use samples::Samples;
 
 #[cfg(test)]
@@ -40,6 +39,17 @@ mod tests {
             (2.0 * (distance - 0.2)).clamp(-0.5, 0.5)
         });
         samples(ssdfs)
+    }
+
+    /// So many images, fitted in so many rounds.
+    fn reweight(
+        fitted: &samples::Fitted,
+        basis: &fit::FittedBasis,
+        channels: usize,
+        rounds: usize,
+    ) -> (fit::Images, DMatrix<f32>) {
+        let fit = Fits::new(fitted, basis, channels).fit(channels);
+        alternate(fitted, fit.coefficients, rounds)
     }
 
     /// At vertices whose normals point up.
@@ -178,8 +188,7 @@ mod tests {
         let fitted = ssdfs.fitted();
         for channels in [4, 8, 16] {
             let basis = analyse(&ssdfs, channels - 1);
-            let (_, coefficients) = reweight(&fitted, &basis, channels, 1);
-            let (images, _) = alternate(&fitted, coefficients, 3);
+            let (images, _) = reweight(&fitted, &basis, channels, 3);
             assert_eq!(images.values.ncols(), 1);
             let error = encode(&fitted, &images, 0.0025).error();
             assert!(error < 0.0025, "{channels}: {error}");

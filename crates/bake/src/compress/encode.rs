@@ -7,7 +7,7 @@ use relight_format::CHANNELS_PER_TILE;
 
 use super::fit::{Images, solve_each};
 use super::samples::{Fitted, Samples};
-use crate::simd::product;
+use crate::simd::{self, product};
 
 /// What rounding may add to the error, as a part of the error allowed: about where a byte more lowers the error
 /// by as much here as in another image or a smaller cluster.
@@ -86,17 +86,21 @@ impl Compressed {
 /// Σ of coefficients times images, radians per texel; as many tiles of images as there are
 /// coefficients for.
 pub(crate) fn decode(coefficients: &[i16], basis: &[i8], coefficient_scale: f32) -> Vec<f32> {
-    let coefficients = coefficients.chunks_exact(CHANNELS_PER_TILE);
-    let tile_bytes = basis.len() / coefficients.len();
-    let mut ssdf = vec![0.0; tile_bytes / CHANNELS_PER_TILE];
+    let (coefficients, _) = coefficients.as_chunks::<CHANNELS_PER_TILE>();
+    let (images, _) = basis.as_chunks::<CHANNELS_PER_TILE>();
+    let texels = images.len() / coefficients.len();
+    let mut ssdf = vec![0.0; texels];
     let scale = coefficient_scale / (MAX_COEFFICIENT * 127.0);
-    for (coefficients, tile) in coefficients.zip(basis.chunks_exact(tile_bytes)) {
-        for (distance, images) in ssdf.iter_mut().zip(tile.chunks_exact(CHANNELS_PER_TILE)) {
-            for (coefficient, image) in coefficients.iter().zip(images) {
-                *distance += f32::from(*coefficient) * f32::from(*image) * scale;
+    simd::arch().dispatch(|| {
+        for (coefficients, tile) in coefficients.iter().zip(images.chunks_exact(texels)) {
+            let factors = coefficients.map(|coefficient| f32::from(coefficient) * scale);
+            for (distance, images) in ssdf.iter_mut().zip(tile) {
+                for (factor, image) in factors.iter().zip(images) {
+                    *distance += factor * f32::from(*image);
+                }
             }
         }
-    }
+    });
     ssdf
 }
 

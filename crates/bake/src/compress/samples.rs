@@ -41,10 +41,9 @@ impl Samples {
         Self { ssdfs, weights }
     }
 
-    /// The SSDF of a vertex, radians.
-    pub(crate) fn ssdf(&self, column: usize) -> &[f32] {
-        let texels = self.ssdfs.nrows();
-        &self.ssdfs.as_slice()[column * texels..][..texels]
+    /// SSDFs, radians: one row per texel, one column per vertex.
+    pub(crate) fn ssdfs(&self) -> &DMatrix<f32> {
+        &self.ssdfs
     }
 
     /// Those of some vertices.

@@ -69,10 +69,9 @@ pub(super) fn default_aim(prepared: &Prepared) -> Result<f32, Error> {
     for chunk in spread(chunks.len(), count) {
         let vertices = prepared.vertices_of(&chunks[chunk]);
         let ssdfs = prepared.ssdfs(&vertices)?;
-        let exact = |column: usize| ssdfs.column(column).iter().copied().collect();
         for probe in prepared.probes(&chunks[chunk], PROBE_STEP)? {
             let columns = columns(&probe.places, &vertices);
-            errors.add_probe(&probe, &columns, &exact, &exact, &prepared.weighting);
+            errors.add_probe(&probe, &columns, [&ssdfs; 2], &prepared.weighting);
         }
     }
     let interpolation = errors.errors().interpolation;

@@ -165,14 +165,13 @@ impl Prepared<'_> {
         compressed: Compressed,
         bounced: Option<&ChunkLight>,
     ) -> Cluster {
-        let decoded = compressed.ssdfs();
-        let stored = |column: usize| decoded.column(column).as_slice().to_vec();
-        let exact = |column: usize| samples.ssdf(column).to_vec();
+        let stored = compressed.ssdfs();
         let mut errors = ErrorSums::at_vertices(&compressed, vertices.len());
         for probe in probes {
             if triangles.binary_search(&probe.triangle).is_ok() {
                 let columns = columns(&probe.places, vertices);
-                errors.add_probe(probe, &columns, &stored, &exact, &self.weighting);
+                let ssdfs = [&stored, samples.ssdfs()];
+                errors.add_probe(probe, &columns, ssdfs, &self.weighting);
             }
         }
         let used = self.mesh_vertices_of(triangles);

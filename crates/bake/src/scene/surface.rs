@@ -6,6 +6,7 @@
 use std::sync::atomic::Ordering;
 
 use glam::Vec3;
+use nalgebra::DMatrix;
 use relight_format::VisibilityErrors;
 use relight_shading::octahedral;
 
@@ -61,20 +62,21 @@ impl ErrorSums {
         }
     }
 
-    /// Adds a probe among vertices whose SSDFs are `stored` and `exact` in `columns`.
+    /// Adds a probe among vertices whose SSDFs are `columns` of `stored` and `exact`.
     pub(super) fn add_probe(
         &mut self,
         probe: &Probe,
         columns: &[usize],
-        stored: &dyn Fn(usize) -> Vec<f32>,
-        exact: &dyn Fn(usize) -> Vec<f32>,
+        [stored, exact]: [&DMatrix<f32>; 2],
         weighting: &Weighting,
     ) {
         let area = f64::from(probe.area);
-        let squared_error = |ssdf: &dyn Fn(usize) -> Vec<f32>| {
-            let mut found = vec![0.0; probe.exact.len()];
+        let squared_error = |ssdfs: &DMatrix<f32>| {
+            let texels = probe.exact.len();
+            let mut found = vec![0.0; texels];
             for (column, weight) in columns.iter().zip(probe.weights) {
-                for (found, value) in found.iter_mut().zip(ssdf(*column)) {
+                let ssdf = &ssdfs.as_slice()[column * texels..][..texels];
+                for (found, value) in found.iter_mut().zip(ssdf) {
                     *found += weight * value;
                 }
             }

@@ -50,12 +50,11 @@ fn main() {
             std::hint::black_box(samples.fitted());
         });
         let fitted = samples.fitted();
+        let one_round = || Fits::new(&fitted, &basis, CHANNELS).fit(CHANNELS);
         let plan = common::best(rounds, || {
-            std::hint::black_box(Fits::new(&fitted, &basis, CHANNELS).fit(CHANNELS));
+            std::hint::black_box(one_round());
         });
-        let start = Fits::new(&fitted, &basis, CHANNELS)
-            .fit(CHANNELS)
-            .coefficients;
+        let start = one_round().coefficients;
         let fit = common::best(rounds, || {
             std::hint::black_box(compress::alternate(&fitted, start.clone(), ROUNDS));
         });

@@ -22,7 +22,7 @@ use std::sync::Arc;
 use glam::Vec3;
 use rayon::prelude::*;
 use relight_bake::internals::visibility::{RayCaster, ray_offset};
-use relight_format::Scene;
+use relight_format::{Material, Scene};
 use relight_shading::camera::View;
 use relight_shading::surface::{SurfacePoint, emission, surface_seen};
 use relight_shading::textures::{self, Mipmaps};
@@ -93,6 +93,8 @@ pub struct Geometry<'a> {
     view: View,
     trees: Arc<Trees>,
     mipmaps: Mipmaps,
+    /// Some material emits.
+    emits: bool,
 }
 
 /// What rays are traced through: worth keeping for as long as triangles and eye stay.
@@ -164,12 +166,13 @@ impl<'a> Geometry<'a> {
 
     /// With trees of a scene of the same triangles for the same eye.
     pub fn of(scene: &'a Scene, view: View, trees: Arc<Trees>) -> Self {
-        let mipmaps = Mipmaps::new(scene);
+        let emits = |material: &Material| material.emission != [0.0; 3];
         Self {
             scene,
             view,
             trees,
-            mipmaps,
+            mipmaps: Mipmaps::new(scene),
+            emits: scene.materials.iter().any(emits),
         }
     }
 

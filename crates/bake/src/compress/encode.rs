@@ -5,7 +5,7 @@ use std::f32::consts::SQRT_2;
 use nalgebra::DMatrix;
 use relight_format::CHANNELS_PER_TILE;
 
-use super::fit::{Images, solve_each};
+use super::fit::{Images, solve_each, triangle};
 use super::samples::{Fitted, Samples};
 use crate::simd::{self, product};
 
@@ -111,7 +111,7 @@ pub fn encode(fitted: &Fitted, images: &Images, max_error: f32) -> Compressed {
     let (texels, vertices) = ssdfs.shape();
     let channels = images.values.ncols();
     // What an error of one radian everywhere costs.
-    let cost = fitted.of_texels[0].sum() / vertices as f32;
+    let cost = fitted.weights.sum() / vertices as f32;
     let costs = weights.column_mean();
     let quantised = quantise(
         images,
@@ -126,7 +126,7 @@ pub fn encode(fitted: &Fitted, images: &Images, max_error: f32) -> Compressed {
     let rounding = max_error * COEFFICIENT_ROUNDING / (channels as f32).sqrt();
     let steps: Vec<f32> = (0..channels)
         .map(|channel| {
-            let cost = systems.column(channel * (channel + 3) / 2).sum() / vertices as f32;
+            let cost = systems.column(triangle(channel) + channel).sum() / vertices as f32;
             rounding * (12.0 / cost).sqrt()
         })
         .collect();

@@ -166,25 +166,31 @@ impl Fitted<'_> {
     /// Normal equations of every vertex for its coefficients of images.
     pub(super) fn systems(&self, images: &DMatrix<f32>) -> DMatrix<f32> {
         let factors = images.select_rows(&self.texels);
-        let [weights, weighted] = &self.of_vertices;
-        normal_equations(&factors, weights, weighted)
+        normal_equations(
+            &factors,
+            &self.weights.transpose(),
+            &self.weighted.transpose(),
+        )
     }
 
     /// Images that fit coefficients best: one row per image, one column per fitted texel.
     fn images(&self, coefficients: &DMatrix<f32>) -> DMatrix<f32> {
-        let [weights, weighted] = &self.of_texels;
-        let systems = normal_equations(&coefficients.transpose(), weights, weighted);
+        let systems = normal_equations(&coefficients.transpose(), &self.weights, &self.weighted);
         solve_each(&systems, coefficients.nrows())
     }
 
     /// Root mean square over vertices of what is off at the fitted texels, radians.
     fn error(&self, images: &DMatrix<f32>, coefficients: &DMatrix<f32>) -> f32 {
         let found = product(images, coefficients);
-        let [weights, _] = &self.of_texels;
-        let squared = (found.as_slice().iter().zip(self.ssdfs.as_slice()))
-            .zip(weights.as_slice())
-            .map(|((found, exact), weight)| f64::from((found - exact).powi(2) * weight));
-        (squared.sum::<f64>() / coefficients.ncols() as f64).sqrt() as f32
+        let mut squared = 0.0;
+        for (vertex, found) in found.column_iter().enumerate() {
+            let exact = self.samples.ssdfs.column(vertex);
+            let weights = self.weights.column(vertex);
+            for ((&texel, found), weight) in self.texels.iter().zip(&found).zip(&weights) {
+                squared += f64::from((found - exact[texel]).powi(2) * weight);
+            }
+        }
+        (squared / coefficients.ncols() as f64).sqrt() as f32
     }
 
     /// Fits the texels left out to coefficients, without weights.
@@ -255,7 +261,7 @@ fn principal_axes(covariance: DMatrix<f64>) -> (DMatrix<f64>, Vec<f64>) {
 }
 
 /// Pairs of so many, where order does not count.
-fn triangle(channels: usize) -> usize {
+pub(super) fn triangle(channels: usize) -> usize {
     channels * (channels + 1) / 2
 }
 
@@ -322,19 +328,18 @@ pub(super) fn solve_each(systems: &DMatrix<f32>, channels: usize) -> DMatrix<f32
 #[inline(always)]
 fn solve(normal: &mut [Each], right: &mut [Each]) {
     let channels = right.len();
-    let row = |i: usize| i * (i + 1) / 2;
     let mut trace = [0.0; SYSTEMS];
     for i in 0..channels {
-        let diagonal = normal[row(i) + i];
+        let diagonal = normal[triangle(i) + i];
         trace = std::array::from_fn(|lane| trace[lane] + diagonal[lane]);
     }
     let ridge: Each =
         std::array::from_fn(|lane| 1e-7 * trace[lane] / channels as f64 + f64::MIN_POSITIVE);
     let mut positive = [true; SYSTEMS];
     for i in 0..channels {
-        let (above, this) = normal.split_at_mut(row(i));
+        let (above, this) = normal.split_at_mut(triangle(i));
         for j in 0..i {
-            let other = &above[row(j)..=row(j) + j];
+            let other = &above[triangle(j)..=triangle(j) + j];
             let rest = less_products(this[j], &this[..j], &other[..j]);
             // The diagonal holds its inverses.
             this[j] = std::array::from_fn(|lane| rest[lane] * other[j][lane]);
@@ -351,10 +356,10 @@ fn solve(normal: &mut [Each], right: &mut [Each]) {
     for i in (0..channels).rev() {
         let mut rest = right[i];
         for j in i + 1..channels {
-            let (factor, solution) = (normal[row(j) + i], right[j]);
+            let (factor, solution) = (normal[triangle(j) + i], right[j]);
             rest = std::array::from_fn(|lane| rest[lane] - factor[lane] * solution[lane]);
         }
-        let inverse = normal[row(i) + i];
+        let inverse = normal[triangle(i) + i];
         right[i] = std::array::from_fn(|lane| rest[lane] * inverse[lane]);
     }
     for solution in right {

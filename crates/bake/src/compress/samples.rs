@@ -21,11 +21,9 @@ pub struct Samples {
 pub struct Fitted<'a> {
     pub(super) samples: &'a Samples,
     pub(super) texels: Vec<usize>,
-    /// SSDFs at them.
-    pub(super) ssdfs: DMatrix<f32>,
-    /// Weights, and their products with SSDFs: one row per texel, and one row per vertex.
-    pub(super) of_texels: [DMatrix<f32>; 2],
-    pub(super) of_vertices: [DMatrix<f32>; 2],
+    /// Products of weights and SSDFs: one row per such texel, one column per vertex.
+    pub(super) weighted: DMatrix<f32>,
+    pub(super) weights: DMatrix<f32>,
 }
 
 impl Samples {
@@ -105,14 +103,11 @@ impl Samples {
                 *weight *= factor;
             }
         }
-        let ssdfs = self.ssdfs.select_rows(&texels);
-        let weighted = ssdfs.component_mul(&weights);
         Fitted {
             samples: self,
-            of_vertices: [weights.transpose(), weighted.transpose()],
-            of_texels: [weights, weighted],
+            weighted: self.ssdfs.select_rows(&texels).component_mul(&weights),
             texels,
-            ssdfs,
+            weights,
         }
     }
 }

@@ -95,8 +95,6 @@ impl<'a, L: DistantLight> Paths<'a, L> {
         let stride = DIMENSIONS + self.local.len() as u32;
         let (mut radiance, mut throughput) = (Vec3::ZERO, Vec3::ONE);
         let mut reflector = Reflector { ..*first };
-        let materials = &self.geometry.scene.materials;
-        let emits = (materials.iter()).any(|material| Vec3::from(material.emission) != Vec3::ZERO);
         for bounce in 0..=self.bounces {
             let pair = |dimension| draws.pair(bounce * stride + dimension);
             if bounce > 0 || part == Part::Whole {
@@ -122,7 +120,8 @@ impl<'a, L: DistantLight> Paths<'a, L> {
                 break;
             };
             let direction = reflector.point.to_world(light);
-            if bounce == self.bounces && !emits {
+            // Only what emits is worth a search for what the last ray meets.
+            if bounce == self.bounces && !self.geometry.emits {
                 radiance += throughput * self.distant_part(&reflector, view, direction);
                 break;
             }

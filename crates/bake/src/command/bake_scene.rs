@@ -94,6 +94,7 @@ pub fn bake(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Summ
         .map_err(of_input)?;
     let (head, mut statistics) = bake.finish();
     statistics.stages.insert(0, ("read", read));
+    let told = head.report.warnings.len();
     for warning in &head.report.warnings {
         show::warn(warning.as_str());
     }
@@ -120,6 +121,10 @@ pub fn bake(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Summ
     } else {
         let assembled = (0..chunks).map(|chunk| Ok(parts.chunk(chunk)?));
         let scene = scene::assemble::<anyhow::Error>(head, assembled).map_err(of_input)?;
+        // Errors are known, and may be too large, once all parts are there.
+        for warning in &scene.report.warnings[told..] {
+            show::warn(warning.as_str());
+        }
         files::check_output_beside(&arguments.output, &files)?;
         let summary = write(&arguments.output, scene)?;
         if let (Some(most), Some(bytes)) = (options.max_bytes, summary.json["bytes"].as_u64())

@@ -94,7 +94,6 @@ pub fn bake(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Summ
         .map_err(of_input)?;
     let (head, mut statistics) = bake.finish();
     statistics.stages.insert(0, ("read", read));
-    let told = head.report.warnings.len();
     for warning in &head.report.warnings {
         show::warn(warning.as_str());
     }
@@ -120,11 +119,7 @@ pub fn bake(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Summ
         }
     } else {
         let assembled = (0..chunks).map(|chunk| Ok(parts.chunk(chunk)?));
-        let scene = scene::assemble::<anyhow::Error>(head, assembled).map_err(of_input)?;
-        // Errors are known, and may be too large, once all parts are there.
-        for warning in &scene.report.warnings[told..] {
-            show::warn(warning.as_str());
-        }
+        let scene = assemble(head, assembled).map_err(of_input)?;
         files::check_output_beside(&arguments.output, &files)?;
         let summary = write(&arguments.output, scene)?;
         if let (Some(most), Some(bytes)) = (options.max_bytes, summary.json["bytes"].as_u64())
@@ -242,13 +237,26 @@ pub fn merge(paths: &[PathBuf], output: &Path, monitor: Monitor) -> anyhow::Resu
         monitor.step("merge", chunk as f32 / chunks as f32)?;
         Ok(shards[chunk % count].chunk(chunk)?)
     });
-    let scene = scene::assemble::<anyhow::Error>(head, assembled)?;
+    let scene = assemble(head, assembled)?;
     monitor.step("write", 0.0)?;
     files::check_output_among(output, paths)?;
     let mut summary = write(output, scene)?;
     summary.text.push('\n');
     summary.json["peak_resident_bytes"] = json!(peak_resident_bytes());
     Ok(summary)
+}
+
+/// A scene of all its parts. Warns of what only all of them tell: errors that are too large.
+fn assemble(
+    head: format::Scene,
+    parts: impl Iterator<Item = anyhow::Result<Vec<scene::Cluster>>>,
+) -> anyhow::Result<format::Scene> {
+    let told = head.report.warnings.len();
+    let scene = scene::assemble::<anyhow::Error>(head, parts)?;
+    for warning in &scene.report.warnings[told..] {
+        show::warn(warning.as_str());
+    }
+    Ok(scene)
 }
 
 /// Writes an asset and checks what arrived. The scene is dropped before it is read back:

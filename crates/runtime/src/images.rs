@@ -1,5 +1,6 @@
 //! The images between the passes of a frame.
 
+use relight_shading::pixel_visibility::COARSE_PIXELS;
 use relight_shading::sources::{SEEN_COLUMNS, SEEN_TEXELS};
 use relight_shading::surfaces::TILE;
 
@@ -27,8 +28,9 @@ pub(crate) struct Images {
     pub(crate) bind_group: wgpu::BindGroup,
     /// What the passes that shade by lobes hand on.
     pub(crate) slots: Slots,
-    /// Groups 2 of the passes for sources, if there was one, see [`LobePasses::source_images`].
-    pub(crate) sources: Option<[wgpu::BindGroup; 2]>,
+    /// Groups 2 of the passes for sources, if there was one: for points of the coarse grid, for all, and for what is shown
+    /// of them, see [`LobePasses::source_images`].
+    pub(crate) sources: Option<[wgpu::BindGroup; 3]>,
     /// What catches shadows.
     pub(crate) open: Option<OpenImage>,
     /// Sources that there is room for.
@@ -192,20 +194,15 @@ impl Images {
         let bind_group = group_of_cells("relight images", &radiance_view, &slots);
         let sources = (source_count > 0).then(|| {
             let groups = layouts.slots * source_count;
-            let size = [
-                SEEN_COLUMNS * SEEN_TEXELS * TILE * TILE,
-                groups.div_ceil(SEEN_COLUMNS),
-            ];
-            let points = texture(
-                "relight points of sources",
-                SOURCES_FORMAT,
-                written,
-                1,
-                size,
-            );
-            let points = view(&points);
+            let points = |label, pixels| {
+                let columns = SEEN_COLUMNS * SEEN_TEXELS * pixels;
+                let size = [columns, groups.div_ceil(SEEN_COLUMNS)];
+                view(&texture(label, SOURCES_FORMAT, written, 1, size))
+            };
+            let coarse = points("relight points of sources, coarse", COARSE_PIXELS);
+            let points = points("relight points of sources", TILE * TILE);
             let [reflections, gathered] = slots.entries();
-            let [seen, shown] = &layouts.lobes.source_images;
+            let [layout, layout_shown] = &layouts.lobes.source_images;
             let group = |layout, entries: &[wgpu::BindGroupEntry]| {
                 device.create_bind_group(&wgpu::BindGroupDescriptor {
                     label: Some("relight sources' images"),
@@ -213,11 +210,20 @@ impl Images {
                     entries,
                 })
             };
-            let images = [texture_entry(0, &seen_view), texture_entry(1, &points)];
-            let [visibility, found] = images;
+            let found = |[found, seen]: [&wgpu::TextureView; 2]| {
+                let images = [&seen_view, found, seen];
+                let images = (0..).zip(images).map(|(at, view)| texture_entry(at, view));
+                let entries = images.chain([reflections.clone()]);
+                group(layout, &entries.collect::<Vec<_>>())
+            };
             [
-                group(seen, &[visibility, found, reflections.clone()]),
-                group(shown, &[texture_entry(2, &points), reflections, gathered]),
+                // Reads nothing.
+                found([&coarse, &points]),
+                found([&points, &coarse]),
+                group(
+                    layout_shown,
+                    &[texture_entry(2, &points), reflections.clone(), gathered],
+                ),
             ]
         });
         Self {

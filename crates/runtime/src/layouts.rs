@@ -197,7 +197,7 @@ pub(crate) fn source_image_layouts(device: &wgpu::Device) -> [wgpu::BindGroupLay
         })
     };
     [
-        layout(&[visibility, found, reflection]),
+        layout(&[visibility, found, seen, reflection]),
         layout(&[seen, reflection, written(7)]),
     ]
 }

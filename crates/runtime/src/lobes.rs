@@ -5,7 +5,7 @@ use std::sync::OnceLock;
 
 use relight_shading::wgsl::{
     AROUND, DIFFUSE, IMAGES, INTEGRALS, Kernel, PRODUCTS, REFLECTIONS, SEEN_TEXTURES, SHADE,
-    SOURCES, SOURCES_SHADOWED, SOURCES_SHOWN,
+    SOURCES, SOURCES_COARSE, SOURCES_SHADOWED, SOURCES_SHOWN,
 };
 use relight_shading::{gpu, slots};
 
@@ -54,6 +54,7 @@ pub(crate) struct LobePasses {
     pub(crate) source_images: [wgpu::BindGroupLayout; 2],
     /// Group 3 of that for their points, with an app's shadow map.
     pub(crate) shadow_map: wgpu::BindGroupLayout,
+    source_points_coarse: OnceLock<wgpu::ComputePipeline>,
     source_points: OnceLock<wgpu::ComputePipeline>,
     source_points_shadowed: OnceLock<wgpu::ComputePipeline>,
     sources_shown: OnceLock<wgpu::ComputePipeline>,
@@ -94,14 +95,19 @@ pub(crate) struct Work<'a> {
     pub(crate) sources: Option<SourceWork<'a>>,
 }
 
+/// Of [`SourceWork::images`].
+const COARSE: usize = 0;
+const ALL: usize = 1;
+const SHOWN: usize = 2;
+
 /// What passes for sources are given.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct SourceWork<'a> {
     pub(crate) count: u32,
     /// Groups 0 and 1.
     pub(crate) groups: [&'a wgpu::BindGroup; 2],
-    /// Groups 2, as [`LobePasses::source_images`].
-    pub(crate) images: &'a [wgpu::BindGroup; 2],
+    /// Groups 2, see [`crate::images::Images::sources`].
+    pub(crate) images: &'a [wgpu::BindGroup; 3],
     /// Group 3, with an app's shadow map.
     pub(crate) shadow_map: Option<&'a wgpu::BindGroup>,
 }
@@ -159,6 +165,7 @@ impl LobePasses {
             sources,
             source_images: source_image_layouts(device),
             shadow_map: shadow_map::layout(device),
+            source_points_coarse: OnceLock::new(),
             source_points: OnceLock::new(),
             source_points_shadowed: OnceLock::new(),
             sources_shown: OnceLock::new(),
@@ -237,21 +244,25 @@ impl LobePasses {
         let Some(sources) = work.sources else {
             return;
         };
-        let mut run =
-            |kernel: &OnceLock<wgpu::ComputePipeline>, made_of: &Kernel, scene, images, z| {
-                let (layout, group): (&wgpu::BindGroupLayout, &wgpu::BindGroup) = scene;
-                let mut layouts = vec![&self.sources[0], layout, &self.source_images[images]];
-                if let (true, Some(map)) = (*made_of == SOURCES_SHADOWED, sources.shadow_map) {
-                    layouts.push(&self.shadow_map);
-                    pass.set_bind_group(3, map, &[]);
-                }
-                let make = || compute_pipeline(&self.device, &layouts, made_of);
-                pass.set_pipeline(kernel.get_or_init(make));
-                pass.set_bind_group(0, sources.groups[0], &[offset]);
-                pass.set_bind_group(1, group, &[]);
-                pass.set_bind_group(2, &sources.images[images], &[]);
-                pass.dispatch_workgroups(workgroups, 1, z);
-            };
+        let mut run = |kernel: &OnceLock<wgpu::ComputePipeline>,
+                       made_of: &Kernel,
+                       scene,
+                       images: usize,
+                       z| {
+            let (layout, group): (&wgpu::BindGroupLayout, &wgpu::BindGroup) = scene;
+            let of_images = &self.source_images[usize::from(images == SHOWN)];
+            let mut layouts = vec![&self.sources[0], layout, of_images];
+            if let (true, Some(map)) = (*made_of == SOURCES_SHADOWED, sources.shadow_map) {
+                layouts.push(&self.shadow_map);
+                pass.set_bind_group(3, map, &[]);
+            }
+            let make = || compute_pipeline(&self.device, &layouts, made_of);
+            pass.set_pipeline(kernel.get_or_init(make));
+            pass.set_bind_group(0, sources.groups[0], &[offset]);
+            pass.set_bind_group(1, group, &[]);
+            pass.set_bind_group(2, &sources.images[images], &[]);
+            pass.dispatch_workgroups(workgroups, 1, z);
+        };
         // Which points are seen holds for the next reflections.
         if next == 0 {
             let scene = (&self.sources[1], sources.groups[1]);
@@ -259,10 +270,13 @@ impl LobePasses {
                 None => (&self.source_points, &SOURCES),
                 Some(_) => (&self.source_points_shadowed, &SOURCES_SHADOWED),
             };
-            run(kernel, made_of, scene, 0, sources.count);
+            let coarse = &self.source_points_coarse;
+            let of_four = sources.count.div_ceil(4);
+            run(coarse, &SOURCES_COARSE, scene, COARSE, of_four);
+            run(kernel, made_of, scene, ALL, sources.count);
         }
         let scene = (&self.scenes[0], &scenes[0]);
-        run(&self.sources_shown, &SOURCES_SHOWN, scene, 1, 1);
+        run(&self.sources_shown, &SOURCES_SHOWN, scene, SHOWN, 1);
     }
 
     /// Shades what is seen of instances: groups 0 and 1.

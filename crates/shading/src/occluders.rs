@@ -117,8 +117,9 @@ impl Occluders {
         &self.triangles
     }
 
-    /// Whether anything lies on the ray more than `nearest` lengths of `direction` in front of its origin.
-    pub fn block(&self, origin: Vec3, direction: Vec3, nearest: f32) -> bool {
+    /// Whether anything lies on the ray more than `nearest` lengths of `direction` in front of its origin; all that does
+    /// is known to be in the node `from` and those behind it.
+    pub fn block(&self, from: u32, origin: Vec3, direction: Vec3, nearest: f32) -> bool {
         let safe = |x: f32| {
             if x.abs() < LEAST_COMPONENT {
                 LEAST_COMPONENT
@@ -127,7 +128,7 @@ impl Occluders {
             }
         };
         let inverse = Vec3::from(direction.to_array().map(|x| 1.0 / safe(x)));
-        let mut place = 0;
+        let mut place = from;
         while let Some(node) = self.nodes.get(place as usize) {
             let a = (Vec3::from(node.low) - origin) * inverse;
             let b = (Vec3::from(node.high) - origin) * inverse;
@@ -148,26 +149,28 @@ impl Occluders {
         false
     }
 
-    /// Whether anything may lie within a cone with its tip at `origin`, around the unit vector
+    /// The first node that has anything which may lie within a cone with its tip at `origin`, around the unit vector
     /// `axis`; `cosine` is that of its half angle. A cone with a `radius` has its tip cut off where it is so
     /// wide, which is at `origin`. What lies below the plane through `origin` whose unit normal is `face` does not
     /// count. Now and then also where something only comes
-    /// close, and always in a cone that is no cone: half of all directions or more.
+    /// close, and always in a cone that is no cone: half of all directions or more. As with [`Self::block`], all that
+    /// there is lies in `from` or behind it; so it does, for rays within the cone, in the node that is found.
     pub fn meet_cone(
         &self,
+        from: u32,
         origin: Vec3,
         radius: f32,
         face: Vec3,
         axis: Vec3,
         cosine: f32,
-    ) -> bool {
+    ) -> Option<u32> {
         if cosine <= 0.0 {
-            return true;
+            return Some(from);
         }
         let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
         // From the tip that is cut off.
         let cut = radius * cosine / sine.max(LEAST_SINE);
-        let mut place = 0;
+        let mut place = from;
         while let Some(node) = self.nodes.get(place as usize) {
             let (low, high) = (Vec3::from(node.low), Vec3::from(node.high));
             let middle = 0.5 * (low + high) - origin;
@@ -185,12 +188,12 @@ impl Occluders {
             let first = node.triangles >> gpu::OccluderNode::COUNT_BITS;
             for triangle in &self.triangles[first as usize..][..count as usize] {
                 if triangle.meets_cone(origin, cut, face, axis, cosine) {
-                    return true;
+                    return Some(place);
                 }
             }
             place += 1;
         }
-        false
+        None
     }
 }
 
@@ -266,6 +269,7 @@ pub fn wgsl_constants() -> String {
         "const OCCLUDERS_LEAST_COMPONENT: f32 = {LEAST_COMPONENT:e};\n\
          const OCCLUDERS_UNCERTAIN: f32 = {UNCERTAIN:e};\n\
          const OCCLUDERS_LEAST_SINE: f32 = {LEAST_SINE:e};\n\
+         const OCCLUDERS_NONE: u32 = 0xffffffffu;\n\
          const OCCLUDERS_COUNT_BITS: u32 = {}u;\n\
          const OCCLUDERS_MAX_TRIANGLES: u32 = {}u;\n",
         gpu::OccluderNode::COUNT_BITS,
@@ -345,7 +349,7 @@ mod tests {
         let far = |ray: u32| 5.0 * vector(ray).normalize();
         assert!((0..2000).all(|ray| {
             let through = uniform(ray) * line;
-            !sliver.block(far(ray), (through - far(ray)).normalize(), 0.0)
+            !sliver.block(0, far(ray), (through - far(ray)).normalize(), 0.0)
         }));
         let mut hits = 0;
         for ray in 0..2000 {
@@ -353,7 +357,7 @@ mod tests {
             if ray % 3 == 0 {
                 direction.y = 0.0;
             }
-            let found = occluders.block(origin, direction, 0.0);
+            let found = occluders.block(0, origin, direction, 0.0);
             let expected = (occluders.triangles().iter()).any(|t| t.meets(origin, direction, 0.0));
             assert_eq!(found, expected, "{origin} {direction}");
             hits += u32::from(found);
@@ -379,6 +383,7 @@ mod tests {
                 vector(40_000 + cone).normalize()
             };
             let (x, y) = axis.any_orthonormal_pair();
+            let found = occluders.meet_cone(0, origin, radius, face, axis, cosine);
             let hit = (0..200).any(|ray| {
                 let cosine = 1.0 - (1.0 - cosine) * uniform(200 * cone + ray);
                 let sine = (1.0 - cosine * cosine).sqrt();
@@ -388,9 +393,13 @@ mod tests {
                 let start = origin + aside - axis * axis.dot(aside);
                 // Parallel to the rim or less far out.
                 let direction = axis * cosine + (x * cos + y * sin) * sine;
-                direction.dot(face) > 0.0 && occluders.block(start, direction, 0.0)
+                let hits = |from| occluders.block(from, start, direction, 0.0);
+                let hit = direction.dot(face) > 0.0 && hits(0);
+                // Nothing is missed by a ray that begins where the cone met something.
+                assert!(!hit || found.is_some_and(hits), "{start} {direction}");
+                hit
             });
-            let met = occluders.meet_cone(origin, radius, face, axis, cosine);
+            let met = found.is_some();
             let cut = radius * cosine / (1.0 - cosine * cosine).sqrt().max(LEAST_SINE);
             let meets = |triangle: &gpu::OccluderTriangle| {
                 triangle.meets_cone(origin, cut, face, axis, cosine)
@@ -401,6 +410,6 @@ mod tests {
             empty += u32::from(!met);
         }
         assert!((50..350).contains(&empty), "{empty}");
-        assert!(!Occluders::default().block(Vec3::ZERO, Vec3::Y, 0.0));
+        assert!(!Occluders::default().block(0, Vec3::ZERO, Vec3::Y, 0.0));
     }
 }

@@ -15,6 +15,8 @@ pub const PIXELS: usize = (SIDE * SIDE) as usize;
 /// Columns, and rows, whose pixels integrate: the outermost are among them, so that all others lie
 /// between two.
 pub const COARSE: [u32; 4] = [0, 2, 5, 7];
+/// Pixels of a tile that do.
+pub const COARSE_PIXELS: u32 = (COARSE.len() * COARSE.len()) as u32;
 
 /// Fractions about a pixel that differ by no more than this agree.
 pub const AGREEMENT: f32 = 0.3;
@@ -115,6 +117,11 @@ impl Parents {
         Self {
             parents: places.iter().enumerate().map(parents).collect(),
         }
+    }
+
+    /// Those of a pixel, and their weights; `None`: it takes nothing from others.
+    pub fn of(&self, pixel: usize) -> Option<[(usize, f32); 4]> {
+        self.parents[pixel]
     }
 
     /// Of pixels that all integrate.
@@ -268,6 +275,7 @@ pub fn wgsl_constants() -> String {
         + &format!(
             "const PIXEL_SIDE: u32 = {SIDE}u;\n\
              const PIXEL_COUNT: u32 = {PIXELS}u;\n\
+             const PARENTS_COUNT: u32 = {COARSE_PIXELS}u;\n\
              const PIXEL_LOBES: u32 = {}u;\n\
              const PIXEL_UNKNOWN_BITS: u32 = {UNKNOWN_BITS}u;\n\
              const PIXEL_UNKNOWN_ONE: f32 = {UNKNOWN_ONE:?};\n\

@@ -15,7 +15,8 @@ use crate::surface::SurfacePoint;
 use crate::tables::Tables;
 use crate::{cells, polar, slots};
 
-/// Radiance from `point` towards the eye, by cells; adds the number of groups of lobes that were integrated.
+/// Radiance from `point` towards the eye, by cells, but for that of sources; adds the number of groups of lobes that
+/// were integrated.
 pub(crate) fn radiance(
     point: &SurfacePoint,
     lighting: &Lighting,
@@ -25,9 +26,6 @@ pub(crate) fn radiance(
 ) -> Vec3 {
     let lit = point.normal.dot(point.view) > 0.0;
     let mut radiance = Vec3::ZERO;
-    if let Some(sources) = lighting.sources.as_ref().filter(|_| lit) {
-        radiance = sources.radiance(point, &mut 0);
-    }
     groups(point, lighting, |about, lobes| {
         *integrals += 1;
         radiance += cells::integrate(field, about, point.normal, lobes, options);
@@ -48,7 +46,7 @@ pub(crate) fn radiance(
             radiance += reflected(&glossy, point, lighting, reflections, visible);
         }
     }
-    radiance.max(Vec3::ZERO)
+    radiance
 }
 
 /// The lobes that a reflection makes of lights, one after the other to `integrate`, which is given what

@@ -7,10 +7,13 @@
 //! by rays, of which there are more for a source that matters much. The exact reflection models
 //! ([`crate::models`]) weigh what arrives, at one place of a group where the reflection changes little over it.
 //!
+//! Most pixels of a tile ask for little of this: they take what the pixels about them agree on ([`seen`]).
+//!
 //! With antialiasing rays start all over the square that a pixel covers on the surface, each at a place of its
 //! own, so that edges of shadows have no stairs at no further ray.
 
 mod grid;
+mod seen;
 
 use relight_format::math;
 use std::f32::consts::FRAC_1_PI;
@@ -20,6 +23,7 @@ use glam::{Mat3, Vec2, Vec3};
 use relight_format::Environment;
 
 use self::grid::Grid;
+pub use self::seen::Seen;
 use crate::camera::View;
 use crate::gpu;
 use crate::models;
@@ -256,25 +260,6 @@ fn rim(points: &[(Vec3, Vec3)], axis: Vec3) -> impl Iterator<Item = Vec3> {
     })
 }
 
-/// Where in a pixel the ray to a point starts, from its centre, in columns and rows: −½ to ½.
-fn place(index: u32) -> Vec2 {
-    STEP.map(|step| ((index.wrapping_mul(step) >> 8) ^ (1 << 23)) as f32 / 16_777_216.0 - 0.5)
-        .into()
-}
-
-/// The sides of the square that a pixel covers on the plane of a surface, and the radius around it.
-fn square(view: &View, point: &SurfacePoint) -> ([Vec3; 2], f32) {
-    let Some(steps) = view.steps(point.geometric_normal, point.position) else {
-        return ([Vec3::ZERO; 2], 0.0);
-    };
-    // The plane that faces the eye is crossed by the same rays.
-    let facing = view.steps(point.view, point.position);
-    let facing = facing.unwrap_or([Vec3::ZERO; 2]).map(Vec3::length);
-    let longest = LONGEST_SIDE * facing[0].max(facing[1]);
-    let [x, y] = steps.map(|side| side * (longest / side.length().max(1e-20)).min(1.0));
-    ([x, y], 0.5 * (x + y).length().max((x - y).length()))
-}
-
 /// Sources over a scene, turned.
 #[derive(Clone, Copy, Debug)]
 pub struct Lit<'a> {
@@ -307,52 +292,6 @@ impl<'a> Pixel<'a> {
     }
 }
 
-/// What a pixel sees of a source.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Seen {
-    /// A bit for each group: all of it.
-    whole: u32,
-    /// Whether `points` are points, and not places.
-    finer: bool,
-    /// Of every group that is not seen whole, a bit for each of its places or points.
-    points: [u32; GROUPS as usize],
-    /// Part of its light that an app's shadow map takes away.
-    hidden: f32,
-}
-
-/// What rays to a source, or to one of its groups, have told.
-#[derive(Clone, Copy, Debug, Default)]
-struct Found {
-    seen: bool,
-    hidden: bool,
-    /// A bit for each of the first 32.
-    bits: u32,
-}
-
-impl Found {
-    /// Nothing is in the way.
-    const WHOLE: Self = Self {
-        seen: true,
-        hidden: false,
-        bits: 0,
-    };
-
-    fn is_whole(self) -> bool {
-        self.seen && !self.hidden
-    }
-}
-
-/// From where rays to sources start.
-struct Start {
-    /// The pixel's centre on the surface.
-    origin: Vec3,
-    /// The sides of the square that a pixel covers.
-    square: [Vec3; 2],
-    radius: f32,
-    /// From where the surface was met to the pixel's centre, pixels.
-    from_point: Vec2,
-}
-
 impl Lit<'_> {
     /// Radiance from `point` towards the eye, which is above its horizon; adds the number of
     /// rays cast, a cone counting as one.
@@ -361,148 +300,6 @@ impl Lit<'_> {
         (0..MAX_REFLECTIONS)
             .map(|index| self.shown(point, &seen, index))
             .sum()
-    }
-
-    /// What is visible of every source from `point`, whose horizon the eye is above; adds the number of rays
-    /// cast, a cone counting as one.
-    pub fn seen(&self, point: &SurfacePoint, rays: &mut u64) -> Vec<Seen> {
-        let square = |pixel: Pixel| square(pixel.view, point);
-        let (square, radius) = self.pixel.map_or(([Vec3::ZERO; 2], 0.0), square);
-        let from_point = self.pixel.map_or(Vec2::ZERO, |pixel| pixel.centre);
-        let origin = point.position + point.geometric_normal * self.ray_offset;
-        let start = Start {
-            origin: origin + square[0] * from_point.x + square[1] * from_point.y,
-            square,
-            radius,
-            from_point,
-        };
-        let all = self.sources.points.chunks_exact(STRIDE as usize);
-        let mut found: Vec<Seen> = all
-            .map(|all| self.seen_of(all, point, &start, rays))
-            .collect();
-        if let Some((lookup, image)) = &self.shadow_map
-            && let Some(seen) = found.get_mut(lookup.source)
-        {
-            seen.hidden = lookup.hidden(image, point.position);
-        }
-        found
-    }
-
-    /// The same of the source that has these entries.
-    fn seen_of(
-        &self,
-        all: &[gpu::SourcePoint],
-        point: &SurfacePoint,
-        start: &Start,
-        rays: &mut u64,
-    ) -> Seen {
-        let mut seen = Seen::default();
-        let is_above = |entry: &gpu::SourcePoint| is_above(entry, point);
-        if !all[FIRST_RIM as usize..FIRST_POINT as usize]
-            .iter()
-            .any(is_above)
-        {
-            return seen;
-        }
-        let mut in_the_way = true;
-        // The source by itself, then its groups.
-        for part in 0..=GROUPS {
-            // A first ray that was blocked has told.
-            let first_seen = part == 0 || seen.points[part as usize - 1] & 1 != 0;
-            let mut met = in_the_way;
-            if met && first_seen {
-                *rays += 1;
-                met = self.meet(&all[part as usize], point, start);
-            }
-            if part == 0 && !met {
-                in_the_way = false;
-                continue;
-            }
-            let mut found = Found::WHOLE;
-            if met || !is_cone_above(&all[part as usize], point) {
-                found = self.rays(all, part, met, point, start, rays);
-            }
-            if part > 0 {
-                seen.whole |= u32::from(found.is_whole()) << (part - 1);
-                seen.points[part as usize - 1] = found.bits;
-            } else if found.seen {
-                seen.points = std::array::from_fn(|group| (found.bits >> group) & 1);
-            } else {
-                break;
-            }
-        }
-        seen.finer = all[0].light[0] as u32 > LEVELS[0];
-        seen
-    }
-
-    /// Sends rays to a source or to one of its groups.
-    fn rays(
-        &self,
-        all: &[gpu::SourcePoint],
-        part: u32,
-        met: bool,
-        point: &SurfacePoint,
-        start: &Start,
-        rays: &mut u64,
-    ) -> Found {
-        let of_group = all[0].light[0] as u32;
-        let (first, steps) = match part.checked_sub(1) {
-            None => (0, 2 * GROUPS + RIM),
-            Some(group) if of_group > LEVELS[0] => (FIRST_POINT + group * of_group, of_group),
-            Some(group) => (FIRST_PLACE + group * of_group, of_group),
-        };
-        let mut found = Found::default();
-        for step in 0..steps {
-            if part == 0 && step >= GROUPS && found.seen {
-                break;
-            }
-            let (entry, place) = match part {
-                0 => probe(step),
-                _ => (first + step, place(step * GROUPS + part - 1)),
-            };
-            let source = &all[entry as usize];
-            if is_above(source, point) {
-                let visible = self.is_visible(source, place, met, point, start, rays);
-                found.seen |= visible;
-                found.hidden |= !visible;
-                found.bits |= u32::from(visible) << (step % 32);
-            }
-        }
-        found
-    }
-
-    /// Whether anything is in a cone's way.
-    fn meet(&self, cone: &gpu::SourcePoint, point: &SurfacePoint, start: &Start) -> bool {
-        (self.occluders).meet_cone(
-            start.origin,
-            start.radius,
-            point.geometric_normal,
-            cone.direction.into(),
-            cone.cone_cosine,
-        )
-    }
-
-    /// Whether a ray from a place of the pixel meets nothing, where something is in the way.
-    fn is_visible(
-        &self,
-        source: &gpu::SourcePoint,
-        place: Vec2,
-        in_the_way: bool,
-        point: &SurfacePoint,
-        start: &Start,
-        rays: &mut u64,
-    ) -> bool {
-        if point.geometric_normal.dot(source.direction.into()) <= 0.0 {
-            return false;
-        }
-        if !in_the_way {
-            return true;
-        }
-        *rays += 1;
-        let at = |place: Vec2| start.square[0] * place.x + start.square[1] * place.y;
-        let nearest = OWN * at(place + start.from_point).length();
-        let origin = start.origin + at(place);
-        !(self.occluders).block(origin, source.direction.into(), nearest)
     }
 
     /// Radiance of them from `point` towards the eye by one of its reflections, and with the first by its Lambertian base.
@@ -554,29 +351,6 @@ impl Lit<'_> {
     }
 }
 
-/// Entry and place in the pixel of what tells whether anything of a source is visible: the first place of each group,
-/// and where all of those are hidden, a second one and the rim.
-fn probe(step: u32) -> (u32, Vec2) {
-    if step >= 2 * GROUPS {
-        return (FIRST_RIM + step - 2 * GROUPS, Vec2::ZERO);
-    }
-    let (group, round) = (step % GROUPS, step / GROUPS);
-    let of_group = round * SECOND_PLACE;
-    let entry = FIRST_PLACE + group * LEVELS[0] + of_group;
-    (entry, place(of_group * GROUPS + group))
-}
-
-/// Whether a direction is above a point's horizon.
-fn is_above(source: &gpu::SourcePoint, point: &SurfacePoint) -> bool {
-    point.normal.dot(source.direction.into()) > 0.0
-}
-
-/// Whether all of a cone is above the plane of a point's triangle.
-fn is_cone_above(cone: &gpu::SourcePoint, point: &SurfacePoint) -> bool {
-    let cosine = point.geometric_normal.dot(cone.direction.into());
-    cosine > 0.0 && cosine * cosine + cone.cone_cosine * cone.cone_cosine > 1.0
-}
-
 /// The least cosine of half the angle of a cone at one place of which a reflection's value stands for all of it, seen
 /// at the cosine `view` with the normal.
 fn small_cosine(reflection: &Reflection, view: f32) -> f32 {
@@ -606,6 +380,7 @@ pub fn wgsl_constants() -> String {
         ("SOURCE_SEEN_TEXELS", SEEN_TEXELS),
         ("SOURCE_SHADOWED", SHADOWED),
         ("SOURCE_SEEN_COLUMNS", SEEN_COLUMNS),
+        ("SOURCE_TURN", seen::TURN),
     ];
     let constants = counts.map(|(name, count)| format!("const {name}: u32 = {count}u;\n"));
     constants.concat()

@@ -11,6 +11,7 @@ use crate::contribution::{negligible, share};
 use crate::glossy::Glossy;
 use crate::pixel_visibility::{Asked, PIXELS, Parents, Place};
 use crate::shade::{EVEN, EVENLY, Lighting, Method, diffused, image_reflected, image_seen};
+use crate::sources::{Lit, Seen};
 use crate::spherical_gaussian::SphericalGaussian;
 use crate::ssdf::SignedDistance;
 use crate::surface::{MAX_REFLECTIONS, Model, SurfacePoint};
@@ -42,36 +43,24 @@ impl<F> Pixel<'_, F> {
     }
 }
 
+/// What shading takes.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Counts {
+    /// Lobes or groups of lobes integrated.
+    pub integrals: u64,
+    /// Rays and cones followed towards sources.
+    pub rays: u64,
+}
+
 /// Radiance of [`PIXELS`] pixels, row by row, towards the eye; or of a few that do not lie beside one
-/// another. Zero where there is none. Adds the number of lobes or groups of lobes that were integrated.
+/// another. Zero where there is none. Adds to what is counted.
 pub fn shade<F: SignedDistance>(
     pixels: &[Option<Pixel<F>>],
     method: &Method,
-    integrals: &mut u64,
+    counts: &mut Counts,
 ) -> Vec<Vec3> {
-    #[cfg(feature = "paper")]
-    if let Method::Cells(options) = method {
-        let mut shade = |pixel: &Pixel<F>| {
-            let Pixel {
-                point,
-                lighting,
-                field,
-                ..
-            } = pixel;
-            crate::shade_cells::radiance(point, lighting, *field, options, integrals)
-        };
-        return (pixels.iter())
-            .map(|pixel| pixel.as_ref().map_or(Vec3::ZERO, &mut shade))
-            .collect();
-    }
     let mut tile = Tile::new(pixels, *method);
-    let seen: Vec<_> = (tile.pixels.iter())
-        .map(|pixel| {
-            let pixel = pixel.as_ref()?;
-            let sources = pixel.lighting.sources?;
-            Some((pixel.point, sources, sources.seen(pixel.point, &mut 0)))
-        })
-        .collect();
+    let seen = tile.sources();
     let add_sources = |radiance: &mut [Vec3], index: usize| {
         for (radiance, seen) in radiance.iter_mut().zip(&seen) {
             if let Some((point, sources, seen)) = seen {
@@ -79,6 +68,28 @@ pub fn shade<F: SignedDistance>(
             }
         }
     };
+    #[cfg(feature = "paper")]
+    if let Method::Cells(options) = method {
+        let mut of_sources = vec![Vec3::ZERO; pixels.len()];
+        (0..MAX_REFLECTIONS).for_each(|index| add_sources(&mut of_sources, index));
+        let mut shade = |pixel: &Pixel<F>, of_sources: Vec3| {
+            let (point, lighting, field) = (pixel.point, &pixel.lighting, pixel.field);
+            let of_lobes = crate::shade_cells::radiance(
+                point,
+                lighting,
+                field,
+                options,
+                &mut counts.integrals,
+            );
+            (of_sources + of_lobes).max(Vec3::ZERO)
+        };
+        counts.rays += tile.counts.rays;
+        return (pixels.iter().zip(of_sources))
+            .map(|(pixel, of_sources)| {
+                (pixel.as_ref()).map_or(Vec3::ZERO, |pixel| shade(pixel, of_sources))
+            })
+            .collect();
+    }
     // First, so that lobes that add nothing to it are left out.
     let mut radiance = vec![Vec3::ZERO; pixels.len()];
     add_sources(&mut radiance, 0);
@@ -93,7 +104,12 @@ pub fn shade<F: SignedDistance>(
         if let Some(pixel) = pixel
             && let Some(reflections) = &pixel.lighting.reflections
         {
-            *beside = diffused(pixel.point, reflections, pixel.field, &mut tile.integrals);
+            *beside = diffused(
+                pixel.point,
+                reflections,
+                pixel.field,
+                &mut tile.counts.integrals,
+            );
         }
     }
     for index in 0..MAX_REFLECTIONS {
@@ -112,7 +128,8 @@ pub fn shade<F: SignedDistance>(
             tile.reflect_image(&glossies, &mut beside);
         }
     }
-    *integrals += tile.integrals;
+    counts.integrals += tile.counts.integrals;
+    counts.rays += tile.counts.rays;
     (radiance.iter().zip(&beside))
         .map(|(radiance, beside)| (radiance + beside).max(Vec3::ZERO))
         .collect()
@@ -132,7 +149,7 @@ pub fn point_radiance(
         surface: [0; 2],
         has_diffuse: point.appearance.diffuse != Vec3::ZERO,
     };
-    shade(&[Some(pixel)], method, &mut 0)[0]
+    shade(&[Some(pixel)], method, &mut Counts::default())[0]
 }
 
 /// A lobe of a round.
@@ -175,7 +192,7 @@ struct Tile<'a, F> {
     pixels: Vec<Option<Pixel<'a, F>>>,
     parents: Parents,
     method: Method,
-    integrals: u64,
+    counts: Counts,
 }
 
 impl<'a, F: SignedDistance> Tile<'a, F> {
@@ -192,7 +209,7 @@ impl<'a, F: SignedDistance> Tile<'a, F> {
                 surface: pixel.surface,
             })
         };
-        let parents = if pixels.len() == PIXELS && matches!(method, Method::Polar(_)) {
+        let parents = if pixels.len() == PIXELS {
             Parents::new(&pixels.iter().map(place).collect::<Vec<_>>())
         } else {
             Parents::none(pixels.len())
@@ -201,8 +218,25 @@ impl<'a, F: SignedDistance> Tile<'a, F> {
             pixels,
             parents,
             method,
-            integrals: 0,
+            counts: Counts::default(),
         }
+    }
+
+    /// What every pixel sees of sources.
+    #[allow(clippy::type_complexity)]
+    fn sources(&mut self) -> Vec<Option<(&'a SurfacePoint<'a>, Lit<'a>, Vec<Seen>)>> {
+        let lit = |pixel: &Option<Pixel<'a, F>>| {
+            let pixel = pixel.as_ref()?;
+            Some((pixel.point, pixel.lighting.sources?))
+        };
+        let lit: Vec<_> = self.pixels.iter().map(lit).collect();
+        let seen = Lit::seen_by_tile(&lit, &self.parents, &mut self.counts.rays);
+        (lit.into_iter().zip(seen))
+            .map(|(lit, seen)| {
+                let (point, lit) = lit?;
+                Some((point, lit, seen?))
+            })
+            .collect()
     }
 
     /// Lights of all kinds, and the first of those that specular lobes reflect: of one pixel as of another.
@@ -396,7 +430,7 @@ impl<'a, F: SignedDistance> Tile<'a, F> {
             };
             [distance, polar::support_radius(lobe.sharpness)]
         };
-        let integrals = &mut self.integrals;
+        let integrals = &mut self.counts.integrals;
         let find = |pixel, place, distance| {
             *integrals += 1;
             let (pixel, waiting) = of(pixel, place);
@@ -420,7 +454,12 @@ impl<'a, F: SignedDistance> Tile<'a, F> {
                 }
             }
         };
-        self.parents.fractions(&asked, look, find)
+        match self.method {
+            Method::Polar(_) => self.parents.fractions(&asked, look, find),
+            Method::Ambient | Method::Cells(_) => {
+                Parents::none(asked.len()).fractions(&asked, look, find)
+            }
+        }
     }
 }
 

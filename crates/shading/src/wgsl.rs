@@ -45,9 +45,9 @@ pub enum Entry {
     /// Visibility buffer to linear radiance by cells: `cells_main`, workgroups of 8 × 8 pixels.
     #[cfg(feature = "paper")]
     ShadeCells,
-    /// Visibility buffer, and what it shows of textures, to which points of sources it sees: `sources_main` or,
-    /// with an app's own shadow map, `sources_shadowed_main`, workgroups
-    /// of 8 × 8 pixels.
+    /// Visibility buffer, and what it shows of textures, to which points of sources it sees: of a tile's coarse grid of pixels, for four
+    /// sources, `sources_coarse_main`; then `sources_main` or, with an app's own shadow map, `sources_shadowed_main`,
+    /// workgroups of 8 × 8 pixels.
     Sources,
     /// Those, and materials, to what sources add to the radiance: `sources_shown_main`, workgroups of 8 × 8 pixels.
     SourcesShown,
@@ -132,6 +132,7 @@ pub const KERNELS: &[Kernel] = &[
     SHADE_CELLS[0],
     #[cfg(feature = "paper")]
     SHADE_CELLS[1],
+    SOURCES_COARSE,
     SOURCES,
     SOURCES_SHADOWED,
     SOURCES_SHOWN,
@@ -292,6 +293,13 @@ pub const SHADE_CELLS: [Kernel; 2] = [
     ),
 ];
 
+/// Which points of every source the pixels see that take nothing from others.
+pub const SOURCES_COARSE: Kernel = shading(
+    "sources, coarse",
+    (Entry::Sources, "sources_coarse_main"),
+    &[],
+);
+
 /// Which points of every source every pixel sees.
 pub const SOURCES: Kernel = shading("sources", (Entry::Sources, "sources_main"), &[]);
 
@@ -416,6 +424,12 @@ fn library(lobes: &str) -> String {
     LIBRARY.concat() + lobes
 }
 
+/// What the pixels of a tile find together.
+const PIXEL_VISIBILITY: &str = concat!(
+    include_str!("wgsl/parents.wgsl"),
+    include_str!("wgsl/pixel_visibility.wgsl")
+);
+
 /// The complete WGSL of one module.
 pub fn source(entry: Entry) -> String {
     let mut source = constants();
@@ -441,7 +455,7 @@ pub fn source(entry: Entry) -> String {
         }
         Entry::Diffuse => {
             source += &library(SLOTS);
-            source += include_str!("wgsl/pixel_visibility.wgsl");
+            source += PIXEL_VISIBILITY;
             source += include_str!("wgsl/diffuse.wgsl");
         }
         Entry::SeenTextures => {
@@ -458,7 +472,7 @@ pub fn source(entry: Entry) -> String {
         }
         Entry::Integrals => {
             source += &library(SLOTS);
-            source += include_str!("wgsl/pixel_visibility.wgsl");
+            source += PIXEL_VISIBILITY;
             source += include_str!("wgsl/integrals.wgsl");
         }
         Entry::Around => {
@@ -486,6 +500,7 @@ pub fn source(entry: Entry) -> String {
         Entry::Sources => {
             source += &library(SLOTS);
             source += include_str!("wgsl/source_points.wgsl");
+            source += include_str!("wgsl/parents.wgsl");
             source += include_str!("wgsl/occluders.wgsl");
             source += include_str!("wgsl/shadow_map.wgsl");
             source += include_str!("wgsl/sources.wgsl");

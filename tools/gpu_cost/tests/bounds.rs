@@ -28,8 +28,9 @@ const BOUNDS: &[(&str, [u64; 2])] = &[
     ("images", [60, 64]),
     ("shade", [48, 72]),
     ("shade, second", [48, 80]),
-    ("sources", [60, 88]),
-    ("sources, shadow map", [60, 96]),
+    ("sources, coarse", [72, 96]),
+    ("sources", [72, 96]),
+    ("sources, shadow map", [72, 96]),
     ("sources, shown", [72, 96]),
 ];
 

@@ -24,7 +24,7 @@ use relight_shading::ssdf::{Basis, SignedDistance, Ssdf};
 use relight_shading::surface::{SurfacePoint, emission, has_diffuse, surface_seen};
 use relight_shading::surfaces::{self, Item, Sample, Surfaces};
 use relight_shading::textures::{Filter, Mipmaps};
-use relight_shading::tile;
+use relight_shading::tile::{self, Counts};
 use relight_shading::tonemap;
 use relight_shading::transfer::{Bounced, PackedTransfer};
 use relight_shading::vertex_visibility::{self, Corners};
@@ -145,12 +145,12 @@ fn render_while(
         if !wanted() {
             return vec![[0.0; 4]; pixels.len()];
         }
-        let direct = tile::shade(&shaded(pixels), &frame.method, &mut 0);
+        let direct = tile::shade(&shaded(pixels), &frame.method, &mut Counts::default());
         let opened: Vec<_> = (pixels.iter())
             .map(|ready| stage.opened(ready.as_ref()?))
             .collect();
         let without = if opened.iter().any(Option::is_some) {
-            tile::shade(&shaded(&opened), &frame.method, &mut 0)
+            tile::shade(&shaded(&opened), &frame.method, &mut Counts::default())
         } else {
             Vec::new()
         };
@@ -293,25 +293,19 @@ pub fn work(scene: &Scene, frame: &Frame, width: u32, height: u32) -> Result<Wor
         let fields: Vec<Option<Counted>> = (pixels.iter())
             .map(|ready| Counted::new(ready.as_ref()))
             .collect();
-        let mut integrals = 0;
-        tile::shade(&counted(pixels, &fields), &frame.method, &mut integrals);
-        let count = |(ready, field): (&Option<Ready>, &Option<Counted>)| {
-            let (Some(Ready { seen, lighting, .. }), Some(field)) = (ready, field) else {
+        let mut of_tile = Counts::default();
+        tile::shade(&counted(pixels, &fields), &frame.method, &mut of_tile);
+        let count = |field: &Option<Counted>| {
+            let Some(field) = field else {
                 return [0; 5];
             };
-            let point = &seen.point;
-            let mut rays = 0;
-            if let Some(sources) = &lighting.sources
-                && point.normal.dot(point.view) > 0.0
-            {
-                sources.radiance(point, &mut rays);
-            }
             let samples = field.samples.get();
             let fetches = samples * field.field.tiles() as u64;
-            // Integrals are the tile's.
-            [1, std::mem::take(&mut integrals), samples, fetches, rays]
+            // Not a pixel's: with the first one.
+            let Counts { integrals, rays } = std::mem::take(&mut of_tile);
+            [1, integrals, samples, fetches, rays]
         };
-        pixels.iter().zip(&fields).map(count).collect()
+        fields.iter().map(count).collect()
     });
     let fractions = stage.instances.iter().map(|staged| &staged.fractions);
     let [vertex_samples, vertex_fetches] = (fractions.flatten())

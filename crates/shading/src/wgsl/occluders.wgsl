@@ -8,13 +8,14 @@ struct OccludersWalk {
     blocked: bool,
 }
 
-// Whether anything lies on the ray more than `nearest` lengths of its direction in front of its origin. Eight steps at a time: software GPUs
+// Whether anything lies on the ray more than `nearest` lengths of its direction in front of its origin; all that does is
+// known to be in the node `first` and those behind it. Eight steps at a time: software GPUs
 // bound the iterations of a shader's loops, all together.
-fn occluders_block(origin: vec3<f32>, direction: vec3<f32>, nearest: f32) -> bool {
+fn occluders_block(first: u32, origin: vec3<f32>, direction: vec3<f32>, nearest: f32) -> bool {
     let least = vec3(OCCLUDERS_LEAST_COMPONENT);
     let inverse = 1.0 / select(direction, least, abs(direction) < least);
     let end = arrayLength(&occluder_nodes);
-    var walk = OccludersWalk(0u, 0u, 0u, false);
+    var walk = OccludersWalk(first, 0u, 0u, false);
     while !walk.blocked && (walk.node < end || walk.triangle < walk.last) {
         walk = occluders_step(walk, end, origin, direction, inverse, nearest);
         walk = occluders_step(walk, end, origin, direction, inverse, nearest);
@@ -82,13 +83,20 @@ fn occluders_meet(index: u32, origin: vec3<f32>, direction: vec3<f32>, nearest: 
     return v >= 0.0 && w >= 0.0 && v + w <= 1.0 && t > nearest;
 }
 
-// Whether anything may lie within a cone with its tip at `origin`, or cut off there where it has a radius, and above the
-// plane through `origin` of the normal `face`.
-fn occluders_meet_cone(origin: vec3<f32>, radius: f32, face: vec3<f32>, axis: vec3<f32>, cosine: f32) -> bool {
+// The first node, from `first` on, that has anything which may lie within a cone with its tip at `origin`, or cut off
+// there where it has a radius, and above the plane through `origin` of the normal `face`; OCCLUDERS_NONE: none has.
+fn occluders_meet_cone(
+    first: u32,
+    origin: vec3<f32>,
+    radius: f32,
+    face: vec3<f32>,
+    axis: vec3<f32>,
+    cosine: f32,
+) -> u32 {
     let sine = sqrt(max(1.0 - cosine * cosine, 0.0));
     let cut = radius * cosine / max(sine, OCCLUDERS_LEAST_SINE);
     let end = arrayLength(&occluder_nodes);
-    var place = 0u;
+    var place = first;
     var met = cosine <= 0.0;
     while place < end && !met {
         let node = occluder_nodes[place];
@@ -102,10 +110,10 @@ fn occluders_meet_cone(origin: vec3<f32>, radius: f32, face: vec3<f32>, axis: ve
             place = node.next;
         } else {
             met = occluders_leaf_meets_cone(node.triangles, origin, cut, face, axis, cosine);
-            place++;
+            place += select(1u, 0u, met);
         }
     }
-    return met;
+    return select(OCCLUDERS_NONE, place, met);
 }
 
 fn occluders_leaf_meets_cone(

@@ -66,62 +66,10 @@ fn pixel_works() -> bool {
     if pixel_own == 0u {
         pixel_any_work = atomicLoad(&pixel_work);
     }
-    pixel_asks = pixel_may_ask();
-    return workgroupUniformLoad(&pixel_any_work) != 0u;
-}
-
-fn pixel_low(at: u32) -> u32 {
-    return select(select(select(7u, 5u, at < 7u), 2u, at < 5u), 0u, at < 2u);
-}
-
-fn pixel_high(at: u32) -> u32 {
-    return select(select(select(7u, 5u, at <= 5u), 2u, at <= 2u), 0u, at == 0u);
-}
-
-fn pixel_weight(at: u32) -> f32 {
-    let low = pixel_low(at);
-    return f32(at - low) / f32(max(pixel_high(at) - low, 1u));
-}
-
-// One of the four pixels about another, and its weight.
-struct PixelParent {
-    pixel: u32,
-    weight: f32,
-}
-
-fn pixel_parent(pixel: u32, index: u32) -> PixelParent {
-    let at = vec2(pixel % PIXEL_SIDE, pixel / PIXEL_SIDE);
-    let right = pixel_weight(at.x);
-    let down = pixel_weight(at.y);
-    let column = select(pixel_low(at.x), pixel_high(at.x), (index & 1u) != 0u);
-    let row = select(pixel_low(at.y), pixel_high(at.y), index > 1u);
-    let weight = select(1.0 - right, right, (index & 1u) != 0u) * select(1.0 - down, down, index > 1u);
-    return PixelParent(row * PIXEL_SIDE + column, weight);
-}
-
-fn pixel_may_ask() -> bool {
     // Further surfaces of pixels that lie side by side do not so in the picture.
     let alone = PIXEL_AMBIENT || tile_first.y >= frames[frame_index].first_extra_row;
-    let place = slots_reflection_value(SLOTS_POSITION).xyz;
-    let normal = slots_reflection_value(SLOTS_NORMAL).xyz;
-    let surface = slots_surface();
-    var asks = !alone;
-    // None if it is told: compilers unroll what they can count.
-    for (var index = 0u; index < select(4u, 0u, alone); index++) {
-        let parent = pixel_parent(pixel_own, index);
-        if parent.pixel == pixel_own {
-            asks = false;
-        } else if parent.weight > 0.0 {
-            slot = pixel_first_slot + parent.pixel;
-            let between = slots_reflection_value(SLOTS_POSITION).xyz - place;
-            let same = slots_surface() == surface
-                && dot(normal, slots_reflection_value(SLOTS_NORMAL).xyz) >= PIXEL_LEAST_COSINE
-                && abs(dot(normal, between)) <= PIXEL_MOST_SLOPE * length(between);
-            asks = asks && same;
-        }
-    }
-    slot = pixel_first_slot + pixel_own;
-    return asks;
+    pixel_asks = parents_may_ask(pixel_first_slot, pixel_own, alone);
+    return workgroupUniformLoad(&pixel_any_work) != 0u;
 }
 
 // The unknown part of a fraction, 0 to 1, and what the lobe can add, with as many bits as they need.
@@ -283,7 +231,7 @@ fn pixel_between(pixel: u32, lobe: u32, parents: u32) -> vec3<f32> {
     var low = 1.0;
     var high = 0.0;
     for (var i = 0u; i < parents; i++) {
-        let parent = pixel_parent(pixel, i);
+        let parent = parents_of(pixel, i);
         if parent.weight > 0.0 {
             let other = lobe * PIXEL_COUNT + parent.pixel;
             let fraction = pixel_fractions[other];

@@ -16,7 +16,9 @@ fn sources_seen_row(workgroup: u32, source: u32) -> u32 {
 // Bits of the lowest byte: all of the group is seen; of the next: part of it; of the third: which are points,
 // and not places. SOURCE_SHADOWED: behind the groups' words is one more, the part of the light that an app's shadow map
 // takes away.
-fn sources_seen_place(row: u32, texel: u32, invocation: u32) -> vec2<u32> {
+//
+// Pixels are numbered among so many: all of a tile, or those of its coarse grid.
+fn sources_seen_place(row: u32, texel: u32, pixel: u32, pixels: u32) -> vec2<u32> {
     let column = row % SOURCE_SEEN_COLUMNS * SOURCE_SEEN_TEXELS + texel;
-    return vec2(64u * column + invocation, row / SOURCE_SEEN_COLUMNS);
+    return vec2(pixels * column + pixel, row / SOURCE_SEEN_COLUMNS);
 }

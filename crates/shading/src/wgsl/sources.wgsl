@@ -1,16 +1,35 @@
-// Twin of sources.rs, and the entry point that finds which points of one source (z) a pixel sees: one
+// Twin of sources/seen.rs, and the entry points that find which points of one source (z) a pixel sees: one
 // invocation for all would walk further through the scene than software GPUs let a shader loop
-// (Mesa's llvmpipe ends all loops after 65,536 iterations). It runs after the first reflection is found, which tells
+// (Mesa's llvmpipe ends all loops after 65,536 iterations). They run after the first reflection is found, which tells
 // how the surface stands; sources_shown.wgsl makes light of the points. In one kernel, rays and reflections take more
 // registers than 20 warps of an Ampere have.
 
+// First the coarse grid of pixels, which take nothing from others, of a tile and four sources.
+@compute @workgroup_size(8, 8)
+fn sources_coarse_main(
+    @builtin(workgroup_id) workgroup: vec3<u32>,
+    @builtin(local_invocation_index) invocation: u32,
+) {
+    let place = invocation % PARENTS_COUNT;
+    let pixel = parents_pixel(place);
+    slots_enter(workgroup.x, pixel);
+    sources_own = invocation;
+    let source = 64u / PARENTS_COUNT * workgroup.z + invocation / PARENTS_COUNT;
+    if source < frames[frame_index].source_count && sources_find(workgroup.x, source, pixel, true) {
+        sources_write(sources_seen_row(workgroup.x, source), place, PARENTS_COUNT);
+    }
+}
+
+// Then all.
 @compute @workgroup_size(8, 8)
 fn sources_main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
     @builtin(local_invocation_index) invocation: u32,
 ) {
-    if sources_find(workgroup, invocation) {
-        sources_write(workgroup, invocation);
+    slots_enter(workgroup.x, invocation);
+    sources_own = invocation;
+    if sources_find(workgroup.x, workgroup.z, invocation, false) {
+        sources_write(sources_seen_row(workgroup.x, workgroup.z), invocation, 64u);
     }
 }
 
@@ -20,7 +39,9 @@ fn sources_shadowed_main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
     @builtin(local_invocation_index) invocation: u32,
 ) {
-    if sources_find(workgroup, invocation) {
+    slots_enter(workgroup.x, invocation);
+    sources_own = invocation;
+    if sources_find(workgroup.x, workgroup.z, invocation, false) {
         if workgroup.z == shadow_map.source && sources_seen[sources_word(0u)] != 0u {
             let hidden = shadow_map_hidden(slots_reflection_value(SLOTS_POSITION).xyz);
             if hidden > 0.0 {
@@ -28,15 +49,14 @@ fn sources_shadowed_main(
                 sources_seen[sources_word(1u + SOURCE_GROUPS)] = bitcast<u32>(hidden);
             }
         }
-        sources_write(workgroup, invocation);
+        sources_write(sources_seen_row(workgroup.x, workgroup.z), invocation, 64u);
     }
 }
 
-// Whether there is anything to find them for.
-fn sources_find(workgroup: vec3<u32>, invocation: u32) -> bool {
-    slots_enter(workgroup.x, invocation);
-    sources_own = invocation;
-    let pixel = tile_pixel(invocation);
+// Whether a pixel of the tile shows anything to find them for. It is of the coarse grid if `is_coarse`; else those have
+// been found, and lie in source_seen.
+fn sources_find(workgroup: u32, source: u32, own: u32, is_coarse: bool) -> bool {
+    let pixel = tile_pixel(own);
     let seen = seen_triangle(pixel);
     if seen.x >= frames[frame_index].triangle_count {
         return false;
@@ -44,12 +64,21 @@ fn sources_find(workgroup: vec3<u32>, invocation: u32) -> bool {
     for (var word = 0u; word < 4u * SOURCE_SEEN_TEXELS; word++) {
         sources_seen[sources_word(word)] = 0u;
     }
-    sources_points(workgroup.z, pixel, seen.y, triangles[seen.x].xyz);
+    let row = sources_seen_row(workgroup, source);
+    if !is_coarse && parents_place(own) < PARENTS_COUNT {
+        for (var word = 0u; word < 1u + SOURCE_GROUPS; word++) {
+            sources_seen[sources_word(word)] = sources_coarse_word(row, word, own);
+        }
+        return true;
+    }
+    // Further surfaces of pixels that lie side by side do not so in the picture.
+    let alone = is_coarse || tile_first.y >= frames[frame_index].first_extra_row;
+    let asks = parents_may_ask(slot - own, own, alone);
+    sources_points(source, row, asks, pixel, seen.y, triangles[seen.x].xyz);
     return true;
 }
 
-fn sources_write(workgroup: vec3<u32>, invocation: u32) {
-    let row = sources_seen_row(workgroup.x, workgroup.z);
+fn sources_write(row: u32, place: u32, places: u32) {
     let shadowed = SOURCE_SHADOWED >> SOURCE_GROUPS;
     let partly = (sources_seen[sources_word(0u)] >> SOURCE_GROUPS) & (((1u << SOURCE_GROUPS) - 1u) | shadowed);
     let count = select(1u, SOURCE_SEEN_TEXELS, partly != 0u);
@@ -60,21 +89,35 @@ fn sources_write(workgroup: vec3<u32>, invocation: u32) {
             sources_seen[sources_word(4u * texel + 2u)],
             sources_seen[sources_word(4u * texel + 3u)],
         );
-        textureStore(source_seen_found, sources_seen_place(row, texel, invocation), words);
+        textureStore(source_seen_found, sources_seen_place(row, texel, place, places), words);
     }
 }
 
 // What source_seen has of the invocation's pixel: in registers it would be kept through all that comes before and
 // after.
 var<workgroup> sources_seen: array<u32, 64u * 4u * SOURCE_SEEN_TEXELS>;
+// From where rays start: the pixel's centre on the surface, and the radius of the square that the pixel covers; the
+// triangle's normal, and the source's row in source_seen; the square's sides, and from where the surface was met to the
+// centre, pixels. There for the same reason.
+var<workgroup> sources_starts: array<vec4<f32>, 256>;
 var<private> sources_own: u32;
+
+fn sources_start(part: u32) -> vec4<f32> {
+    return sources_starts[64u * part + sources_own];
+}
 
 fn sources_word(word: u32) -> u32 {
     return 64u * word + sources_own;
 }
 
-// Finds them, from a pixel's point on a triangle.
-fn sources_points(source: u32, pixel: vec2<u32>, seen_at: u32, corners: vec3<u32>) {
+// What was found of a pixel of the coarse grid; words of groups that are not seen in part are anything.
+fn sources_coarse_word(row: u32, word: u32, pixel: u32) -> u32 {
+    let place = sources_seen_place(row, word / 4u, parents_place(pixel), PARENTS_COUNT);
+    return textureLoad(source_seen, place, 0)[word % 4u];
+}
+
+// Finds them, from a pixel's point on a triangle, which takes from others if it `asks`.
+fn sources_points(source: u32, row: u32, asks: bool, pixel: vec2<u32>, seen_at: u32, corners: vec3<u32>) {
     let normal = slots_reflection_value(SLOTS_NORMAL).xyz;
     let position = slots_reflection_value(SLOTS_POSITION).xyz;
     let view = surface_unit_or(frames[frame_index].eye - position * frames[frame_index].perspective, normal);
@@ -89,7 +132,12 @@ fn sources_points(source: u32, pixel: vec2<u32>, seen_at: u32, corners: vec3<u32
         }
         let offset = source_points[entry].ray_offset;
         let origin = position + face * offset + square * from_point;
-        sources_parts(entry, normal, face, origin, square, from_point);
+        let radius = 0.5 * max(length(square[0] + square[1]), length(square[0] - square[1]));
+        sources_starts[sources_own] = vec4(origin, radius);
+        sources_starts[64u + sources_own] = vec4(face, bitcast<f32>(row));
+        sources_starts[128u + sources_own] = vec4(square[0], from_point.x);
+        sources_starts[192u + sources_own] = vec4(square[1], from_point.y);
+        sources_steps(entry, asks);
     }
 }
 
@@ -102,49 +150,148 @@ fn sources_above(entry: u32, normal: vec3<f32>) -> bool {
     return above;
 }
 
-// The source by itself, then its groups. One place that cones and rays are followed: copies of it are most of a
-// shader.
-fn sources_parts(
-    entry: u32,
-    normal: vec3<f32>,
-    face: vec3<f32>,
-    origin: vec3<f32>,
-    square: mat2x3<f32>,
-    from_point: vec2<f32>,
-) {
-    let radius = 0.5 * max(length(square[0] + square[1]), length(square[0] - square[1]));
-    var in_the_way = true;
-    var told = 0u;
-    for (var part = 0u; part <= SOURCE_GROUPS; part++) {
+// What is done, one after the other. First what is in the way of the whole source. For pixels that take from others: what
+// rays tell of what those agree on, and what they do not agree on, group by group. For others, and where those were
+// contradicted: whether any of the source is seen, then points, group by group.
+const SOURCES_TRY: u32 = 1u;
+const SOURCES_REST: u32 = SOURCES_TRY + SOURCE_GROUPS;
+const SOURCES_PROBE: u32 = SOURCES_REST + SOURCE_GROUPS;
+const SOURCES_POINTS: u32 = SOURCES_PROBE + 1u;
+const SOURCES_END: u32 = SOURCES_POINTS + SOURCE_GROUPS;
+
+// One place that cones and rays are followed: copies of it are most of a shader.
+fn sources_steps(entry: u32, asks: bool) {
+    let of_group = u32(source_points[entry].light.x);
+    let all = 0xffffffffu >> (32u - of_group);
+    // The first node that has anything in the way.
+    var first = 0u;
+    // Groups whose first place is seen.
+    var probed = 0u;
+    var step = 0u;
+    while step < SOURCES_END {
+        let group = (step - select(SOURCES_TRY, SOURCES_POINTS, step >= SOURCES_POINTS)) % SOURCE_GROUPS;
+        var met = first;
         // A first ray that was blocked has told.
-        let first_seen = part == 0u || (sources_seen[sources_word(part)] & 1u) != 0u;
-        var met = in_the_way;
-        if met && first_seen {
-            let cone = source_points[entry + part];
-            met = occluders_meet_cone(origin, radius, face, cone.direction, cone.cone_cosine);
+        if step == 0u || (step >= SOURCES_POINTS && (probed & (1u << group)) != 0u) {
+            let cone = source_points[entry + select(SOURCE_FIRST_GROUP + group, 0u, step == 0u)];
+            let origin = sources_start(0u);
+            let face = sources_start(1u).xyz;
+            met = occluders_meet_cone(first, origin.xyz, origin.w, face, cone.direction, cone.cone_cosine);
         }
-        if part == 0u && !met {
-            in_the_way = false;
+        if step == 0u {
+            first = met;
+            step = select(SOURCES_PROBE, SOURCES_TRY, asks);
+            if met == OCCLUDERS_NONE {
+                step = SOURCES_POINTS;
+            }
             continue;
         }
-        var found = vec2(1u, 0u);
-        if met || !sources_cone_above(entry + part, face) {
-            found = sources_rays(entry, part, met, normal, face, origin, square, from_point);
+        // What the pixels about this one all see of the group, and what any of them does.
+        var near = vec2(0u);
+        var asked = all;
+        if step < SOURCES_PROBE {
+            near = sources_between(all, group);
+            asked = near.y & ~near.x;
+            if step < SOURCES_REST {
+                asked = sources_tried(near.x) | sources_tried(all & ~near.y);
+            }
+        } else if step == SOURCES_PROBE {
+            asked = (1u << (2u * SOURCE_GROUPS + SOURCE_RIM)) - 1u;
+        } else if met == OCCLUDERS_NONE && sources_cone_above(entry + SOURCE_FIRST_GROUP + group, sources_start(1u).xyz) {
+            asked = 0u;
         }
-        if part == 0u {
-            if (found.x & 1u) == 0u {
+        sources_seen[sources_word(1u + group)] = near.x;
+        let node = select(OCCLUDERS_NONE, first, met != OCCLUDERS_NONE);
+        let found = sources_rays(entry, step, group, asked, node);
+        if step == SOURCES_PROBE {
+            probed = found.x;
+            if probed == 0u {
                 break;
             }
-        } else if found.x == 1u {
-            told |= 1u << (part - 1u);
-        } else if found.y != 0u {
-            told |= 1u << (SOURCE_GROUPS + part - 1u);
-            sources_seen[sources_word(part)] = found.y;
+        } else if step < SOURCES_REST {
+            let agreed = sources_seen[sources_word(1u + group)];
+            if ((found.x & ~agreed) | (found.y & agreed)) != 0u {
+                step = SOURCES_PROBE;
+                continue;
+            }
+        } else {
+            let bits = sources_seen[sources_word(1u + group)] | found.x;
+            var whole = bits == all;
+            if step >= SOURCES_POINTS {
+                whole = asked == 0u || (bits != 0u && found.y == 0u);
+            }
+            sources_seen[sources_word(1u + group)] = bits;
+            sources_seen[sources_word(0u)] |= select(select(0u, 1u << SOURCE_GROUPS, bits != 0u), 1u, whole) << group;
+        }
+        step++;
+        if step == SOURCES_PROBE {
+            break;
         }
     }
-    let finer = u32(source_points[entry].light.x) > SOURCE_PLACES;
-    told |= select(0u, ((1u << SOURCE_GROUPS) - 1u) << (2u * SOURCE_GROUPS), finer && told != 0u);
+    var told = sources_seen[sources_word(0u)];
+    let finer = u32(source_points[entry].light.x) > SOURCE_PLACES && told != 0u;
+    told |= select(0u, ((1u << SOURCE_GROUPS) - 1u) << (2u * SOURCE_GROUPS), finer);
     sources_seen[sources_word(0u)] = told;
+}
+
+// The places, or points, of a group that the pixels about one all see, and those that any does.
+fn sources_between(all: u32, group: u32) -> vec2<u32> {
+    let row = bitcast<u32>(sources_start(1u).w);
+    var found = vec2(all, 0u);
+    // Four, which compilers do not know: they would do all at once, in registers of their own.
+    for (var index = 0u; index < min(4u, all); index++) {
+        // One that has no weight is one of the others.
+        let pixel = parents_of(sources_own, index).pixel;
+        let told = sources_coarse_word(row, 0u, pixel) >> group;
+        var bits = select(0u, all, (told & 1u) != 0u);
+        if ((told >> SOURCE_GROUPS) & 1u) != 0u {
+            bits = sources_coarse_word(row, 1u + group, pixel);
+        }
+        found = vec2(found.x & bits, found.y | bits);
+    }
+    return found;
+}
+
+// One of the bits, another one at every pixel.
+fn sources_tried(bits: u32) -> u32 {
+    let above = bits & (0xffffffffu << ((SOURCE_TURN * sources_own) % 32u));
+    let turned = select(bits, above, above != 0u);
+    return turned & (~turned + 1u);
+}
+
+// Rays to the places or points of a group, or to what tells whether anything of a source is visible, for which there
+// is a bit in `asked`: which are seen, and which are hidden.
+fn sources_rays(
+    entry: u32,
+    step: u32,
+    group: u32,
+    asked: u32,
+    first: u32,
+) -> vec2<u32> {
+    let of_group = u32(source_points[entry].light.x);
+    let start = select(SOURCE_FIRST_PLACE, SOURCE_FIRST_POINT, of_group > SOURCE_PLACES) + group * of_group;
+    var found = vec2(0u);
+    var bits = asked;
+    while bits != 0u {
+        let bit = firstTrailingBit(bits);
+        bits &= bits - 1u;
+        // The entry, and the number of its place in the pixel.
+        var at = vec2(start + bit, bit * SOURCE_GROUPS + group);
+        if step == SOURCES_PROBE {
+            at = sources_probe(bit);
+            if bit >= SOURCE_GROUPS && found.x != 0u {
+                break;
+            }
+        }
+        let direction = source_points[entry + at.x].direction;
+        if dot(direction, slots_reflection_value(SLOTS_NORMAL).xyz) > 0.0 {
+            let is_rim = step == SOURCES_PROBE && bit >= 2u * SOURCE_GROUPS;
+            let offset = select(sources_place(at.y), vec2(0.0), is_rim);
+            let visible = sources_visible(first, direction, offset);
+            found |= select(vec2(0u, 1u), vec2(1u, 0u), visible) << vec2(bit);
+        }
+    }
+    return found;
 }
 
 // Whether all of a cone is above the plane of a triangle.
@@ -152,47 +299,6 @@ fn sources_cone_above(cone: u32, face: vec3<f32>) -> bool {
     let along = dot(face, source_points[cone].direction);
     let cosine = source_points[cone].cone_cosine;
     return along > 0.0 && along * along + cosine * cosine > 1.0;
-}
-
-// Rays to a source, or to one of its groups: whether any of it was seen (the lowest bit), and any hidden (the next);
-// and which places or points of a group were seen.
-fn sources_rays(
-    entry: u32,
-    part: u32,
-    met: bool,
-    normal: vec3<f32>,
-    face: vec3<f32>,
-    origin: vec3<f32>,
-    square: mat2x3<f32>,
-    from_point: vec2<f32>,
-) -> vec2<u32> {
-    var steps = u32(source_points[entry].light.x);
-    let first = select(SOURCE_FIRST_PLACE, SOURCE_FIRST_POINT, steps > SOURCE_PLACES) + (part - 1u) * steps;
-    if part == 0u {
-        steps = 2u * SOURCE_GROUPS + SOURCE_RIM;
-    }
-    var found = vec2(0u);
-    for (var step = 0u; step < steps; step++) {
-        if part == 0u && step >= SOURCE_GROUPS && (found.x & 1u) != 0u {
-            break;
-        }
-        // The entry, and the number of its place in the pixel.
-        var at = vec2(first + step, step * SOURCE_GROUPS + part - 1u);
-        let is_rim = part == 0u && step >= 2u * SOURCE_GROUPS;
-        if part == 0u {
-            at = sources_probe(step);
-        }
-        let direction = source_points[entry + at.x].direction;
-        if dot(direction, normal) > 0.0 {
-            let offset = select(sources_place(at.y), vec2(0.0), is_rim);
-            let visible = sources_visible(face, met, origin, direction, square, offset, from_point);
-            found |= select(vec2(2u, 0u), vec2(1u, 1u << (step % 32u)), visible);
-            if part == 0u && step < SOURCE_GROUPS {
-                sources_seen[sources_word(1u + step)] = u32(visible);
-            }
-        }
-    }
-    return found;
 }
 
 // What tells whether anything of a source is visible: the first place of each group, and where all of those are
@@ -206,25 +312,20 @@ fn sources_probe(step: u32) -> vec2<u32> {
     return vec2(SOURCE_FIRST_PLACE + group * SOURCE_PLACES + of_group, of_group * SOURCE_GROUPS + group);
 }
 
-// Whether a source is visible from a place of a pixel, whose centre is at `origin`, on a triangle of the normal `face`:
-// not if that itself is in the way, nor if anything is, where the cone about the source is `touched`.
-fn sources_visible(
-    face: vec3<f32>,
-    touched: bool,
-    origin: vec3<f32>,
-    direction: vec3<f32>,
-    square: mat2x3<f32>,
-    place: vec2<f32>,
-    from_point: vec2<f32>,
-) -> bool {
-    if dot(face, direction) <= 0.0 {
+// Whether a source is visible from a place of the pixel: not if its triangle is in the way, nor if anything is, in the
+// node `first` or behind it.
+fn sources_visible(first: u32, direction: vec3<f32>, place: vec2<f32>) -> bool {
+    if dot(sources_start(1u).xyz, direction) <= 0.0 {
         return false;
     }
-    if !touched {
+    if first == OCCLUDERS_NONE {
         return true;
     }
-    let nearest = SOURCE_OWN * length(square * (place + from_point));
-    return !occluders_block(origin + square * place, direction, nearest);
+    let right = sources_start(2u);
+    let down = sources_start(3u);
+    let square = mat2x3<f32>(right.xyz, down.xyz);
+    let nearest = SOURCE_OWN * length(square * (place + vec2(right.w, down.w)));
+    return !occluders_block(first, sources_start(0u).xyz + square * place, direction, nearest);
 }
 
 // Where in a pixel the ray to a point starts, from its centre, in columns and rows.

@@ -105,5 +105,5 @@ fn sources_small_cosine(reflection: Reflection, view: f32) -> f32 {
 }
 
 fn sources_seen_word(row: u32, word: u32, invocation: u32) -> u32 {
-    return textureLoad(source_seen, sources_seen_place(row, word / 4u, invocation), 0)[word % 4u];
+    return textureLoad(source_seen, sources_seen_place(row, word / 4u, invocation, 64u), 0)[word % 4u];
 }

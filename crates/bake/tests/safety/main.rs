@@ -64,6 +64,7 @@ fn trials() -> Vec<Trial> {
         Trial::test("safety::options", options),
         Trial::test("safety::resume_says_what_differs", resume_says_what_differs),
         Trial::test("safety::other_files_are_no_parts", other_files_are_no_parts),
+        Trial::test("safety::large_errors_are_told", large_errors_are_told),
     ];
     trials.extend(faults::trials());
     trials.extend(json::trials());
@@ -409,6 +410,25 @@ fn shapes_of_images() -> Outcome {
     assert!(!warning(expect_success(&mut bake)).contains("--flip"));
     let flipped = warning(expect_success(bake.arg("--flip")));
     assert!(flipped.contains("--flip"), "{flipped}");
+    Ok(())
+}
+
+/// However a scene is put together, it is said when its shadows are far off.
+fn large_errors_are_told() -> Outcome {
+    let folder = Folder::new()?;
+    let mesh = folder.at("a.obj");
+    let plane = folder.write("plane.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")?;
+    let (asset, part) = (folder.at("out.relight"), folder.at("out.part"));
+    let tells = |command: &mut Command| {
+        let errors = expect_success(command).stderr;
+        String::from_utf8_lossy(&errors).contains("warning: visibility on the surface is off by")
+    };
+    assert!(tells(&mut bake_scene(&mesh, &asset)));
+    assert!(!tells(&mut bake_scene(&plane, &asset)));
+    // Only all parts together tell.
+    assert!(!tells(bake_scene(&mesh, &part).args(["--shard", "1/1"])));
+    let mut merge = program();
+    assert!(tells(merge.arg("merge").arg(&part).arg("-o").arg(&asset)));
     Ok(())
 }
 

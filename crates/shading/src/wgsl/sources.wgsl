@@ -26,10 +26,11 @@ fn sources_main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
     @builtin(local_invocation_index) invocation: u32,
 ) {
-    slots_enter(workgroup.x, invocation);
+    let pixel = sources_pixel(invocation);
+    slots_enter(workgroup.x, pixel);
     sources_own = invocation;
-    if sources_find(workgroup.x, workgroup.z, invocation, false) {
-        sources_write(sources_seen_row(workgroup.x, workgroup.z), invocation, 64u);
+    if sources_find(workgroup.x, workgroup.z, pixel, false) {
+        sources_write(sources_seen_row(workgroup.x, workgroup.z), pixel, 64u);
     }
 }
 
@@ -39,9 +40,10 @@ fn sources_shadowed_main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
     @builtin(local_invocation_index) invocation: u32,
 ) {
-    slots_enter(workgroup.x, invocation);
+    let pixel = sources_pixel(invocation);
+    slots_enter(workgroup.x, pixel);
     sources_own = invocation;
-    if sources_find(workgroup.x, workgroup.z, invocation, false) {
+    if sources_find(workgroup.x, workgroup.z, pixel, false) {
         if workgroup.z == shadow_map.source && sources_seen[sources_word(0u)] != 0u {
             let hidden = shadow_map_hidden(slots_reflection_value(SLOTS_POSITION).xyz);
             if hidden > 0.0 {
@@ -49,8 +51,22 @@ fn sources_shadowed_main(
                 sources_seen[sources_word(1u + SOURCE_GROUPS)] = bitcast<u32>(hidden);
             }
         }
-        sources_write(sources_seen_row(workgroup.x, workgroup.z), invocation, 64u);
+        sources_write(sources_seen_row(workgroup.x, workgroup.z), pixel, 64u);
     }
+}
+
+// The pixel of an invocation: first those beside the coarse grid, so that invocations side by side all have rays to follow.
+fn sources_pixel(invocation: u32) -> u32 {
+    // Columns, or rows, that are not in the grid.
+    let between = 2u * (invocation % 4u) + 1u - (invocation % 4u) / 2u;
+    if invocation < PARENTS_COUNT {
+        return parents_pixel(invocation) / PIXEL_SIDE * PIXEL_SIDE + between;
+    }
+    if invocation >= 3u * PARENTS_COUNT {
+        return parents_pixel(invocation - 3u * PARENTS_COUNT);
+    }
+    let row = invocation / PIXEL_SIDE - 2u;
+    return (2u * row + 1u - row / 2u) * PIXEL_SIDE + invocation % PIXEL_SIDE;
 }
 
 // Whether a pixel of the tile shows anything to find them for. It is of the coarse grid if `is_coarse`; else those have
@@ -64,6 +80,7 @@ fn sources_find(workgroup: u32, source: u32, own: u32, is_coarse: bool) -> bool 
     for (var word = 0u; word < 4u * SOURCE_SEEN_TEXELS; word++) {
         sources_seen[sources_word(word)] = 0u;
     }
+    sources_seen[sources_word(SOURCES_PIXEL)] = own;
     let row = sources_seen_row(workgroup, source);
     if !is_coarse && parents_place(own) < PARENTS_COUNT {
         for (var word = 0u; word < 1u + SOURCE_GROUPS; word++) {
@@ -96,6 +113,8 @@ fn sources_write(row: u32, place: u32, places: u32) {
 // What source_seen has of the invocation's pixel: in registers it would be kept through all that comes before and
 // after.
 var<workgroup> sources_seen: array<u32, 64u * 4u * SOURCE_SEEN_TEXELS>;
+// Its last word, which holds nothing else, is the pixel's number in the tile.
+const SOURCES_PIXEL: u32 = 4u * SOURCE_SEEN_TEXELS - 1u;
 // From where rays start: the pixel's centre on the surface, and the radius of the square that the pixel covers; the
 // triangle's normal, and the source's row in source_seen; the square's sides, and from where the surface was met to the
 // centre, pixels. There for the same reason.
@@ -241,7 +260,7 @@ fn sources_between(all: u32, group: u32) -> vec2<u32> {
     // Four, which compilers do not know: they would do all at once, in registers of their own.
     for (var index = 0u; index < min(4u, all); index++) {
         // One that has no weight is one of the others.
-        let pixel = parents_of(sources_own, index).pixel;
+        let pixel = parents_of(sources_seen[sources_word(SOURCES_PIXEL)], index).pixel;
         let told = sources_coarse_word(row, 0u, pixel) >> group;
         var bits = select(0u, all, (told & 1u) != 0u);
         if ((told >> SOURCE_GROUPS) & 1u) != 0u {
@@ -254,7 +273,7 @@ fn sources_between(all: u32, group: u32) -> vec2<u32> {
 
 // One of the bits, another one at every pixel.
 fn sources_tried(bits: u32) -> u32 {
-    let above = bits & (0xffffffffu << ((SOURCE_TURN * sources_own) % 32u));
+    let above = bits & (0xffffffffu << ((SOURCE_TURN * sources_seen[sources_word(SOURCES_PIXEL)]) % 32u));
     let turned = select(bits, above, above != 0u);
     return turned & (~turned + 1u);
 }

@@ -80,8 +80,8 @@ fn sources_find(workgroup: u32, source: u32, own: u32, is_coarse: bool) -> bool 
     for (var word = 0u; word < 4u * SOURCE_SEEN_TEXELS; word++) {
         sources_seen[sources_word(word)] = 0u;
     }
-    sources_seen[sources_word(SOURCES_PIXEL)] = own;
     let row = sources_seen_row(workgroup, source);
+    sources_seen[sources_word(SOURCES_PIXEL)] = own | (row << 6u);
     if !is_coarse && parents_place(own) < PARENTS_COUNT {
         for (var word = 0u; word < 1u + SOURCE_GROUPS; word++) {
             sources_seen[sources_word(word)] = sources_coarse_word(row, word, own);
@@ -91,7 +91,7 @@ fn sources_find(workgroup: u32, source: u32, own: u32, is_coarse: bool) -> bool 
     // Further surfaces of pixels that lie side by side do not so in the picture.
     let alone = is_coarse || tile_first.y >= frames[frame_index].first_extra_row;
     let asks = parents_may_ask(slot - own, own, alone);
-    sources_points(source, row, asks, pixel, seen.y, triangles[seen.x].xyz);
+    sources_points(source, asks, pixel, seen.y, triangles[seen.x].xyz);
     return true;
 }
 
@@ -113,12 +113,15 @@ fn sources_write(row: u32, place: u32, places: u32) {
 // What source_seen has of the invocation's pixel: in registers it would be kept through all that comes before and
 // after.
 var<workgroup> sources_seen: array<u32, 64u * 4u * SOURCE_SEEN_TEXELS>;
-// Its last word, which holds nothing else, is the pixel's number in the tile.
+// Its last word, which holds nothing else, is the pixel's number in the tile and, behind those six bits, the source's
+// row in source_seen.
 const SOURCES_PIXEL: u32 = 4u * SOURCE_SEEN_TEXELS - 1u;
-// From where rays start: the pixel's centre on the surface, and the radius of the square that the pixel covers; the
-// triangle's normal, and the source's row in source_seen; the square's sides, and from where the surface was met to the
-// centre, pixels. There for the same reason.
-var<workgroup> sources_starts: array<vec4<f32>, 256>;
+// From where rays start, there for the same reason: the pixel's centre on the surface, and the triangle's normal; behind
+// each a coordinate of the way there from where the surface was met, pixels.
+var<workgroup> sources_starts: array<vec4<f32>, 128>;
+// The sides of the square that the pixel covers.
+var<private> sources_sides: mat2x3<f32>;
+// The invocation's number in the workgroup.
 var<private> sources_own: u32;
 
 fn sources_start(part: u32) -> vec4<f32> {
@@ -136,7 +139,7 @@ fn sources_coarse_word(row: u32, word: u32, pixel: u32) -> u32 {
 }
 
 // Finds them, from a pixel's point on a triangle, which takes from others if it `asks`.
-fn sources_points(source: u32, row: u32, asks: bool, pixel: vec2<u32>, seen_at: u32, corners: vec3<u32>) {
+fn sources_points(source: u32, asks: bool, pixel: vec2<u32>, seen_at: u32, corners: vec3<u32>) {
     let normal = slots_reflection_value(SLOTS_NORMAL).xyz;
     let position = slots_reflection_value(SLOTS_POSITION).xyz;
     let view = surface_unit_or(frames[frame_index].eye - position * frames[frame_index].perspective, normal);
@@ -151,11 +154,9 @@ fn sources_points(source: u32, row: u32, asks: bool, pixel: vec2<u32>, seen_at: 
         }
         let offset = source_points[entry].ray_offset;
         let origin = position + face * offset + square * from_point;
-        let radius = 0.5 * max(length(square[0] + square[1]), length(square[0] - square[1]));
-        sources_starts[sources_own] = vec4(origin, radius);
-        sources_starts[64u + sources_own] = vec4(face, bitcast<f32>(row));
-        sources_starts[128u + sources_own] = vec4(square[0], from_point.x);
-        sources_starts[192u + sources_own] = vec4(square[1], from_point.y);
+        sources_starts[sources_own] = vec4(origin, from_point.x);
+        sources_starts[64u + sources_own] = vec4(face, from_point.y);
+        sources_sides = square;
         sources_steps(entry, asks);
     }
 }
@@ -193,9 +194,10 @@ fn sources_steps(entry: u32, asks: bool) {
         // A first ray that was blocked has told.
         if step == 0u || (step >= SOURCES_POINTS && (probed & (1u << group)) != 0u) {
             let cone = source_points[entry + select(SOURCE_FIRST_GROUP + group, 0u, step == 0u)];
-            let origin = sources_start(0u);
+            let across = max(length(sources_sides[0] + sources_sides[1]), length(sources_sides[0] - sources_sides[1]));
+            let origin = sources_start(0u).xyz;
             let face = sources_start(1u).xyz;
-            met = occluders_meet_cone(first, origin.xyz, origin.w, face, cone.direction, cone.cone_cosine);
+            met = occluders_meet_cone(first, origin, 0.5 * across, face, cone.direction, cone.cone_cosine);
         }
         if step == 0u {
             first = met;
@@ -255,12 +257,12 @@ fn sources_steps(entry: u32, asks: bool) {
 
 // The places, or points, of a group that the pixels about one all see, and those that any does.
 fn sources_between(all: u32, group: u32) -> vec2<u32> {
-    let row = bitcast<u32>(sources_start(1u).w);
+    let row = sources_seen[sources_word(SOURCES_PIXEL)] >> 6u;
     var found = vec2(all, 0u);
     // Four, which compilers do not know: they would do all at once, in registers of their own.
     for (var index = 0u; index < min(4u, all); index++) {
         // One that has no weight is one of the others.
-        let pixel = parents_of(sources_seen[sources_word(SOURCES_PIXEL)], index).pixel;
+        let pixel = parents_of(sources_seen[sources_word(SOURCES_PIXEL)] % 64u, index).pixel;
         let told = sources_coarse_word(row, 0u, pixel) >> group;
         var bits = select(0u, all, (told & 1u) != 0u);
         if ((told >> SOURCE_GROUPS) & 1u) != 0u {
@@ -340,11 +342,9 @@ fn sources_visible(first: u32, direction: vec3<f32>, place: vec2<f32>) -> bool {
     if first == OCCLUDERS_NONE {
         return true;
     }
-    let right = sources_start(2u);
-    let down = sources_start(3u);
-    let square = mat2x3<f32>(right.xyz, down.xyz);
-    let nearest = SOURCE_OWN * length(square * (place + vec2(right.w, down.w)));
-    return !occluders_block(first, sources_start(0u).xyz + square * place, direction, nearest);
+    let from_point = vec2(sources_start(0u).w, sources_start(1u).w);
+    let nearest = SOURCE_OWN * length(sources_sides * (place + from_point));
+    return !occluders_block(first, sources_start(0u).xyz + sources_sides * place, direction, nearest);
 }
 
 // Where in a pixel the ray to a point starts, from its centre, in columns and rows.

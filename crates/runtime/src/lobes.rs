@@ -3,6 +3,7 @@
 
 use std::sync::OnceLock;
 
+use relight_shading::pixel_visibility::COARSE_PIXELS;
 use relight_shading::wgsl::{
     AROUND, DIFFUSE, IMAGES, INTEGRALS, Kernel, PRODUCTS, REFLECTIONS, SEEN_TEXTURES, SHADE,
     SOURCES, SOURCES_COARSE, SOURCES_SHADOWED, SOURCES_SHOWN,
@@ -271,8 +272,14 @@ impl LobePasses {
                 Some(_) => (&self.source_points_shadowed, &SOURCES_SHADOWED),
             };
             let coarse = &self.source_points_coarse;
-            let of_four = sources.count.div_ceil(4);
-            run(coarse, &SOURCES_COARSE, scene, COARSE, of_four);
+            let at_once = WORKGROUP_PIXELS / COARSE_PIXELS;
+            run(
+                coarse,
+                &SOURCES_COARSE,
+                scene,
+                COARSE,
+                sources.count.div_ceil(at_once),
+            );
             run(kernel, made_of, scene, ALL, sources.count);
         }
         let scene = (&self.scenes[0], &scenes[0]);

@@ -30,7 +30,7 @@ use crate::models;
 use crate::occluders::Occluders;
 use crate::shadow_map::{DepthImage, Lookup};
 use crate::spherical_gaussian::{SphericalGaussian, energy};
-use crate::surface::{MAX_REFLECTIONS, Model, Reflection, SurfacePoint};
+use crate::surface::{Model, Reflection, SurfacePoint};
 
 /// Directions on the rim of a source: the outermost points in this many directions.
 pub const RIM: u32 = 12;
@@ -293,15 +293,6 @@ impl<'a> Pixel<'a> {
 }
 
 impl Lit<'_> {
-    /// Radiance from `point` towards the eye, which is above its horizon; adds the number of
-    /// rays cast, a cone counting as one.
-    pub fn radiance(&self, point: &SurfacePoint, rays: &mut u64) -> Vec3 {
-        let seen = self.seen(point, rays);
-        (0..MAX_REFLECTIONS)
-            .map(|index| self.shown(point, &seen, index))
-            .sum()
-    }
-
     /// Radiance of them from `point` towards the eye by one of its reflections, and with the first by its Lambertian base.
     pub fn shown(&self, point: &SurfacePoint, seen: &[Seen], index: usize) -> Vec3 {
         let reflection = &point.appearance.reflections[index];
@@ -392,6 +383,35 @@ pub fn wgsl_constants() -> String {
          const SOURCE_STEP: vec2<u32> = vec2({}u, {}u);\n",
             STEP[0], STEP[1],
         )
+}
+
+#[cfg(test)]
+impl<'a> Lit<'a> {
+    /// Of points that are no pixels, with rays that start on the surface.
+    fn at_points(sources: &'a Sources, occluders: &'a Occluders) -> Self {
+        Self {
+            sources,
+            occluders,
+            ray_offset: 0.0,
+            pixel: None,
+            shadow_map: None,
+        }
+    }
+
+    /// Radiance from `point` towards the eye, which is above its horizon; adds the number of
+    /// rays cast, a cone counting as one.
+    fn radiance(&self, point: &SurfacePoint, rays: &mut u64) -> Vec3 {
+        let seen = self.seen(point, rays);
+        (0..crate::surface::MAX_REFLECTIONS)
+            .map(|index| self.shown(point, &seen, index))
+            .sum()
+    }
+
+    /// What is visible of every source from `point`, whose horizon the eye is above; adds the number of rays
+    /// cast, a cone counting as one.
+    fn seen(&self, point: &SurfacePoint, rays: &mut u64) -> Vec<Seen> {
+        self.seen_between(point, &[], 0, rays)
+    }
 }
 
 #[cfg(test)]
@@ -537,13 +557,7 @@ mod tests {
         let turn = Mat3::from_rotation_x(std::f32::consts::FRAC_PI_2);
         let sources = sources.turned(&turn);
         let empty = Occluders::default();
-        let lit = Lit {
-            sources: &sources,
-            occluders: &empty,
-            ray_offset: 0.0,
-            pixel: None,
-            shadow_map: None,
-        };
+        let lit = Lit::at_points(&sources, &empty);
         let reflection = Reflection::new(Model::Ggx, Vec3::splat(0.6), Vec2::splat(0.3));
         for appearance in [
             Appearance::new(Vec3::splat(0.5), &[]),
@@ -600,13 +614,7 @@ mod tests {
         };
         let radiance = |edge| {
             let occluders = wall(edge);
-            let lit = Lit {
-                sources: &sources,
-                occluders: &occluders,
-                ray_offset: 0.0,
-                pixel: None,
-                shadow_map: None,
-            };
+            let lit = Lit::at_points(&sources, &occluders);
             let point = local_point(Appearance::new(Vec3::ONE, &[]), Vec3::Z);
             lit.radiance(&point, &mut 0).x
         };

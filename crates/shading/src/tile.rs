@@ -61,17 +61,10 @@ pub fn shade<F: SignedDistance>(
 ) -> Vec<Vec3> {
     let mut tile = Tile::new(pixels, *method);
     let seen = tile.sources();
-    let add_sources = |radiance: &mut [Vec3], index: usize| {
-        for (radiance, seen) in radiance.iter_mut().zip(&seen) {
-            if let Some((point, sources, seen)) = seen {
-                *radiance += sources.shown(point, seen, index);
-            }
-        }
-    };
     #[cfg(feature = "paper")]
     if let Method::Cells(options) = method {
         let mut of_sources = vec![Vec3::ZERO; pixels.len()];
-        (0..MAX_REFLECTIONS).for_each(|index| add_sources(&mut of_sources, index));
+        (0..MAX_REFLECTIONS).for_each(|index| tile.add_sources(&seen, index, &mut of_sources));
         let mut shade = |pixel: &Pixel<F>, of_sources: Vec3| {
             let (point, lighting, field) = (pixel.point, &pixel.lighting, pixel.field);
             let of_lobes = crate::shade_cells::radiance(
@@ -92,7 +85,7 @@ pub fn shade<F: SignedDistance>(
     }
     // First, so that lobes that add nothing to it are left out.
     let mut radiance = vec![Vec3::ZERO; pixels.len()];
-    add_sources(&mut radiance, 0);
+    tile.add_sources(&seen, 0, &mut radiance);
     let irradiance = tile.irradiance();
     for ((pixel, radiance), irradiance) in tile.pixels.iter().zip(&mut radiance).zip(irradiance) {
         if let Some(pixel) = pixel {
@@ -122,7 +115,7 @@ pub fn shade<F: SignedDistance>(
             .collect();
         if glossies.iter().any(Option::is_some) {
             if index > 0 {
-                add_sources(&mut radiance, index);
+                tile.add_sources(&seen, index, &mut radiance);
             }
             tile.reflect(&glossies, &mut radiance);
             tile.reflect_image(&glossies, &mut beside);
@@ -185,6 +178,22 @@ impl Waiting {
     }
 }
 
+/// From which pixels each may take what they have found: none where they are not those of a tile.
+fn parents<F>(pixels: &[Option<Pixel<F>>]) -> Parents {
+    let place = |pixel: &Option<Pixel<F>>| {
+        pixel.as_ref().map(|pixel| Place {
+            position: pixel.point.position,
+            normal: pixel.point.normal,
+            surface: pixel.surface,
+        })
+    };
+    if pixels.len() == PIXELS {
+        Parents::new(&pixels.iter().map(place).collect::<Vec<_>>())
+    } else {
+        Parents::none(pixels.len())
+    }
+}
+
 type Round = [Option<Waiting>; ROUND];
 
 struct Tile<'a, F> {
@@ -202,17 +211,9 @@ impl<'a, F: SignedDistance> Tile<'a, F> {
             Some(Pixel { ..*pixel })
         };
         let pixels: Vec<_> = pixels.iter().map(lit).collect();
-        let place = |pixel: &Option<Pixel<F>>| {
-            pixel.as_ref().map(|pixel| Place {
-                position: pixel.point.position,
-                normal: pixel.point.normal,
-                surface: pixel.surface,
-            })
-        };
-        let parents = if pixels.len() == PIXELS {
-            Parents::new(&pixels.iter().map(place).collect::<Vec<_>>())
-        } else {
-            Parents::none(pixels.len())
+        let parents = match method {
+            Method::Polar(_) => parents(&pixels),
+            Method::Ambient | Method::Cells(_) => Parents::none(pixels.len()),
         };
         Self {
             pixels,
@@ -222,21 +223,34 @@ impl<'a, F: SignedDistance> Tile<'a, F> {
         }
     }
 
-    /// What every pixel sees of sources.
-    #[allow(clippy::type_complexity)]
-    fn sources(&mut self) -> Vec<Option<(&'a SurfacePoint<'a>, Lit<'a>, Vec<Seen>)>> {
+    /// What every pixel sees of sources, if there are any.
+    fn sources(&mut self) -> Vec<Option<Vec<Seen>>> {
         let lit = |pixel: &Option<Pixel<'a, F>>| {
             let pixel = pixel.as_ref()?;
             Some((pixel.point, pixel.lighting.sources?))
         };
         let lit: Vec<_> = self.pixels.iter().map(lit).collect();
-        let seen = Lit::seen_by_tile(&lit, &self.parents, &mut self.counts.rays);
-        (lit.into_iter().zip(seen))
-            .map(|(lit, seen)| {
-                let (point, lit) = lit?;
-                Some((point, lit, seen?))
-            })
-            .collect()
+        if lit.iter().all(Option::is_none) {
+            return vec![None; lit.len()];
+        }
+        let rays = &mut self.counts.rays;
+        match self.method {
+            Method::Polar(_) => Lit::seen_by_tile(&lit, &self.parents, rays),
+            Method::Ambient | Method::Cells(_) => {
+                Lit::seen_by_tile(&lit, &parents(&self.pixels), rays)
+            }
+        }
+    }
+
+    /// Adds what one reflection of every pixel shows of that.
+    fn add_sources(&self, seen: &[Option<Vec<Seen>>], index: usize, radiance: &mut [Vec3]) {
+        for ((pixel, seen), sum) in self.pixels.iter().zip(seen).zip(radiance) {
+            if let (Some(pixel), Some(seen)) = (pixel, seen)
+                && let Some(sources) = &pixel.lighting.sources
+            {
+                *sum += sources.shown(pixel.point, seen, index);
+            }
+        }
     }
 
     /// Lights of all kinds, and the first of those that specular lobes reflect: of one pixel as of another.
@@ -454,12 +468,7 @@ impl<'a, F: SignedDistance> Tile<'a, F> {
                 }
             }
         };
-        match self.method {
-            Method::Polar(_) => self.parents.fractions(&asked, look, find),
-            Method::Ambient | Method::Cells(_) => {
-                Parents::none(asked.len()).fractions(&asked, look, find)
-            }
-        }
+        self.parents.fractions(&asked, look, find)
     }
 }
 

@@ -44,13 +44,8 @@ impl Seen {
 }
 
 impl Lit<'_> {
-    /// What is visible of every source from `point`, whose horizon the eye is above; adds the number of rays
+    /// What the pixels of a tile see of every source, those that the eye is above the horizon of; adds the number of rays
     /// cast, a cone counting as one.
-    pub fn seen(&self, point: &SurfacePoint, rays: &mut u64) -> Vec<Seen> {
-        self.seen_between(point, &[], 0, rays)
-    }
-
-    /// The same for the pixels of a tile.
     pub fn seen_by_tile(
         pixels: &[Option<(&SurfacePoint, Self)>],
         parents: &Parents,
@@ -75,8 +70,8 @@ impl Lit<'_> {
         found
     }
 
-    /// The same from what pixels about one see, if it has any; `turn` is of the pixel, see [`tried`].
-    fn seen_between(
+    /// The same of one pixel, from what those about it see, if there are any; `turn` is of the pixel, see [`tried`].
+    pub(super) fn seen_between(
         &self,
         point: &SurfacePoint,
         near: &[&[Seen]],
@@ -416,13 +411,7 @@ mod tests {
                 point
             })
             .collect();
-        let lit = Lit {
-            sources: &sources,
-            occluders: &occluders,
-            ray_offset: 0.0,
-            pixel: None,
-            shadow_map: None,
-        };
+        let lit = Lit::at_points(&sources, &occluders);
         let place = |point: &SurfacePoint| {
             Some(Place {
                 position: point.position,

@@ -7,7 +7,7 @@
 //! by rays, of which there are more for a source that matters much. The exact reflection models
 //! ([`crate::models`]) weigh what arrives, at one place of a group where the reflection changes little over it.
 //!
-//! Most pixels of a tile ask for little of this: they take what the pixels about them agree on ([`seen`]).
+//! Most pixels of a tile ask for little of this: they take what the pixels about them agree on (`sources/seen.rs`).
 //!
 //! With antialiasing rays start all over the square that a pixel covers on the surface, each at a place of its
 //! own, so that edges of shadows have no stairs at no further ray.

@@ -49,14 +49,23 @@ pub trait Number: nalgebra::Scalar + Copy + num::Number {}
 impl Number for f32 {}
 impl Number for f64 {}
 
-/// The product of two matrices. Every element is a sum over blocks of `INNER` products, in
-/// order; products are rounded before they are added.
+/// The product of two matrices. Every element is a sum over blocks of `INNER` fused products, in
+/// order.
 ///
 /// # Panics
 ///
 /// If the columns of the first are not as many as the rows of the second.
 pub(crate) fn product<T: Number>(a: &DMatrix<T>, b: &DMatrix<T>) -> DMatrix<T> {
-    product_by(arch(), a, b)
+    product_by(arch(), Rows::Of(a), b)
+}
+
+/// The product of a matrix's transpose and another matrix, the same as of that transpose by [`product`].
+///
+/// # Panics
+///
+/// If the rows of the first are not as many as those of the second.
+pub(crate) fn transposed_product<T: Number>(a: &DMatrix<T>, b: &DMatrix<T>) -> DMatrix<T> {
+    product_by(arch(), Rows::OfTranspose(a), b)
 }
 
 /// Products that are summed before they are added to those before.
@@ -66,29 +75,63 @@ const COLUMNS: usize = 6;
 /// Vectors of rows that are multiplied at a time: with [`COLUMNS`], as many sums as registers hold.
 const VECTORS: usize = 2;
 
-fn product_by<T: Number>(arch: Arch, a: &DMatrix<T>, b: &DMatrix<T>) -> DMatrix<T> {
-    assert_eq!(a.ncols(), b.nrows(), "factors that do not fit");
+/// The first factor of a product.
+#[derive(Clone, Copy)]
+enum Rows<'a, T> {
+    Of(&'a DMatrix<T>),
+    OfTranspose(&'a DMatrix<T>),
+}
+
+impl<T: Number> Rows<'_, T> {
+    fn shape(self) -> (usize, usize) {
+        match self {
+            Self::Of(matrix) => matrix.shape(),
+            Self::OfTranspose(matrix) => (matrix.ncols(), matrix.nrows()),
+        }
+    }
+
+    /// Puts rows from `first` on side by side, as many as a panel has; those beyond the last are zero.
+    fn pack(self, first: usize, panel: &mut [T]) {
+        let (rows, inner) = self.shape();
+        let count = T::PANEL.min(rows - first);
+        let panel = panel.chunks_exact_mut(T::PANEL);
+        match self {
+            Self::Of(matrix) => {
+                for (packed, column) in panel.zip(matrix.as_slice().chunks_exact(rows)) {
+                    packed[..count].copy_from_slice(&column[first..first + count]);
+                    packed[count..].fill(T::ZERO);
+                }
+            }
+            Self::OfTranspose(matrix) => {
+                let columns = &matrix.as_slice()[first * inner..(first + count) * inner];
+                for (i, packed) in panel.enumerate() {
+                    let column = columns.iter().skip(i).step_by(inner);
+                    for (packed, value) in packed.iter_mut().zip(column) {
+                        *packed = *value;
+                    }
+                    packed[count..].fill(T::ZERO);
+                }
+            }
+        }
+    }
+}
+
+fn product_by<T: Number>(arch: Arch, a: Rows<T>, b: &DMatrix<T>) -> DMatrix<T> {
     let (rows, inner) = a.shape();
-    let mut product = DMatrix::from_element(rows, b.ncols(), T::ZERO);
+    assert_eq!(inner, b.nrows(), "factors that do not fit");
+    let zeros = vec![T::ZERO; rows * b.ncols()];
+    let mut product = DMatrix::from_vec(rows, b.ncols(), zeros);
     let mut panel = vec![T::ZERO; inner * T::PANEL];
     let factors = side_by_side(b);
     for first in (0..rows).step_by(T::PANEL) {
-        let count = T::PANEL.min(rows - first);
-        // Rows side by side; those beyond the last are zero.
-        for (packed, column) in panel
-            .chunks_exact_mut(T::PANEL)
-            .zip(a.as_slice().chunks_exact(rows))
-        {
-            packed[..count].copy_from_slice(&column[first..first + count]);
-            packed[count..].fill(T::ZERO);
-        }
+        a.pack(first, &mut panel);
         arch.dispatch(Panel {
             values: &panel,
             factors: &factors,
             columns: b.ncols(),
             inner,
             first,
-            count,
+            count: T::PANEL.min(rows - first),
             rows,
             product: product.as_mut_slice(),
         });
@@ -142,8 +185,7 @@ impl<T: Number> WithSimd for Panel<'_, T> {
                         for j in 0..COLUMNS {
                             let factor = T::splat(simd, factor[j]);
                             for i in 0..VECTORS {
-                                let product = T::multiply(simd, rows[i], factor);
-                                held[j][i] = T::add(simd, held[j][i], product);
+                                held[j][i] = T::multiply_add(simd, rows[i], factor, held[j][i]);
                             }
                         }
                     }
@@ -178,14 +220,19 @@ mod num {
 
         fn plus(self, other: Self) -> Self;
         fn splat<S: Simd>(simd: S, value: Self) -> Self::Vector<S>;
-        fn add<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
-        fn multiply<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
+        /// `a b + c`, rounded once.
+        fn multiply_add<S: Simd>(
+            simd: S,
+            a: Self::Vector<S>,
+            b: Self::Vector<S>,
+            c: Self::Vector<S>,
+        ) -> Self::Vector<S>;
         fn vectors<S: Simd>(values: &[Self]) -> &[Self::Vector<S>];
         fn vectors_mut<S: Simd>(values: &mut [Self]) -> &mut [Self::Vector<S>];
     }
 
     macro_rules! number {
-        ($type:ty, $panel:expr, $vector:ident, $splat:ident, $add:ident, $multiply:ident,
+        ($type:ty, $panel:expr, $vector:ident, $splat:ident, $multiply_add:ident,
          $vectors:ident, $vectors_mut:ident) => {
             impl Number for $type {
                 const PANEL: usize = $panel;
@@ -203,13 +250,13 @@ mod num {
                 }
 
                 #[inline(always)]
-                fn add<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> S::$vector {
-                    simd.$add(a, b)
-                }
-
-                #[inline(always)]
-                fn multiply<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> S::$vector {
-                    simd.$multiply(a, b)
+                fn multiply_add<S: Simd>(
+                    simd: S,
+                    a: S::$vector,
+                    b: S::$vector,
+                    c: S::$vector,
+                ) -> S::$vector {
+                    simd.$multiply_add(a, b, c)
                 }
 
                 #[inline(always)]
@@ -230,8 +277,7 @@ mod num {
         32,
         f32s,
         splat_f32s,
-        add_f32s,
-        mul_f32s,
+        mul_add_f32s,
         as_simd_f32s,
         as_mut_simd_f32s
     );
@@ -240,8 +286,7 @@ mod num {
         16,
         f64s,
         splat_f64s,
-        add_f64s,
-        mul_f64s,
+        mul_add_f64s,
         as_simd_f64s,
         as_mut_simd_f64s
     );
@@ -286,17 +331,22 @@ mod tests {
             let (x, y) = (a.clone().cast::<f32>(), b.clone().cast::<f32>());
             let exact = &a * &b;
             let expected = (
-                product_by(Arch::Scalar, &a, &b),
-                product_by(Arch::Scalar, &x, &y),
+                product_by(Arch::Scalar, Rows::Of(&a), &b),
+                product_by(Arch::Scalar, Rows::Of(&x), &y),
             );
             // Sums of so many products of numbers up to 1.
             let tolerance = 1e-12 * (inner + 1) as f64;
             assert!((&expected.0 - &exact).iter().all(|d| d.abs() <= tolerance));
             let rounded = expected.1.clone().cast::<f64>() - &exact;
             assert!(rounded.iter().all(|d| d.abs() <= 1e-6 * (inner + 1) as f64));
+            let transposes = (a.transpose(), x.transpose());
             for arch in archs() {
-                assert!(product_by(arch, &a, &b) == expected.0, "{arch:?}");
-                assert!(product_by(arch, &x, &y) == expected.1, "{arch:?}");
+                for a in [Rows::Of(&a), Rows::OfTranspose(&transposes.0)] {
+                    assert!(product_by(arch, a, &b) == expected.0, "{arch:?}");
+                }
+                for x in [Rows::Of(&x), Rows::OfTranspose(&transposes.1)] {
+                    assert!(product_by(arch, x, &y) == expected.1, "{arch:?}");
+                }
             }
         }
     }

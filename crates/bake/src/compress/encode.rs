@@ -26,7 +26,7 @@ const ROUND_UP: [f32; 2] = [0.62, 0.75];
 /// Largest step of basis images, in 127ths of their largest texel.
 const MAX_STEP: f32 = 16.0;
 /// SSDFs whose errors are summed in one product of matrices.
-const BLOCK_VERTICES: usize = 512;
+const BLOCK_VERTICES: usize = 60;
 /// Sums that are formed side by side.
 const LANES: usize = 16;
 

@@ -6,7 +6,7 @@
 use nalgebra::DMatrix;
 
 use super::samples::{Fitted, Samples};
-use crate::simd::{self, product};
+use crate::simd::{self, product, transposed_product};
 
 /// Subspace iterations; two separate the spectrum of SSDFs to well below quantisation.
 const ITERATIONS: usize = 2;
@@ -129,9 +129,8 @@ impl<'a> Fits<'a> {
             .columns_mut(pairs, channels)
             .copy_from(&self.systems.columns(all_pairs, channels));
         let coefficients = solve_each(&systems, channels);
-        let images = fitted.images(&coefficients).transpose();
-        let error = fitted.error(&images, &coefficients);
-        let (_, coefficients) = principal(&images, &coefficients);
+        let (images, error) = fitted.images_and_error(&coefficients);
+        let (_, coefficients) = principal(&images.transpose(), &coefficients);
         Fit {
             coefficients,
             error,
@@ -139,58 +138,69 @@ impl<'a> Fits<'a> {
     }
 }
 
-/// Alternating least squares from coefficients, which takes the error to a fraction of that
-/// of principal components in a few rounds: of images, then, before the next round, of
-/// coefficients.
+/// Coefficients that fit the images that fit these best, so many rounds on: alternating least squares takes the
+/// error to a fraction of that of principal components in a few.
 pub fn alternate(
     fitted: &Fitted,
     mut coefficients: DMatrix<f32>,
     rounds: usize,
-) -> (Images, DMatrix<f32>) {
-    let channels = coefficients.nrows();
-    let mut values = DMatrix::zeros(fitted.samples.ssdfs.nrows(), channels);
-    for round in 0..rounds {
-        if round > 0 {
-            coefficients = solve_each(&fitted.systems(&values), channels);
-        }
+) -> DMatrix<f32> {
+    for _ in 0..rounds {
         let images = fitted.images(&coefficients);
-        for (texel, image) in fitted.texels.iter().zip(images.column_iter()) {
-            values.row_mut(*texel).copy_from(&image.transpose());
-        }
+        let systems = fitted.systems_of(&images.transpose());
+        coefficients = solve_each(&systems, coefficients.nrows());
     }
-    fitted.fill(&coefficients, &mut values);
-    principal(&values, &coefficients)
+    coefficients
+}
+
+/// Images that fit coefficients best, and the coefficients as they go with those.
+pub fn images(fitted: &Fitted, coefficients: &DMatrix<f32>) -> (Images, DMatrix<f32>) {
+    let mut values = DMatrix::zeros(fitted.samples.ssdfs.nrows(), coefficients.nrows());
+    let images = fitted.images(coefficients);
+    for (texel, image) in fitted.texels.iter().zip(images.column_iter()) {
+        values.row_mut(*texel).copy_from(&image.transpose());
+    }
+    fitted.fill(coefficients, &mut values);
+    principal(&values, coefficients)
 }
 
 impl Fitted<'_> {
     /// Normal equations of every vertex for its coefficients of images.
     pub(super) fn systems(&self, images: &DMatrix<f32>) -> DMatrix<f32> {
-        let factors = images.select_rows(&self.texels);
+        self.systems_of(&images.select_rows(&self.texels))
+    }
+
+    /// The same of images at the fitted texels alone.
+    fn systems_of(&self, images: &DMatrix<f32>) -> DMatrix<f32> {
+        let [matrices, right] = [&self.weights, &self.weighted];
         normal_equations(
-            &factors,
-            &self.weights.transpose(),
-            &self.weighted.transpose(),
+            images,
+            |factors| transposed_product(matrices, factors),
+            |factors| transposed_product(right, factors),
         )
     }
 
     /// Images that fit coefficients best: one row per image, one column per fitted texel.
     fn images(&self, coefficients: &DMatrix<f32>) -> DMatrix<f32> {
-        let systems = normal_equations(&coefficients.transpose(), &self.weights, &self.weighted);
-        solve_each(&systems, coefficients.nrows())
+        self.images_and_error(coefficients).0
     }
 
-    /// Root mean square over vertices of what is off at the fitted texels, radians.
-    fn error(&self, images: &DMatrix<f32>, coefficients: &DMatrix<f32>) -> f32 {
-        let found = product(images, coefficients);
-        let mut squared = 0.0;
-        for (vertex, found) in found.column_iter().enumerate() {
-            let exact = self.samples.ssdfs.column(vertex);
-            let weights = self.weights.column(vertex);
-            for ((&texel, found), weight) in self.texels.iter().zip(&found).zip(&weights) {
-                squared += f64::from((found - exact[texel]).powi(2) * weight);
-            }
-        }
-        (squared / coefficients.ncols() as f64).sqrt() as f32
+    /// The same, and what is off at the fitted texels: root mean square over vertices, radians.
+    fn images_and_error(&self, coefficients: &DMatrix<f32>) -> (DMatrix<f32>, f32) {
+        let channels = coefficients.nrows();
+        let systems = normal_equations(
+            &coefficients.transpose(),
+            |factors| product(&self.weights, factors),
+            |factors| product(&self.weighted, factors),
+        );
+        let images = solve_each(&systems, channels);
+        // Least squares leave the sum of squares less the right sides' products with the solutions.
+        let right = systems.columns(triangle(channels), channels);
+        let told: f64 = (right.column_iter().zip(images.row_iter()))
+            .map(|(right, image)| f64::from(right.tr_dot(&image)))
+            .sum();
+        let squared = (self.squares - told).max(0.0) / coefficients.ncols() as f64;
+        (images, squared.sqrt() as f32)
     }
 
     /// Fits the texels left out to coefficients, without weights.
@@ -265,32 +275,30 @@ pub(super) fn triangle(channels: usize) -> usize {
     channels * (channels + 1) / 2
 }
 
-/// Normal equations for factors of `factors`, one row per equation, with `weights` and right
-/// sides `weighted`, one column per equation and one row per system. One row per system: the
-/// upper triangle of its matrix by columns, then its right side.
+/// Normal equations for factors of `factors`, one row per equation. `matrices` and `right` multiply by the weights
+/// and the right sides of the equations, which have one row per system. One row per system: the upper triangle of its
+/// matrix by columns, then its right side.
 fn normal_equations(
     factors: &DMatrix<f32>,
-    weights: &DMatrix<f32>,
-    weighted: &DMatrix<f32>,
+    matrices: impl Fn(&DMatrix<f32>) -> DMatrix<f32>,
+    right: impl Fn(&DMatrix<f32>) -> DMatrix<f32>,
 ) -> DMatrix<f32> {
     let (equations, channels) = factors.shape();
     let pairs = triangle(channels);
     // A normal matrix is a weighted sum of products of factors.
-    let mut products = DMatrix::zeros(equations, pairs);
-    let mut columns = products.as_mut_slice().chunks_exact_mut(equations.max(1));
+    let mut products = Vec::with_capacity(equations * pairs);
     let factor = |channel: usize| &factors.as_slice()[channel * equations..][..equations];
     for j in 0..channels {
-        for (i, products) in (0..=j).zip(&mut columns) {
-            for ((product, a), b) in products.iter_mut().zip(factor(i)).zip(factor(j)) {
-                *product = a * b;
-            }
+        for i in 0..=j {
+            products.extend(factor(i).iter().zip(factor(j)).map(|(a, b)| a * b));
         }
     }
-    let mut systems = DMatrix::zeros(weights.nrows(), pairs + channels);
-    let (matrices, right) = systems.as_mut_slice().split_at_mut(weights.nrows() * pairs);
-    matrices.copy_from_slice(product(weights, &products).as_slice());
-    right.copy_from_slice(product(weighted, factors).as_slice());
-    systems
+    let matrices = matrices(&DMatrix::from_vec(equations, pairs, products));
+    let right = right(factors);
+    let rows = matrices.nrows();
+    let mut systems = Vec::from(matrices.data);
+    systems.extend_from_slice(right.as_slice());
+    DMatrix::from_vec(rows, pairs + channels, systems)
 }
 
 /// Solves packed systems, one per row: one solution per column.

@@ -17,7 +17,7 @@ mod samples;
 pub use encode::encode;
 pub(crate) use encode::{Compressed, decode};
 pub use error::{Normal, Weighting};
-pub use fit::{Fit, Fits, alternate, analyse};
+pub use fit::{Fit, Fits, alternate, analyse, images};
 pub use samples::Samples;
 
 #[cfg(test)]

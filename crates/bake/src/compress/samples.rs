@@ -24,6 +24,8 @@ pub struct Fitted<'a> {
     /// Products of weights and SSDFs: one row per such texel, one column per vertex.
     pub(super) weighted: DMatrix<f32>,
     pub(super) weights: DMatrix<f32>,
+    /// The sum of products of weights and squares of SSDFs.
+    pub(super) squares: f64,
 }
 
 impl Samples {
@@ -67,9 +69,17 @@ impl Samples {
             })
             .collect();
         let scale = (side * side) as f32 / texels.len() as f32;
+        let thinned = |matrix: &DMatrix<f32>, scale: f32| {
+            let columns = matrix.as_slice().chunks_exact(side * side);
+            let mut values = Vec::with_capacity(texels.len() * matrix.ncols());
+            for column in columns {
+                values.extend(texels.iter().map(|&texel| scale * column[texel]));
+            }
+            DMatrix::from_vec(texels.len(), matrix.ncols(), values)
+        };
         Self {
-            ssdfs: self.ssdfs.select_rows(&texels),
-            weights: self.weights.select_rows(&texels) * scale,
+            ssdfs: thinned(&self.ssdfs, 1.0),
+            weights: thinned(&self.weights, scale),
         }
     }
 
@@ -97,17 +107,29 @@ impl Samples {
             }
             idle += usize::from(!busy);
         }
-        let mut weights = self.weights.select_rows(&texels);
-        for column in weights.as_mut_slice().chunks_exact_mut(texels.len()) {
-            for (weight, factor) in column.iter_mut().zip(&factors) {
-                *weight *= factor;
+        let all = self.weights.nrows();
+        let vertices = self.weights.ncols();
+        let mut weights = Vec::with_capacity(texels.len() * vertices);
+        let mut weighted = Vec::with_capacity(texels.len() * vertices);
+        let mut squares = 0.0;
+        let columns = self.ssdfs.as_slice().chunks_exact(all);
+        for (ssdf, costs) in columns.zip(self.weights.as_slice().chunks_exact(all)) {
+            let mut sum = 0.0;
+            for (&texel, factor) in texels.iter().zip(&factors) {
+                let weight = costs[texel] * factor;
+                let product = weight * ssdf[texel];
+                weights.push(weight);
+                weighted.push(product);
+                sum += product * ssdf[texel];
             }
+            squares += f64::from(sum);
         }
         Fitted {
             samples: self,
-            weighted: self.ssdfs.select_rows(&texels).component_mul(&weights),
+            weighted: DMatrix::from_vec(texels.len(), vertices, weighted),
+            weights: DMatrix::from_vec(texels.len(), vertices, weights),
             texels,
-            weights,
+            squares,
         }
     }
 }

@@ -24,7 +24,7 @@ const SPLIT_GAIN: f32 = 0.75;
 /// A cluster of fewer vertices is not split further: its basis would outweigh it.
 const MIN_CLUSTER_VERTICES: usize = 96;
 /// Rounds of fitting images and coefficients to each other when clusters are made; one tells when they are planned.
-const ROUNDS: usize = 2;
+const ROUNDS: usize = 1;
 /// Part of the error aimed at that rounding adds.
 const ROUNDING: f32 = 0.38;
 
@@ -55,8 +55,10 @@ impl Prepared<'_> {
             self.report()?;
             let members = self.vertices_of(&triangles);
             let samples = samples.select(&columns(&members, vertices));
+            let coefficients =
+                compress::alternate(&samples.thinned().fitted(), coefficients, ROUNDS);
             let fitted = samples.fitted();
-            let (images, _) = compress::alternate(&fitted, coefficients, ROUNDS);
+            let (images, _) = compress::images(&fitted, &coefficients);
             let compressed = compress::encode(&fitted, &images, error.max(aim));
             let part = (&triangles[..], &members[..], &samples);
             Ok(self.cluster(part, probes, compressed, bounced))

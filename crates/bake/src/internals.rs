@@ -5,7 +5,9 @@ pub use crate::ssdf::DistanceTransform;
 
 /// Compression of a cluster's SSDFs.
 pub mod compress {
-    pub use crate::compress::{Fit, Fits, Normal, Samples, Weighting, alternate, analyse, encode};
+    pub use crate::compress::{
+        Fit, Fits, Normal, Samples, Weighting, alternate, analyse, encode, images,
+    };
 }
 
 /// What is done to meshes.

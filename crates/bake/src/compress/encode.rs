@@ -6,7 +6,7 @@ use nalgebra::DMatrix;
 use relight_format::CHANNELS_PER_TILE;
 
 use super::fit::{Images, solve_each, triangle};
-use super::samples::{Fitted, Samples};
+use super::samples::Fitted;
 use crate::simd::{self, product};
 
 /// What rounding may add to the error, as a part of the error allowed: about where a byte more lowers the error
@@ -25,8 +25,6 @@ const COARSEST: f32 = 16.0;
 const ROUND_UP: [f32; 2] = [0.62, 0.75];
 /// Largest step of basis images, in 127ths of their largest texel.
 const MAX_STEP: f32 = 16.0;
-/// SSDFs whose errors are summed in one product of matrices.
-const BLOCK_VERTICES: usize = 60;
 /// Sums that are formed side by side.
 const LANES: usize = 16;
 
@@ -66,21 +64,6 @@ impl Compressed {
             ..self
         }
     }
-
-    /// What is stored, radians: one row per texel, one column per vertex.
-    pub(crate) fn ssdfs(&self) -> DMatrix<f32> {
-        let channels = self.tiles as usize * CHANNELS_PER_TILE;
-        let texels = self.basis.len() / channels;
-        let scale = self.coefficient_scale / (MAX_COEFFICIENT * 127.0);
-        let images = DMatrix::from_fn(texels, channels, |texel, channel| {
-            let (tile, lane) = (channel / CHANNELS_PER_TILE, channel % CHANNELS_PER_TILE);
-            f32::from(self.basis[(tile * texels + texel) * CHANNELS_PER_TILE + lane])
-        });
-        let coefficients = self.coefficients.iter().map(|c| f32::from(*c) * scale);
-        let vertices = self.coefficients.len() / channels;
-        let coefficients = DMatrix::from_iterator(channels, vertices, coefficients);
-        product(&images, &coefficients)
-    }
 }
 
 /// Σ of coefficients times images, radians per texel; as many tiles of images as there are
@@ -105,19 +88,19 @@ pub(crate) fn decode(coefficients: &[i16], basis: &[i8], coefficient_scale: f32)
 }
 
 /// Quantises images and fits coefficients to them. Rounding takes its part of `max_error`,
-/// the root mean square that `Compressed::error` is expected to have or may have, radians.
-pub fn encode(fitted: &Fitted, images: &Images, max_error: f32) -> Compressed {
-    let Samples { ssdfs, weights } = fitted.samples;
-    let (texels, vertices) = ssdfs.shape();
+/// the root mean square that `Compressed::error` is expected to have or may have, radians. Returns with it what is
+/// stored, radians: one row per texel, one column per vertex.
+pub fn encode(fitted: &Fitted, images: &Images, max_error: f32) -> (Compressed, DMatrix<f32>) {
+    let (texels, vertices) = (images.values.nrows(), fitted.vertices.len());
     let channels = images.values.ncols();
     // What an error of one radian everywhere costs.
     let cost = fitted.weights.sum() / vertices as f32;
-    let costs = weights.column_mean();
-    let quantised = quantise(
-        images,
-        max_error * BASIS_ROUNDING / cost.sqrt(),
-        costs.as_slice(),
-    );
+    let mut costs = vec![0.0; texels];
+    for [_, weights] in fitted.columns() {
+        (costs.iter_mut().zip(weights)).for_each(|(cost, weight)| *cost += weight);
+    }
+    costs.iter_mut().for_each(|cost| *cost /= vertices as f32);
+    let quantised = quantise(images, max_error * BASIS_ROUNDING / cost.sqrt(), &costs);
     let decoded = quantised.map(|value: i8| f32::from(value) / 127.0);
     let systems = fitted.systems(&decoded);
     let coefficients = solve_each(&systems, channels);
@@ -146,50 +129,35 @@ pub fn encode(fitted: &Fitted, images: &Images, max_error: f32) -> Compressed {
         (value.round().clamp(-most, most) * multiple) as i16
     });
     let tiles = channels.div_ceil(CHANNELS_PER_TILE);
-    let stored = tiles * CHANNELS_PER_TILE;
-    let mut coefficients = vec![0i16; vertices * stored];
+    let lanes = tiles * CHANNELS_PER_TILE;
+    let mut coefficients = vec![0i16; vertices * lanes];
     for (out, column) in coefficients
-        .chunks_exact_mut(stored)
+        .chunks_exact_mut(lanes)
         .zip(integers.column_iter())
     {
         out.iter_mut()
             .zip(&column)
             .for_each(|(out, value)| *out = *value);
     }
-    let mut basis = vec![0i8; texels * stored];
+    let mut basis = vec![0i8; texels * lanes];
     for (channel, image) in quantised.column_iter().enumerate() {
         let (tile, lane) = (channel / CHANNELS_PER_TILE, channel % CHANNELS_PER_TILE);
         let out = basis[tile * texels * CHANNELS_PER_TILE..].chunks_exact_mut(CHANNELS_PER_TILE);
         out.zip(&image)
             .for_each(|(texel, value)| texel[lane] = *value);
     }
-    let mut squared_error = 0.0;
-    for first in (0..vertices).step_by(BLOCK_VERTICES) {
-        let count = BLOCK_VERTICES.min(vertices - first);
-        let values = integers
-            .columns(first, count)
-            .map(|value| f32::from(value) * finest);
-        let found = product(&decoded, &values);
-        for ((found, exact), weights) in columns(&found, 0)
-            .zip(columns(ssdfs, first))
-            .zip(columns(weights, first))
-        {
-            squared_error += f64::from(self::squared_error(found, exact, weights));
-        }
-    }
-    Compressed {
+    let stored = product(&decoded, &integers.map(|value| f32::from(value) * finest));
+    let squared_error = (fitted.columns().zip(stored.as_slice().chunks_exact(texels)))
+        .map(|([exact, weights], found)| f64::from(squared_error(found, exact, weights)))
+        .sum();
+    let compressed = Compressed {
         tiles: tiles as u32,
         coefficient_scale,
         coefficients,
         basis,
         squared_error,
-    }
-}
-
-/// The columns from `first` on.
-fn columns(matrix: &DMatrix<f32>, first: usize) -> std::slice::ChunksExact<'_, f32> {
-    let texels = matrix.nrows();
-    matrix.as_slice()[first * texels..].chunks_exact(texels)
+    };
+    (compressed, stored)
 }
 
 /// What a wrong SSDF costs, radians²: the weighted sum of squared differences.

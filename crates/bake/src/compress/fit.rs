@@ -5,7 +5,7 @@
 
 use nalgebra::DMatrix;
 
-use super::samples::{Fitted, Samples};
+use super::samples::Fitted;
 use crate::simd::{self, product, transposed_product};
 
 /// Subspace iterations; two separate the spectrum of SSDFs to well below quantisation.
@@ -40,14 +40,22 @@ pub struct FittedBasis {
 /// Principal component analysis: the mean and at most `rank` components.
 ///
 /// Randomised subspace iteration (Halko, Martinsson & Tropp 2011) from a fixed seed.
-pub fn analyse(samples: &Samples, rank: usize) -> FittedBasis {
-    let ssdfs = &samples.ssdfs;
-    let (texels, vertices) = ssdfs.shape();
-    let mean = ssdfs.column_mean();
-    let mut centred = ssdfs.clone();
-    for mut column in centred.column_iter_mut() {
-        column -= &mean;
+pub fn analyse(fitted: &Fitted, rank: usize) -> FittedBasis {
+    let (texels, vertices) = (fitted.samples.ssdfs.nrows(), fitted.vertices.len());
+    let mut mean = vec![0.0; texels];
+    for [ssdf, _] in fitted.columns() {
+        (mean.iter_mut().zip(ssdf)).for_each(|(mean, distance)| *mean += distance);
     }
+    mean.iter_mut().for_each(|mean| *mean /= vertices as f32);
+    let mut centred = Vec::with_capacity(texels * vertices);
+    for [ssdf, _] in fitted.columns() {
+        centred.extend(
+            ssdf.iter()
+                .zip(&mean)
+                .map(|(distance, mean)| distance - mean),
+        );
+    }
+    let centred = DMatrix::from_vec(texels, vertices, centred);
     let rank = rank.min(vertices.saturating_sub(1)).min(texels);
     let width = (rank + OVERSAMPLING).min(vertices).min(texels);
     let mut state = 0x9e37_79b9_7f4a_7c15_u64;
@@ -57,22 +65,21 @@ pub fn analyse(samples: &Samples, rank: usize) -> FittedBasis {
             .wrapping_add(1);
         (state >> 40) as f32 / (1u64 << 23) as f32 - 1.0
     });
-    let transposed = centred.transpose();
     let mut range = product(&centred, &subspace);
     for _ in 0..ITERATIONS {
-        subspace = product(&transposed, &range.qr().q());
+        subspace = transposed_product(&centred, &range.qr().q());
         range = product(&centred, &subspace.qr().q());
     }
     let orthonormal = range.qr().q();
     // Rotate the subspace to principal axes: eigenvectors of a small symmetric matrix.
-    let coordinates = product(&transposed, &orthonormal).transpose();
+    let coordinates = transposed_product(&centred, &orthonormal).transpose();
     let covariance = product(&coordinates, &coordinates.transpose()).cast::<f64>();
     let (axes, lengths) = principal_axes(covariance);
     let rank = rank.min(axes.ncols());
     let rotation = axes.columns(0, rank).into_owned().cast::<f32>();
     let components = product(&orthonormal, &rotation);
     let mut values = DMatrix::zeros(texels, rank + 1);
-    values.column_mut(0).copy_from(&mean);
+    values.column_mut(0).copy_from_slice(&mean);
     values.columns_mut(1, rank).copy_from(&components);
     let projections = rotation.tr_mul(&coordinates);
     let spread = lengths[..rank].iter().map(|length| *length as f32);
@@ -140,11 +147,7 @@ impl<'a> Fits<'a> {
 
 /// Coefficients that fit the images that fit these best, so many rounds on: alternating least squares takes the
 /// error to a fraction of that of principal components in a few.
-pub fn alternate(
-    fitted: &Fitted,
-    mut coefficients: DMatrix<f32>,
-    rounds: usize,
-) -> DMatrix<f32> {
+pub fn alternate(fitted: &Fitted, mut coefficients: DMatrix<f32>, rounds: usize) -> DMatrix<f32> {
     for _ in 0..rounds {
         let images = fitted.images(&coefficients);
         let systems = fitted.systems_of(&images.transpose());
@@ -155,7 +158,8 @@ pub fn alternate(
 
 /// Images that fit coefficients best, and the coefficients as they go with those.
 pub fn images(fitted: &Fitted, coefficients: &DMatrix<f32>) -> (Images, DMatrix<f32>) {
-    let mut values = DMatrix::zeros(fitted.samples.ssdfs.nrows(), coefficients.nrows());
+    let texels = fitted.samples.ssdfs.nrows();
+    let mut values = DMatrix::zeros(texels, coefficients.nrows());
     let images = fitted.images(coefficients);
     for (texel, image) in fitted.texels.iter().zip(images.column_iter()) {
         values.row_mut(*texel).copy_from(&image.transpose());
@@ -213,7 +217,12 @@ impl Fitted<'_> {
         let mut normal = product(coefficients, &transposed).cast::<f64>();
         let ridge = 1e-7 * normal.trace() / channels as f64 + f64::MIN_POSITIVE;
         normal += DMatrix::identity(channels, channels) * ridge;
-        let right = product(&self.samples.ssdfs.select_rows(&rest), &transposed).transpose();
+        let mut values = Vec::with_capacity(rest.len() * self.vertices.len());
+        for [ssdf, _] in self.columns() {
+            values.extend(rest.iter().map(|&texel| ssdf[texel]));
+        }
+        let values = DMatrix::from_vec(rest.len(), self.vertices.len(), values);
+        let right = product(&values, &transposed).transpose();
         if let Some(factor) = normal.cholesky() {
             let found = factor.solve(&right.cast::<f64>()).cast::<f32>();
             for (texel, image) in rest.into_iter().zip(found.column_iter()) {

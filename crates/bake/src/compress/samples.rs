@@ -17,9 +17,11 @@ pub struct Samples {
     pub(super) weights: DMatrix<f32>,
 }
 
-/// Those texels of samples that bases and coefficients are fitted to.
+/// Those texels of samples that bases and coefficients are fitted to, of all vertices or some.
 pub struct Fitted<'a> {
     pub(super) samples: &'a Samples,
+    /// The vertices' columns.
+    pub(super) vertices: Vec<usize>,
     pub(super) texels: Vec<usize>,
     /// Products of weights and SSDFs: one row per such texel, one column per vertex.
     pub(super) weighted: DMatrix<f32>,
@@ -46,19 +48,10 @@ impl Samples {
         &self.ssdfs
     }
 
-    /// Those of some vertices.
-    #[must_use]
-    pub(crate) fn select(&self, columns: &[usize]) -> Self {
-        Self {
-            ssdfs: self.ssdfs.select_columns(columns),
-            weights: self.weights.select_columns(columns),
-        }
-    }
-
     /// One texel of four, which stands for them all: enough to tell what compression would
     /// give.
     #[must_use]
-    pub(crate) fn thinned(&self) -> Self {
+    pub fn thinned(&self) -> Self {
         let side = self.ssdfs.nrows().isqrt();
         let step = THINNED.min(side);
         let texels: Vec<usize> = (0..side * side)
@@ -85,10 +78,15 @@ impl Samples {
 
     /// The texels that count: all near a boundary above some vertex's horizon, few others.
     pub fn fitted(&self) -> Fitted<'_> {
+        self.fitted_of((0..self.ssdfs.ncols()).collect())
+    }
+
+    /// The same of some vertices.
+    pub(crate) fn fitted_of(&self, vertices: Vec<usize>) -> Fitted<'_> {
         let mut largest = vec![0.0f32; self.weights.nrows()];
         // By slices and comparisons, as vector instructions want it.
-        for column in self.weights.as_slice().chunks_exact(largest.len()) {
-            for (largest, weight) in largest.iter_mut().zip(column) {
+        for &vertex in &vertices {
+            for (largest, weight) in largest.iter_mut().zip(column(&self.weights, vertex)) {
                 *largest = if *weight > *largest {
                     *weight
                 } else {
@@ -107,13 +105,11 @@ impl Samples {
             }
             idle += usize::from(!busy);
         }
-        let all = self.weights.nrows();
-        let vertices = self.weights.ncols();
-        let mut weights = Vec::with_capacity(texels.len() * vertices);
-        let mut weighted = Vec::with_capacity(texels.len() * vertices);
+        let mut weights = Vec::with_capacity(texels.len() * vertices.len());
+        let mut weighted = Vec::with_capacity(texels.len() * vertices.len());
         let mut squares = 0.0;
-        let columns = self.ssdfs.as_slice().chunks_exact(all);
-        for (ssdf, costs) in columns.zip(self.weights.as_slice().chunks_exact(all)) {
+        for &vertex in &vertices {
+            let [ssdf, costs] = [&self.ssdfs, &self.weights].map(|all| column(all, vertex));
             let mut sum = 0.0;
             for (&texel, factor) in texels.iter().zip(&factors) {
                 let weight = costs[texel] * factor;
@@ -126,10 +122,25 @@ impl Samples {
         }
         Fitted {
             samples: self,
-            weighted: DMatrix::from_vec(texels.len(), vertices, weighted),
-            weights: DMatrix::from_vec(texels.len(), vertices, weights),
+            weighted: DMatrix::from_vec(texels.len(), vertices.len(), weighted),
+            weights: DMatrix::from_vec(texels.len(), vertices.len(), weights),
+            vertices,
             texels,
             squares,
         }
     }
+}
+
+impl Fitted<'_> {
+    /// SSDFs and weights of all texels, vertex after vertex.
+    pub(super) fn columns(&self) -> impl Iterator<Item = [&[f32]; 2]> {
+        let both = [&self.samples.ssdfs, &self.samples.weights];
+        (self.vertices.iter()).map(move |&vertex| both.map(|all| column(all, vertex)))
+    }
+}
+
+/// Of a matrix, which holds column after column.
+fn column(matrix: &DMatrix<f32>, index: usize) -> &[f32] {
+    let rows = matrix.nrows();
+    &matrix.as_slice()[index * rows..][..rows]
 }

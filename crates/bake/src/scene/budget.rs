@@ -71,7 +71,7 @@ pub(super) fn default_aim(prepared: &Prepared) -> Result<f32, Error> {
         let ssdfs = prepared.ssdfs(&vertices)?;
         for probe in prepared.probes(&chunks[chunk], PROBE_STEP)? {
             let columns = columns(&probe.places, &vertices);
-            errors.add_probe(&probe, &columns, [&ssdfs; 2], &prepared.weighting);
+            errors.add_probe(&probe, [(&ssdfs, &columns); 2], &prepared.weighting);
         }
     }
     let interpolation = errors.errors().interpolation;

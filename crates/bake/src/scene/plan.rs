@@ -39,13 +39,9 @@ impl Prepared<'_> {
     ) -> Result<Vec<Cluster>, Interrupted> {
         let mut plan = Vec::new();
         let tiles = self.options.max_tiles;
-        self.plan(
-            triangles,
-            vertices,
-            &samples.thinned(),
-            (aim, tiles),
-            &mut plan,
-        )?;
+        let thinned = samples.thinned();
+        let chunk = (vertices, &thinned);
+        self.plan(triangles, chunk, (aim, tiles), &mut plan)?;
         let compress = |planned| {
             let Planned {
                 triangles,
@@ -54,34 +50,37 @@ impl Prepared<'_> {
             } = planned;
             self.report()?;
             let members = self.vertices_of(&triangles);
-            let samples = samples.select(&columns(&members, vertices));
-            let coefficients =
-                compress::alternate(&samples.thinned().fitted(), coefficients, ROUNDS);
-            let fitted = samples.fitted();
+            let columns = columns(&members, vertices);
+            let fitted = thinned.fitted_of(columns.clone());
+            let coefficients = compress::alternate(&fitted, coefficients, ROUNDS);
+            let fitted = samples.fitted_of(columns.clone());
             let (images, _) = compress::images(&fitted, &coefficients);
             let compressed = compress::encode(&fitted, &images, error.max(aim));
-            let part = (&triangles[..], &members[..], &samples);
-            Ok(self.cluster(part, probes, compressed, bounced))
+            drop(fitted);
+            let part = (&triangles[..], &members[..]);
+            let exact = (samples, &columns[..]);
+            Ok(self.cluster(part, exact, probes, compressed, bounced))
         };
         plan.into_iter().map(compress).collect()
     }
 
     /// Tiles, and splits along the leading principal component, where vertices that see
     /// alike stay together, as long as they lower the sum of bytes and of what errors are
-    /// worth in bytes. Returns that sum. `tiles` is where the search begins.
+    /// worth in bytes. Returns that sum. The triangles are some of those whose vertices have these samples; `tiles`
+    /// is where the search begins.
     fn plan(
         &self,
         triangles: &[u32],
-        vertices: &[u32],
-        samples: &Samples,
+        (vertices, samples): (&[u32], &Samples),
         (aim, tiles): (f32, u32),
         plan: &mut Vec<Planned>,
     ) -> Result<f32, Interrupted> {
         self.report()?;
         let max_channels = self.options.max_tiles as usize * CHANNELS_PER_TILE;
-        let basis = compress::analyse(samples, max_channels - 1);
-        let fitted = samples.fitted();
-        let count = vertices.len() as f32;
+        let members = self.vertices_of(triangles);
+        let fitted = samples.fitted_of(columns(&members, vertices));
+        let basis = compress::analyse(&fitted, max_channels - 1);
+        let count = members.len() as f32;
         let texels = self.options.basis_resolution.pow(2) as f32;
         let tile_bytes =
             CHANNELS_PER_TILE as f32 * (texels * BASIS_BYTES + count * COEFFICIENT_BYTES);
@@ -113,11 +112,11 @@ impl Prepared<'_> {
         });
         let split_bytes = whole.tiles as f32 * texels * 4.0 * BASIS_BYTES;
         let hopeless = SPLIT_GAIN * whole.worth < split_bytes;
-        if hopeless || vertices.len() < MIN_CLUSTER_VERTICES || triangles.len() < 2 {
+        if hopeless || members.len() < MIN_CLUSTER_VERTICES || triangles.len() < 2 {
             return Ok(cost);
         }
         let position = |triangle: u32| -> f32 {
-            columns(&self.triangles[triangle as usize], vertices)
+            columns(&self.triangles[triangle as usize], &members)
                 .into_iter()
                 .map(|column| basis.projections[(0, column)])
                 .sum()
@@ -131,9 +130,7 @@ impl Prepared<'_> {
         for half in [low, high] {
             let mut group: Vec<u32> = half.iter().map(|&(_, triangle)| triangle).collect();
             group.sort_unstable();
-            let members = self.vertices_of(&group);
-            let subset = samples.select(&columns(&members, vertices));
-            split_cost += self.plan(&group, &members, &subset, (aim, whole.tiles), plan)?;
+            split_cost += self.plan(&group, (vertices, samples), (aim, whole.tiles), plan)?;
         }
         if split_cost < cost {
             plan.remove(begun);
@@ -147,33 +144,36 @@ impl Prepared<'_> {
     /// options ask for.
     pub(super) fn whole(
         &self,
-        part: (&[u32], &[u32], &Samples),
+        (triangles, vertices, samples): (&[u32], &[u32], &Samples),
         probes: &[Probe],
         bounced: Option<&ChunkLight>,
         aim: f32,
     ) -> Cluster {
-        let (_, _, samples) = part;
-        let basis = compress::analyse(samples, self.options.global_rank as usize);
-        let compressed = compress::encode(&samples.fitted(), &basis.images, aim);
-        self.cluster(part, probes, compressed, bounced)
+        let fitted = samples.fitted();
+        let basis = compress::analyse(&fitted, self.options.global_rank as usize);
+        let compressed = compress::encode(&fitted, &basis.images, aim);
+        let columns: Vec<usize> = (0..vertices.len()).collect();
+        let exact = (samples, &columns[..]);
+        self.cluster((triangles, vertices), exact, probes, compressed, bounced)
     }
 
     /// Copies what a cluster needs of the mesh and measures how far it is off. Triangles and
-    /// vertices, with their samples, ascend.
+    /// vertices ascend; of the samples the vertices have some columns.
     fn cluster(
         &self,
-        (triangles, vertices, samples): (&[u32], &[u32], &Samples),
+        (triangles, vertices): (&[u32], &[u32]),
+        (samples, samples_columns): (&Samples, &[usize]),
         probes: &[Probe],
-        compressed: Compressed,
+        (compressed, stored): (Compressed, DMatrix<f32>),
         bounced: Option<&ChunkLight>,
     ) -> Cluster {
-        let stored = compressed.ssdfs();
         let mut errors = ErrorSums::at_vertices(&compressed, vertices.len());
         for probe in probes {
             if triangles.binary_search(&probe.triangle).is_ok() {
                 let columns = columns(&probe.places, vertices);
-                let ssdfs = [&stored, samples.ssdfs()];
-                errors.add_probe(probe, &columns, ssdfs, &self.weighting);
+                let exact: Vec<usize> = columns.iter().map(|&i| samples_columns[i]).collect();
+                let ssdfs = [(&stored, &columns[..]), (samples.ssdfs(), &exact)];
+                errors.add_probe(probe, ssdfs, &self.weighting);
             }
         }
         let used = self.mesh_vertices_of(triangles);

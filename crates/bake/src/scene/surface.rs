@@ -62,16 +62,15 @@ impl ErrorSums {
         }
     }
 
-    /// Adds a probe among vertices whose SSDFs are `columns` of `stored` and `exact`.
+    /// Adds a probe among vertices whose SSDFs, as stored and exact, are columns of matrices.
     pub(super) fn add_probe(
         &mut self,
         probe: &Probe,
-        columns: &[usize],
-        [stored, exact]: [&DMatrix<f32>; 2],
+        [stored, exact]: [(&DMatrix<f32>, &[usize]); 2],
         weighting: &Weighting,
     ) {
         let area = f64::from(probe.area);
-        let squared_error = |ssdfs: &DMatrix<f32>| {
+        let squared_error = |(ssdfs, columns): (&DMatrix<f32>, &[usize])| {
             let texels = probe.exact.len();
             let mut found = vec![0.0; texels];
             for (column, weight) in columns.iter().zip(probe.weights) {

@@ -70,6 +70,8 @@ pub(crate) fn transposed_product<T: Number>(a: &DMatrix<T>, b: &DMatrix<T>) -> D
 
 /// Products that are summed before they are added to those before.
 const INNER: usize = 256;
+/// Rows of a transposed matrix's columns that are put side by side at a time.
+const PACKED: usize = 64;
 /// Columns of the second matrix that are multiplied at a time.
 const COLUMNS: usize = 6;
 /// Vectors of rows that are multiplied at a time: with [`COLUMNS`], as many sums as registers hold.
@@ -94,22 +96,25 @@ impl<T: Number> Rows<'_, T> {
     fn pack(self, first: usize, panel: &mut [T]) {
         let (rows, inner) = self.shape();
         let count = T::PANEL.min(rows - first);
-        let panel = panel.chunks_exact_mut(T::PANEL);
         match self {
             Self::Of(matrix) => {
+                let panel = panel.chunks_exact_mut(T::PANEL);
                 for (packed, column) in panel.zip(matrix.as_slice().chunks_exact(rows)) {
                     packed[..count].copy_from_slice(&column[first..first + count]);
                     packed[count..].fill(T::ZERO);
                 }
             }
             Self::OfTranspose(matrix) => {
-                let columns = &matrix.as_slice()[first * inner..(first + count) * inner];
-                for (i, packed) in panel.enumerate() {
-                    let column = columns.iter().skip(i).step_by(inner);
-                    for (packed, value) in packed.iter_mut().zip(column) {
-                        *packed = *value;
+                // A few rows of the columns at a time: those of the panel stay in the cache.
+                for block in (0..inner).step_by(PACKED) {
+                    let rows = block..inner.min(block + PACKED);
+                    let panel = &mut panel[rows.start * T::PANEL..rows.end * T::PANEL];
+                    panel.fill(T::ZERO);
+                    for i in 0..count {
+                        let column = &matrix.as_slice()[(first + i) * inner..][rows.clone()];
+                        let packed = panel.iter_mut().skip(i).step_by(T::PANEL);
+                        (packed.zip(column)).for_each(|(packed, value)| *packed = *value);
                     }
-                    packed[count..].fill(T::ZERO);
                 }
             }
         }

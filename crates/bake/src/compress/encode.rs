@@ -6,7 +6,7 @@ use nalgebra::DMatrix;
 use relight_format::CHANNELS_PER_TILE;
 
 use super::fit::{Images, solve_each, triangle};
-use super::samples::Fitted;
+use super::samples::{Fitted, LANES};
 use crate::simd::{self, product};
 
 /// What rounding may add to the error, as a part of the error allowed: about where a byte more lowers the error
@@ -25,8 +25,6 @@ const COARSEST: f32 = 16.0;
 const ROUND_UP: [f32; 2] = [0.62, 0.75];
 /// Largest step of basis images, in 127ths of their largest texel.
 const MAX_STEP: f32 = 16.0;
-/// Sums that are formed side by side.
-const LANES: usize = 16;
 
 /// A cluster as stored; see [`relight_format::Cluster`] for how it is decoded.
 #[derive(Clone, Debug, PartialEq)]
@@ -95,12 +93,8 @@ pub fn encode(fitted: &Fitted, images: &Images, max_error: f32) -> (Compressed, 
     let channels = images.values.ncols();
     // What an error of one radian everywhere costs.
     let cost = fitted.weights.sum() / vertices as f32;
-    let mut costs = vec![0.0; texels];
-    for [_, weights] in fitted.columns() {
-        (costs.iter_mut().zip(weights)).for_each(|(cost, weight)| *cost += weight);
-    }
-    costs.iter_mut().for_each(|cost| *cost /= vertices as f32);
-    let quantised = quantise(images, max_error * BASIS_ROUNDING / cost.sqrt(), &costs);
+    let rounding = max_error * BASIS_ROUNDING / cost.sqrt();
+    let quantised = quantise(images, rounding, &fitted.costs);
     let decoded = quantised.map(|value: i8| f32::from(value) / 127.0);
     let systems = fitted.systems(&decoded);
     let coefficients = solve_each(&systems, channels);

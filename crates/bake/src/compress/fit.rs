@@ -107,6 +107,8 @@ pub struct Fits<'a> {
     images: DMatrix<f32>,
     /// For coefficients of all `images`; those of the first few are among them.
     systems: DMatrix<f32>,
+    /// [`Fitted::squares`].
+    squares: f64,
 }
 
 impl<'a> Fits<'a> {
@@ -119,6 +121,7 @@ impl<'a> Fits<'a> {
             fitted,
             images,
             systems,
+            squares: fitted.squares(),
         }
     }
 
@@ -136,7 +139,20 @@ impl<'a> Fits<'a> {
             .columns_mut(pairs, channels)
             .copy_from(&self.systems.columns(all_pairs, channels));
         let coefficients = solve_each(&systems, channels);
-        let (images, error) = fitted.images_and_error(&coefficients);
+        let systems = fitted.systems_of_texels(&coefficients);
+        let images = solve_each(&systems, channels);
+        // Least squares leave the sum of squares less the right sides' products with the solutions.
+        let right = systems.columns(triangle(channels), channels);
+        let told: f64 = (right.column_iter().zip(images.row_iter()))
+            .map(|(right, image)| -> f64 {
+                let products = right.iter().zip(image.iter());
+                products
+                    .map(|(right, value)| f64::from(right * value))
+                    .sum()
+            })
+            .sum();
+        let squared = (self.squares - told).max(0.0) / coefficients.ncols() as f64;
+        let error = squared.sqrt() as f32;
         let (_, coefficients) = principal(&images.transpose(), &coefficients);
         Fit {
             coefficients,
@@ -186,25 +202,16 @@ impl Fitted<'_> {
 
     /// Images that fit coefficients best: one row per image, one column per fitted texel.
     fn images(&self, coefficients: &DMatrix<f32>) -> DMatrix<f32> {
-        self.images_and_error(coefficients).0
+        solve_each(&self.systems_of_texels(coefficients), coefficients.nrows())
     }
 
-    /// The same, and what is off at the fitted texels: root mean square over vertices, radians.
-    fn images_and_error(&self, coefficients: &DMatrix<f32>) -> (DMatrix<f32>, f32) {
-        let channels = coefficients.nrows();
-        let systems = normal_equations(
+    /// Normal equations of every fitted texel for its value in each image.
+    fn systems_of_texels(&self, coefficients: &DMatrix<f32>) -> DMatrix<f32> {
+        normal_equations(
             &coefficients.transpose(),
             |factors| product(&self.weights, factors),
             |factors| product(&self.weighted, factors),
-        );
-        let images = solve_each(&systems, channels);
-        // Least squares leave the sum of squares less the right sides' products with the solutions.
-        let right = systems.columns(triangle(channels), channels);
-        let told: f64 = (right.column_iter().zip(images.row_iter()))
-            .map(|(right, image)| f64::from(right.tr_dot(&image)))
-            .sum();
-        let squared = (self.squares - told).max(0.0) / coefficients.ncols() as f64;
-        (images, squared.sqrt() as f32)
+        )
     }
 
     /// Fits the texels left out to coefficients, without weights.

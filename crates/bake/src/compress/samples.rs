@@ -1,5 +1,7 @@
 //! SSDFs of a cluster with what an error at each texel costs, and the texels that a fit looks at.
 
+use std::ops::Range;
+
 use nalgebra::DMatrix;
 
 use super::error::{Normal, Weighting};
@@ -8,6 +10,8 @@ use super::error::{Normal, Weighting};
 /// [`SKIPPED`]th of them.
 const IDLE: f32 = 0.02;
 const SKIPPED: usize = 8;
+/// Sums that are formed side by side.
+pub(super) const LANES: usize = 16;
 /// Texels and rows that [`Samples::thinned`] steps by.
 const THINNED: usize = 2;
 
@@ -23,11 +27,11 @@ pub struct Fitted<'a> {
     /// The vertices' columns.
     pub(super) vertices: Vec<usize>,
     pub(super) texels: Vec<usize>,
+    /// Mean weights of all texels.
+    pub(super) costs: Vec<f32>,
     /// Products of weights and SSDFs: one row per such texel, one column per vertex.
     pub(super) weighted: DMatrix<f32>,
     pub(super) weights: DMatrix<f32>,
-    /// The sum of products of weights and squares of SSDFs.
-    pub(super) squares: f64,
 }
 
 impl Samples {
@@ -84,41 +88,48 @@ impl Samples {
     /// The same of some vertices.
     pub(crate) fn fitted_of(&self, vertices: Vec<usize>) -> Fitted<'_> {
         let mut largest = vec![0.0f32; self.weights.nrows()];
+        let mut costs = vec![0.0f32; self.weights.nrows()];
         // By slices and comparisons, as vector instructions want it.
         for &vertex in &vertices {
-            for (largest, weight) in largest.iter_mut().zip(column(&self.weights, vertex)) {
+            let weights = column(&self.weights, vertex);
+            for ((largest, cost), weight) in largest.iter_mut().zip(&mut costs).zip(weights) {
                 *largest = if *weight > *largest {
                     *weight
                 } else {
                     *largest
                 };
+                *cost += weight;
             }
         }
+        costs
+            .iter_mut()
+            .for_each(|cost| *cost /= vertices.len() as f32);
         let bound = IDLE * largest.iter().copied().fold(0.0, f32::max);
         let mut idle = 0;
-        let (mut texels, mut factors) = (Vec::new(), Vec::new());
+        // Texels side by side that stand for as many.
+        let mut runs: Vec<(Range<usize>, f32)> = Vec::new();
         for (texel, largest) in largest.into_iter().enumerate() {
             let busy = largest > bound;
+            let factor = if busy { 1.0 } else { SKIPPED as f32 };
             if busy || idle % SKIPPED == 0 {
-                texels.push(texel);
-                factors.push(if busy { 1.0 } else { SKIPPED as f32 });
+                match runs.last_mut() {
+                    Some((run, same)) if run.end == texel && *same == factor => run.end += 1,
+                    _ => runs.push((texel..texel + 1, factor)),
+                }
             }
             idle += usize::from(!busy);
         }
+        let texels: Vec<usize> = runs.iter().flat_map(|(run, _)| run.clone()).collect();
         let mut weights = Vec::with_capacity(texels.len() * vertices.len());
         let mut weighted = Vec::with_capacity(texels.len() * vertices.len());
-        let mut squares = 0.0;
         for &vertex in &vertices {
             let [ssdf, costs] = [&self.ssdfs, &self.weights].map(|all| column(all, vertex));
-            let mut sum = 0.0;
-            for (&texel, factor) in texels.iter().zip(&factors) {
-                let weight = costs[texel] * factor;
-                let product = weight * ssdf[texel];
-                weights.push(weight);
-                weighted.push(product);
-                sum += product * ssdf[texel];
+            for (run, factor) in &runs {
+                let (ssdf, costs) = (&ssdf[run.clone()], &costs[run.clone()]);
+                weights.extend(costs.iter().map(|weight| weight * factor));
+                let pairs = ssdf.iter().zip(costs);
+                weighted.extend(pairs.map(|(distance, weight)| weight * factor * distance));
             }
-            squares += f64::from(sum);
         }
         Fitted {
             samples: self,
@@ -126,12 +137,28 @@ impl Samples {
             weights: DMatrix::from_vec(texels.len(), vertices.len(), weights),
             vertices,
             texels,
-            squares,
+            costs,
         }
     }
 }
 
 impl Fitted<'_> {
+    /// The sum of products of weights and squares of SSDFs.
+    pub(super) fn squares(&self) -> f64 {
+        let weighted = self.weighted.as_slice().chunks_exact(self.texels.len());
+        let squares = self.columns().zip(weighted).map(|([ssdf, _], weighted)| {
+            // Side by side, as vector instructions want it.
+            let mut sums = [0.0; LANES];
+            for (texels, weighted) in self.texels.chunks(LANES).zip(weighted.chunks(LANES)) {
+                for (sum, (texel, weighted)) in sums.iter_mut().zip(texels.iter().zip(weighted)) {
+                    *sum += weighted * ssdf[*texel];
+                }
+            }
+            f64::from(sums.iter().sum::<f32>())
+        });
+        squares.sum()
+    }
+
     /// SSDFs and weights of all texels, vertex after vertex.
     pub(super) fn columns(&self) -> impl Iterator<Item = [&[f32]; 2]> {
         let both = [&self.samples.ssdfs, &self.samples.weights];

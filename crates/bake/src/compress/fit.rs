@@ -46,7 +46,9 @@ pub fn analyse(fitted: &Fitted, rank: usize) -> FittedBasis {
     for [ssdf, _] in fitted.columns() {
         (mean.iter_mut().zip(ssdf)).for_each(|(mean, distance)| *mean += distance);
     }
-    mean.iter_mut().for_each(|mean| *mean /= vertices as f32);
+    for mean in &mut mean {
+        *mean /= vertices as f32;
+    }
     let mut centred = Vec::with_capacity(texels * vertices);
     for [ssdf, _] in fitted.columns() {
         centred.extend(

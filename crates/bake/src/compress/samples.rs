@@ -101,9 +101,9 @@ impl Samples {
                 *cost += weight;
             }
         }
-        costs
-            .iter_mut()
-            .for_each(|cost| *cost /= vertices.len() as f32);
+        for cost in &mut costs {
+            *cost /= vertices.len() as f32;
+        }
         let bound = IDLE * largest.iter().copied().fold(0.0, f32::max);
         let mut idle = 0;
         // Texels side by side that stand for as many.

@@ -372,6 +372,7 @@ pub fn wgsl_constants() -> String {
         ("SOURCE_SHADOWED", SHADOWED),
         ("SOURCE_SEEN_COLUMNS", SEEN_COLUMNS),
         ("SOURCE_TURN", seen::TURN),
+        ("SOURCE_QUARTER", seen::QUARTER),
     ];
     let constants = counts.map(|(name, count)| format!("const {name}: u32 = {count}u;\n"));
     constants.concat()

@@ -1,9 +1,11 @@
 //! Which points of sources the pixels of a tile see.
 //!
 //! A pixel of the coarse grid of [`crate::pixel_visibility`] asks for every point by itself. Another takes from the
-//! four about it what they agree on, and sends rays to the points that some of them see and some do not; and to a
-//! point of each group that all see and to one that none sees, another one at every pixel: where one of those is not
-//! as the four have it, something thin lies between them, and the pixel asks for every point.
+//! four about it what they agree on, and sends rays to the points that some of them see and some do not. And it tries
+//! what they agree on. Of a group that all of them see whole, where anything is in its cone, a quarter of the points,
+//! so that wires thinner than a pixel are found; of others a point that all see and one that none does, another one
+//! at every pixel. Where one of those is not as the four have it, something thin lies between them, and the pixel asks
+//! for every point.
 
 use glam::{Vec2, Vec3};
 
@@ -18,6 +20,9 @@ use crate::surface::SurfacePoint;
 
 /// From one pixel of a tile to the next, how much further the points are at which it tries what others agree on.
 pub(super) const TURN: u32 = 11;
+
+/// One point of each four that lie side by side.
+pub(super) const QUARTER: u32 = 0x1111_1111;
 
 /// What a pixel sees of a source.
 #[derive(Clone, Copy, Debug, Default)]
@@ -178,8 +183,18 @@ impl Look<'_> {
         for group in 0..GROUPS {
             let (_, all) = self.group(group);
             let (common, any) = of_group(group, all);
-            let tried = tried(common, turn) | tried(all & !any, turn);
-            let found = self.rays(group, tried, Some(from));
+            let mut asked = tried(common, turn) | tried(all & !any, turn);
+            let mut met = Some(from);
+            if common == all {
+                met = self.meet(1 + group, from).and(met);
+                let is_clear = met.is_none() && self.is_cone_above(1 + group);
+                asked = if is_clear {
+                    0
+                } else {
+                    all & (QUARTER << (turn % 4))
+                };
+            }
+            let found = self.rays(group, asked, met);
             if found.seen & !common != 0 || found.hidden & common != 0 {
                 return None;
             }
@@ -456,6 +471,16 @@ mod tests {
         }
         let ([alone, _], _) = seen(&[[-9.0, 0.32]]);
         assert_eq!([alone[0], alone[7]], [0.0, 1.0]);
+    }
+
+    #[test]
+    fn wires_thinner_than_pixels_are_found() {
+        // From a twenty-fifth of a pixel on, which hide from a fifteenth to two fifths of the source.
+        for width in [0.004, 0.01, 0.02, 0.04] {
+            let (parts, _) = seen(&[[0.3 - 0.5 * width, 0.3 + 0.5 * width]]);
+            assert!(parts[0][3] < 0.95);
+            assert_close(&parts);
+        }
     }
 
     #[test]

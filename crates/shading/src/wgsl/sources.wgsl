@@ -116,6 +116,8 @@ var<workgroup> sources_seen: array<u32, 64u * 4u * SOURCE_SEEN_TEXELS>;
 // Its last word, which holds nothing else, is the pixel's number in the tile and, behind those six bits, the source's
 // row in source_seen.
 const SOURCES_PIXEL: u32 = 4u * SOURCE_SEEN_TEXELS - 1u;
+// The one before: places or points that rays will be sent to, where pixels take from others.
+const SOURCES_ASKED: u32 = 4u * SOURCE_SEEN_TEXELS - 2u;
 // From where rays start, there for the same reason: the pixel's centre on the surface, and the triangle's normal; behind
 // each a coordinate of the way there from where the surface was met, pixels.
 var<workgroup> sources_starts: array<vec4<f32>, 128>;
@@ -179,6 +181,32 @@ const SOURCES_PROBE: u32 = SOURCES_REST + SOURCE_GROUPS;
 const SOURCES_POINTS: u32 = SOURCES_PROBE + 1u;
 const SOURCES_END: u32 = SOURCES_POINTS + SOURCE_GROUPS;
 
+// The group that a step is about.
+fn sources_group(step: u32) -> u32 {
+    return (step - select(SOURCES_TRY, SOURCES_POINTS, step >= SOURCES_POINTS)) % SOURCE_GROUPS;
+}
+
+// Readies a step: what the pixels about this one all see of its group goes where that is kept, and for which points there
+// will be rays. Done before cones are followed, it would take more registers.
+fn sources_ask(all: u32, step: u32) {
+    let group = sources_group(step);
+    var near = vec2(0u);
+    if step < SOURCES_PROBE {
+        near = sources_between(all, group);
+    }
+    var asked = near.y & ~near.x;
+    if step < SOURCES_REST {
+        asked = sources_tried(near.x) | sources_tried(all & ~near.y);
+        if near.x == all {
+            asked = all & (SOURCE_QUARTER << sources_turn(4u));
+        }
+    }
+    if step < SOURCES_END {
+        sources_seen[sources_word(1u + group)] = near.x;
+    }
+    sources_seen[sources_word(SOURCES_ASKED)] = asked;
+}
+
 // One place that cones and rays are followed: copies of it are most of a shader.
 fn sources_steps(entry: u32, asks: bool) {
     let of_group = u32(source_points[entry].light.x);
@@ -189,65 +217,66 @@ fn sources_steps(entry: u32, asks: bool) {
     var probed = 0u;
     var step = 0u;
     while step < SOURCES_END {
-        let group = (step - select(SOURCES_TRY, SOURCES_POINTS, step >= SOURCES_POINTS)) % SOURCE_GROUPS;
+        let group = sources_group(step);
+        // Of the whole source; of a group that all pixels about this one see; and of one of which a first ray, that was
+        // not blocked, has not told enough.
+        var by_cone = step == 0u || (step >= SOURCES_POINTS && (probed & (1u << group)) != 0u);
+        if step < SOURCES_REST {
+            by_cone = by_cone || sources_seen[sources_word(1u + group)] == all;
+        }
         var met = first;
-        // A first ray that was blocked has told.
-        if step == 0u || (step >= SOURCES_POINTS && (probed & (1u << group)) != 0u) {
+        if by_cone {
             let cone = source_points[entry + select(SOURCE_FIRST_GROUP + group, 0u, step == 0u)];
             let across = max(length(sources_sides[0] + sources_sides[1]), length(sources_sides[0] - sources_sides[1]));
             let origin = sources_start(0u).xyz;
             let face = sources_start(1u).xyz;
             met = occluders_meet_cone(first, origin, 0.5 * across, face, cone.direction, cone.cone_cosine);
         }
+        var next = step + 1u;
         if step == 0u {
             first = met;
-            step = select(SOURCES_PROBE, SOURCES_TRY, asks);
+            next = select(SOURCES_PROBE, SOURCES_TRY, asks);
             if met == OCCLUDERS_NONE {
-                step = SOURCES_POINTS;
-            }
-            continue;
-        }
-        // What the pixels about this one all see of the group, and what any of them does.
-        var near = vec2(0u);
-        var asked = all;
-        if step < SOURCES_PROBE {
-            near = sources_between(all, group);
-            asked = near.y & ~near.x;
-            if step < SOURCES_REST {
-                asked = sources_tried(near.x) | sources_tried(all & ~near.y);
-            }
-        } else if step == SOURCES_PROBE {
-            asked = (1u << (2u * SOURCE_GROUPS + SOURCE_RIM)) - 1u;
-        } else if met == OCCLUDERS_NONE && sources_cone_above(entry + SOURCE_FIRST_GROUP + group, sources_start(1u).xyz) {
-            asked = 0u;
-        }
-        sources_seen[sources_word(1u + group)] = near.x;
-        let node = select(OCCLUDERS_NONE, first, met != OCCLUDERS_NONE);
-        let found = sources_rays(entry, step, group, asked, node);
-        if step == SOURCES_PROBE {
-            probed = found.x;
-            if probed == 0u {
-                break;
-            }
-        } else if step < SOURCES_REST {
-            let agreed = sources_seen[sources_word(1u + group)];
-            if ((found.x & ~agreed) | (found.y & agreed)) != 0u {
-                step = SOURCES_PROBE;
-                continue;
+                next = SOURCES_POINTS;
             }
         } else {
-            let bits = sources_seen[sources_word(1u + group)] | found.x;
-            var whole = bits == all;
-            if step >= SOURCES_POINTS {
-                whole = asked == 0u || (bits != 0u && found.y == 0u);
+            var asked = all;
+            if step < SOURCES_PROBE {
+                asked = sources_seen[sources_word(SOURCES_ASKED)];
             }
-            sources_seen[sources_word(1u + group)] = bits;
-            sources_seen[sources_word(0u)] |= select(select(0u, 1u << SOURCE_GROUPS, bits != 0u), 1u, whole) << group;
+            if step == SOURCES_PROBE {
+                asked = (1u << (2u * SOURCE_GROUPS + SOURCE_RIM)) - 1u;
+            }
+            if met == OCCLUDERS_NONE && sources_cone_above(entry + SOURCE_FIRST_GROUP + group, sources_start(1u).xyz) {
+                asked = 0u;
+            }
+            let node = select(OCCLUDERS_NONE, first, met != OCCLUDERS_NONE);
+            let found = sources_rays(entry, step, group, asked, node);
+            if step == SOURCES_PROBE {
+                probed = found.x;
+                if probed == 0u {
+                    break;
+                }
+            } else if step < SOURCES_REST {
+                let agreed = sources_seen[sources_word(1u + group)];
+                if ((found.x & ~agreed) | (found.y & agreed)) != 0u {
+                    next = SOURCES_PROBE;
+                }
+            } else {
+                let bits = sources_seen[sources_word(1u + group)] | found.x;
+                var whole = bits == all;
+                if step >= SOURCES_POINTS {
+                    whole = asked == 0u || (bits != 0u && found.y == 0u);
+                }
+                sources_seen[sources_word(1u + group)] = bits;
+                sources_seen[sources_word(0u)] |= select(select(0u, 1u << SOURCE_GROUPS, bits != 0u), 1u, whole) << group;
+                if next == SOURCES_PROBE {
+                    break;
+                }
+            }
         }
-        step++;
-        if step == SOURCES_PROBE {
-            break;
-        }
+        step = next;
+        sources_ask(all, step);
     }
     var told = sources_seen[sources_word(0u)];
     let finer = u32(source_points[entry].light.x) > SOURCE_PLACES && told != 0u;
@@ -275,9 +304,14 @@ fn sources_between(all: u32, group: u32) -> vec2<u32> {
 
 // One of the bits, another one at every pixel.
 fn sources_tried(bits: u32) -> u32 {
-    let above = bits & (0xffffffffu << ((SOURCE_TURN * sources_seen[sources_word(SOURCES_PIXEL)]) % 32u));
+    let above = bits & (0xffffffffu << sources_turn(32u));
     let turned = select(bits, above, above != 0u);
     return turned & (~turned + 1u);
+}
+
+// Of so many turns, which are a power of two, the pixel's.
+fn sources_turn(turns: u32) -> u32 {
+    return (SOURCE_TURN * sources_seen[sources_word(SOURCES_PIXEL)]) % turns;
 }
 
 // Rays to the places or points of a group, or to what tells whether anything of a source is visible, for which there

@@ -23,7 +23,7 @@ const COEFFICIENT_BYTES: f32 = 0.8;
 const SPLIT_GAIN: f32 = 0.75;
 /// A cluster of fewer vertices is not split further: its basis would outweigh it.
 const MIN_CLUSTER_VERTICES: usize = 96;
-/// Rounds of fitting images and coefficients to each other when clusters are made; one tells when they are planned.
+/// Further rounds of fitting images and coefficients to each other, by thinned samples, once a cluster is planned.
 const ROUNDS: usize = 1;
 /// Part of the error aimed at that rounding adds.
 const ROUNDING: f32 = 0.38;

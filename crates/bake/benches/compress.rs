@@ -55,9 +55,8 @@ fn main() {
             std::hint::black_box(one_round());
         });
         let start = one_round().coefficients;
-        let thinned = samples.thinned();
         let images = || {
-            let coefficients = compress::alternate(&thinned.fitted(), start.clone(), ROUNDS);
+            let coefficients = compress::alternate(&fitted, start.clone(), ROUNDS);
             compress::images(&fitted, &coefficients).0
         };
         let fit = common::best(rounds, || {

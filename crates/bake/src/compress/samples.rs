@@ -55,7 +55,7 @@ impl Samples {
     /// One texel of four, which stands for them all: enough to tell what compression would
     /// give.
     #[must_use]
-    pub fn thinned(&self) -> Self {
+    pub(crate) fn thinned(&self) -> Self {
         let side = self.ssdfs.nrows().isqrt();
         let step = THINNED.min(side);
         let texels: Vec<usize> = (0..side * side)

@@ -30,7 +30,7 @@ fn sources_main(
     slots_enter(workgroup.x, pixel);
     sources_own = invocation;
     if sources_find(workgroup.x, workgroup.z, pixel, false) {
-        sources_write(sources_seen_row(workgroup.x, workgroup.z), pixel, 64u);
+        sources_write_own();
     }
 }
 
@@ -51,7 +51,7 @@ fn sources_shadowed_main(
                 sources_seen[sources_word(1u + SOURCE_GROUPS)] = bitcast<u32>(hidden);
             }
         }
-        sources_write(sources_seen_row(workgroup.x, workgroup.z), pixel, 64u);
+        sources_write_own();
     }
 }
 
@@ -93,6 +93,12 @@ fn sources_find(workgroup: u32, source: u32, own: u32, is_coarse: bool) -> bool 
     let asks = parents_may_ask(slot - own, own, alone);
     sources_points(source, asks, pixel, seen.y, triangles[seen.x].xyz);
     return true;
+}
+
+// Where the pixel's own number and row are, so that no register keeps them through all that comes before.
+fn sources_write_own() {
+    let own = sources_seen[sources_word(SOURCES_PIXEL)];
+    sources_write(own >> 6u, own % 64u, 64u);
 }
 
 fn sources_write(row: u32, place: u32, places: u32) {
@@ -276,7 +282,9 @@ fn sources_steps(entry: u32, asks: bool) {
             }
         }
         step = next;
-        sources_ask(all, step);
+        if asks {
+            sources_ask(all, step);
+        }
     }
     var told = sources_seen[sources_word(0u)];
     let finer = u32(source_points[entry].light.x) > SOURCE_PLACES && told != 0u;

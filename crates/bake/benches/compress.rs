@@ -42,14 +42,14 @@ fn main() {
         let count = subject.origins.len();
         let ssdfs = DMatrix::from_vec(RESOLUTION.pow(2) as usize, count, columns);
         let samples = Samples::new(ssdfs, &subject.normals, &Weighting::new(RESOLUTION));
-        let analyse = common::best(rounds, || {
-            std::hint::black_box(compress::analyse(&samples.fitted(), CHANNELS - 1));
-        });
-        let basis = compress::analyse(&samples.fitted(), CHANNELS - 1);
         let select = common::best(rounds, || {
             std::hint::black_box(samples.fitted());
         });
         let fitted = samples.fitted();
+        let analyse = common::best(rounds, || {
+            std::hint::black_box(compress::analyse(&fitted, CHANNELS - 1));
+        });
+        let basis = compress::analyse(&fitted, CHANNELS - 1);
         let one_round = || Fits::new(&fitted, &basis, CHANNELS).fit(CHANNELS);
         let plan = common::best(rounds, || {
             std::hint::black_box(one_round());

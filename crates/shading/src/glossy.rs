@@ -4,8 +4,9 @@
 //! The lobes of [`crate::brdf`] give the shape. A light times a handful of them is as many
 //! Gaussians. How bright each is says the model: its value over that of all lobes, averaged over
 //! five points of the Gaussian. So tails, grazing angles, Fresnel and masking are the model's
-//! where lobes are only near it. Then one Gaussian of the same integral, mean direction and spread
-//! replaces them, and visibility is integrated once for every light and reflection.
+//! where lobes are only near it. Of a light that is wide beside the lobes five points tell less than the lobes, which
+//! together have the model's albedo. Then one Gaussian replaces them, of the same integral over the cosine, mean direction
+//! and spread, and visibility is integrated once for every light and reflection.
 
 use glam::Vec3;
 use relight_format::math;
@@ -28,9 +29,18 @@ const FARTHEST_POINT: f32 = 2.0;
 const POINTS: usize = 5;
 /// Least mean cosine over the points of a Gaussian that reflects at all.
 const LEAST_COSINE: f32 = 1e-4;
+/// Least mean cosine over all of the Gaussian that replaces them: of less, what is visible is known to few digits.
+const LEAST_MEAN_COSINE: f32 = 0.004;
+/// How sharp a light is, over the mean of the lobes that reflect it and times the cosine of the view and
+/// [`VIEW_COSINE`], at which points count for as much as lobes.
+const LOBE_PART: f32 = 0.025;
+/// Added to the cosine of the view.
+const VIEW_COSINE: f32 = 0.05;
+/// Mean cosine of a Gaussian on the horizon, in its standard deviation.
+const DEVIATION_COSINE: f32 = 0.4;
 /// Least 1 − |mean vector|² of a Gaussian: below, roundings of unit vectors are as large.
 const LEAST_SPREAD: f32 = 1e-7;
-/// Least integral of a light's products: below, their quotients are roundings.
+/// Least integral of a light's products, or of those times the cosine: below, their quotients are roundings.
 const LEAST_MASS: f32 = 1e-30;
 /// Products below this part of a light's are left to the others.
 const LEAST_PART: f32 = 0.01;
@@ -109,14 +119,16 @@ impl<'a> Glossy<'a> {
         let scale = self.color.element_sum();
         let mut products = [(white, 0.0); MAX_SPECULAR_LOBES];
         let products = &mut products[..self.shapes.count];
-        let mut all = 0.0;
+        let (mut all, mut own) = (0.0, 0.0);
         for (shape, (product, part)) in self.shapes.as_slice().iter().zip(&mut *products) {
             *product = white.product(&SphericalGaussian {
                 amplitude: shape.amplitude * scale,
                 ..*shape
             });
             *part = product.amplitude.x * energy(product.sharpness);
-            all += *part;
+            let shown = *part * most_cosine(product);
+            all += shown;
+            own += shown * shape.sharpness;
         }
         let color = light.amplitude * (self.color / scale);
         if all < LEAST_MASS || negligible(TAIL * all * color, gathered) {
@@ -125,23 +137,27 @@ impl<'a> Glossy<'a> {
         // The part of the light up to which a product is faint.
         let faint = FAINT * gathered / color.max(Vec3::splat(f32::MIN_POSITIVE));
         let faint = faint.min_element();
+        let by_points = self.by_points(light.sharpness, own / all);
         // Directions are differences to one among them, which keeps the digits of narrow
         // lobes.
         let mut origin = None;
         let (mut used, mut total) = (0.0, Vec3::ZERO);
         let (mut rest, mut squares, mut mean) = (0.0, 0.0, Vec3::ZERO);
         for &(product, part) in &*products {
-            if part < LEAST_PART * all {
+            let shown = part * most_cosine(&product);
+            if shown < LEAST_PART * all {
                 continue;
             }
-            used += part;
-            let points = if part <= faint || part < MINOR_PART * all {
+            used += shown;
+            let points = if shown <= faint || shown < MINOR_PART * all {
                 1
             } else {
                 POINTS
             };
             let most = EXCESS * energy(light.sharpness);
-            let scaled = self.scaled(&product, part, most, points);
+            let by_lobe = part * self.color / scale;
+            let scaled = by_lobe.lerp(self.scaled(&product, part, most, points), by_points);
+            let scaled = scaled * mean_cosine(product.sharpness, product.axis.z);
             total += scaled;
             let weight = scaled.element_sum();
             let short = shortening(product.sharpness);
@@ -162,11 +178,22 @@ impl<'a> Glossy<'a> {
         let spread = spread.clamp(LEAST_SPREAD, 1.0);
         let sharpness = (1.0 - spread).sqrt() * (2.0 + spread) / spread;
         let axis = unit_or((1.0 - rest) * origin + mean, origin);
+        let integral = energy(sharpness) * mean_cosine(sharpness, axis.z).max(LEAST_MEAN_COSINE);
         Some(SphericalGaussian {
             axis: self.point.to_world(axis),
             sharpness,
-            amplitude: light.amplitude * total * (all / (used * energy(sharpness))),
+            amplitude: light.amplitude * total * (all / (used * integral)),
         })
+    }
+
+    /// How much points count for beside lobes, 0 to 1, for a light of some sharpness on lobes whose mean is `own`.
+    fn by_points(&self, light: f32, own: f32) -> f32 {
+        // The albedo of lobes that were fitted to a table is not the table's.
+        if self.reflection.ratio.is_some() {
+            return 1.0;
+        }
+        let sharp = light * (self.view.z + VIEW_COSINE);
+        sharp / (sharp + LOBE_PART * own).max(f32::MIN_POSITIVE)
     }
 
     /// The integral of a product of a white light and a lobe, `part`, as the model makes it: in
@@ -200,6 +227,16 @@ impl<'a> Glossy<'a> {
         }
         sum / whole.max(LEAST_COSINE)
     }
+}
+
+/// A bound on [`mean_cosine`], near it for lobes that are narrow and above the horizon.
+fn most_cosine(lobe: &SphericalGaussian) -> f32 {
+    lobe.axis.z.max(0.0) + DEVIATION_COSINE / (lobe.sharpness + 1.0).sqrt()
+}
+
+/// Of a lobe's integral the part that is left of it times the cosine with the normal, to which its axis has `cosine`.
+fn mean_cosine(sharpness: f32, cosine: f32) -> f32 {
+    Tables::get().cosine_integral(sharpness, cosine) / energy(sharpness)
 }
 
 /// By how much a lobe's mean vector is shorter than 1: 1 − coth λ + 1/λ.
@@ -238,6 +275,8 @@ pub fn wgsl_constants() -> String {
         ("POINT_WEIGHT", POINT_WEIGHT),
         ("FARTHEST_POINT", FARTHEST_POINT),
         ("LEAST_COSINE", LEAST_COSINE),
+        ("LEAST_MEAN_COSINE", LEAST_MEAN_COSINE),
+        ("DEVIATION_COSINE", DEVIATION_COSINE),
         ("LEAST_SPREAD", LEAST_SPREAD),
         ("LEAST_MASS", LEAST_MASS),
         ("LEAST_PART", LEAST_PART),
@@ -245,6 +284,8 @@ pub fn wgsl_constants() -> String {
         ("FAINT", FAINT),
         ("TAIL", TAIL),
         ("EXCESS", EXCESS),
+        ("LOBE_PART", LOBE_PART),
+        ("VIEW_COSINE", VIEW_COSINE),
     ];
     reals
         .map(|(name, value)| format!("const GLOSSY_{name}: f32 = {value:?};\n"))
@@ -262,7 +303,7 @@ mod tests {
     use crate::surface::{Appearance, Model, local_point};
 
     /// Of the brightest light's reflection, root mean square over the lights.
-    const TOLERANCE: f32 = 0.06;
+    const TOLERANCE: f32 = 0.03;
 
     /// Light from `light` that `reflection` sends to `view`, by quadrature over the hemisphere.
     fn exact(reflection: &Reflection, view: Vec3, light: &SphericalGaussian) -> f32 {
@@ -288,16 +329,17 @@ mod tests {
             (Model::Ggx, 0.5, 0.5),
             (Model::CookTorrance, 0.25, 0.25),
             (Model::Ward, 0.15, 0.4),
+            (Model::Ggx, 0.08, 0.4),
         ] {
             let reflection = Reflection::new(model, Vec3::splat(0.8), Vec2::new(x, y));
-            for degrees in [10f32, 45.0, 65.0] {
+            for degrees in [10f32, 45.0, 65.0, 80.0] {
                 let (sine, cosine) = math::sin_cos(degrees.to_radians());
                 let view = Vec3::new(0.8 * sine, 0.6 * sine, cosine);
                 let point = local_point(Appearance::new(Vec3::ZERO, &[reflection]), view);
                 let glossy = Glossy::new(&point, &reflection);
                 let mirror = Vec3::new(-view.x, -view.y, view.z);
                 let (mut squares, mut brightest, mut count) = (0.0, 0f32, 0);
-                for sharpness in [3.0, 40.0, 400.0] {
+                for sharpness in [0.5, 3.0, 40.0, 400.0] {
                     for aside in [0.0, 0.3, 0.9] {
                         // As much light at every sharpness.
                         let light = SphericalGaussian {
@@ -319,6 +361,42 @@ mod tests {
                 }
                 let error = (squares / count as f32).sqrt() / brightest;
                 assert!(error < TOLERANCE, "{model:?} {x} {y} {degrees}°: {error}");
+            }
+        }
+    }
+
+    /// At grazing angles few points of a Gaussian lie where the model reflects.
+    #[test]
+    fn light_from_everywhere_is_reflected_by_the_albedo() {
+        for (model, x, y, least) in [
+            (Model::Ggx, 0.08, 0.4, 0.05),
+            (Model::Ggx, 0.2, 0.2, 0.05),
+            (Model::CookTorrance, 0.3, 0.3, 0.05),
+            (Model::Ward, 0.15, 0.3, 0.2),
+        ] {
+            let reflection = Reflection::new(model, Vec3::ONE, Vec2::new(x, y));
+            for cosine in [least, 0.3, 0.8f32] {
+                for azimuth in [0.03f32, 0.8, 1.5] {
+                    let (sin, cos) = math::sin_cos(azimuth);
+                    let view =
+                        (Vec2::new(cos, sin) * (1f32 - cosine * cosine).sqrt()).extend(cosine);
+                    let point = local_point(Appearance::new(Vec3::ZERO, &[reflection]), view);
+                    let everywhere = SphericalGaussian {
+                        axis: Vec3::new(0.6, 0.0, 0.8),
+                        sharpness: 1e-3,
+                        amplitude: Vec3::ONE,
+                    };
+                    let lobe = Glossy::new(&point, &reflection)
+                        .reflected(&everywhere, Vec3::ZERO)
+                        .expect("some light");
+                    let whole = Tables::get().cosine_integral(lobe.sharpness, lobe.axis.z);
+                    let found = lobe.amplitude.x * whole;
+                    let expected = exact(&reflection, view, &everywhere);
+                    assert!(
+                        (found / expected - 1.0).abs() < 0.06,
+                        "{model:?} {x} {y} {view}: {found} for {expected}"
+                    );
+                }
             }
         }
     }

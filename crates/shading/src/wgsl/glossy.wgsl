@@ -8,9 +8,11 @@
 
 // Of the products with one light.
 struct GlossySum {
-    // Their integral, those that are left out included, and the part of the light up to which a product is faint.
+    // Their integral times the cosine, those that are left out included, and the part of the light up to which a product is faint.
     whole: f32,
     faint: f32,
+    // How much points count for beside lobes.
+    by_points: f32,
     // Directions are differences to one among them, which keeps the digits of narrow lobes.
     origin: vec3<f32>,
     used: f32,
@@ -20,35 +22,51 @@ struct GlossySum {
     mean: vec3<f32>,
 }
 
-var<private> glossy_sum: GlossySum;
-
 // Whether there is anything to see of `light` beside `gathered`.
 fn glossy_begin(light: SphericalGaussian, gathered: vec3<f32>) -> bool {
     let whole = glossy_whole(light);
     let color = light.amplitude * lobes_color();
-    glossy_sum = GlossySum(whole, glossy_faint(color, gathered), vec3(0.0), 0.0, vec3(0.0), 0.0, 0.0, vec3(0.0));
-    glossy_lobe = GlossyLobe(vec3(0.0), 0.0, vec3(0.0), 0.0, 0.0, 0u);
-    return whole >= GLOSSY_LEAST_MASS && !all(GLOSSY_TAIL * whole * color <= SHADE_NEGLIGIBLE * gathered);
+    let faint = glossy_faint(color, gathered);
+    let by_points = glossy_by_points(light.sharpness, whole.y);
+    lobes_put_sum(GlossySum(whole.x, faint, by_points, vec3(0.0), 0.0, vec3(0.0), 0.0, 0.0, vec3(0.0)));
+    glossy_lobe = GlossyLobe(vec3(0.0), 0.0, vec3(0.0), 0.0, 0.0);
+    return whole.x >= GLOSSY_LEAST_MASS && !all(GLOSSY_TAIL * whole.x * color <= SHADE_NEGLIGIBLE * gathered);
 }
 
-// The integral of all products with a white light.
-fn glossy_whole(light: SphericalGaussian) -> f32 {
-    var whole = 0.0;
+// The integral of all products with a white light times the cosine, at most, and the mean sharpness of their lobes.
+fn glossy_whole(light: SphericalGaussian) -> vec2<f32> {
+    var whole = vec2(0.0);
     for (var j = 0u; j < specular_count; j++) {
         let product = glossy_times(light, j);
-        whole += product.amplitude.x * spherical_gaussian_energy(product.sharpness);
+        let part = product.amplitude.x * spherical_gaussian_energy(product.sharpness);
+        whole += part * glossy_most_cosine(product.sharpness, product.axis.z) * vec2(1.0, lobes_shape(j).w);
     }
-    return whole;
+    return vec2(whole.x, whole.y / max(whole.x, GLOSSY_LEAST_MASS));
 }
 
-// Of one lobe: its product, the integral of that, how many points look at the model, what they found and their weight.
+// How much points count for beside lobes, for a light of some sharpness on lobes whose mean is `own`.
+fn glossy_by_points(light: f32, own: f32) -> f32 {
+    let sharp = light * (lobes_view().z + GLOSSY_VIEW_COSINE);
+    return select(1.0, sharp / max(sharp + GLOSSY_LOBE_PART * own, 1.17549435e-38), lobes_reflection().ratio == 0u);
+}
+
+// A bound on glossy_mean_cosine, near it for lobes that are narrow and above the horizon.
+fn glossy_most_cosine(sharpness: f32, cosine: f32) -> f32 {
+    return max(cosine, 0.0) + GLOSSY_DEVIATION_COSINE / sqrt(sharpness + 1.0);
+}
+
+// Of a lobe's integral the part that is left of it times the cosine with the normal, to which its axis has `cosine`.
+fn glossy_mean_cosine(sharpness: f32, cosine: f32) -> f32 {
+    return tables_cosine_integral(sharpness, cosine) / spherical_gaussian_energy(sharpness);
+}
+
+// Of one lobe: its product, the integral of that, what points that look at the model found, and their weight.
 struct GlossyLobe {
     axis: vec3<f32>,
     sharpness: f32,
     sum: vec3<f32>,
     whole: f32,
     part: f32,
-    points: u32,
 }
 
 var<private> glossy_lobe: GlossyLobe;
@@ -58,20 +76,32 @@ fn glossy_count() -> u32 {
     return GLOSSY_POINTS * specular_count;
 }
 
+// How many points of a product look at the model.
+fn glossy_points(shown: f32) -> u32 {
+    let whole = lobes_sum().whole;
+    let one = shown <= lobes_sum().faint || shown < GLOSSY_MINOR_PART * whole;
+    return select(select(GLOSSY_POINTS, 1u, one), 0u, shown < GLOSSY_LEAST_PART * whole);
+}
+
+// The integral of the product times the cosine, at most.
+fn glossy_shown() -> f32 {
+    return glossy_lobe.part * glossy_most_cosine(glossy_lobe.sharpness, glossy_lobe.axis.z);
+}
+
 fn glossy_add(light: SphericalGaussian, index: u32) {
     let i = index % GLOSSY_POINTS;
     if i == 0u {
         let product = glossy_times(light, index / GLOSSY_POINTS);
         let part = product.amplitude.x * spherical_gaussian_energy(product.sharpness);
-        let one = part <= glossy_sum.faint || part < GLOSSY_MINOR_PART * glossy_sum.whole;
-        let none = part < GLOSSY_LEAST_PART * glossy_sum.whole;
-        let points = select(select(GLOSSY_POINTS, 1u, one), 0u, none);
-        glossy_lobe = GlossyLobe(product.axis, product.sharpness, vec3(0.0), 0.0, part, points);
+        glossy_lobe = GlossyLobe(product.axis, product.sharpness, vec3(0.0), 0.0, part);
     }
-    if i < glossy_lobe.points {
+    let points = glossy_points(glossy_shown());
+    if i < points {
         glossy_look(i, GLOSSY_EXCESS * spherical_gaussian_energy(light.sharpness));
-        if i + 1u == glossy_lobe.points {
-            glossy_join(glossy_lobe.sum / max(glossy_lobe.whole, GLOSSY_LEAST_COSINE));
+        if i + 1u == points {
+            let by_points = glossy_lobe.sum / max(glossy_lobe.whole, GLOSSY_LEAST_COSINE);
+            let scaled = mix(glossy_lobe.part * lobes_color(), by_points, lobes_sum().by_points);
+            glossy_join(scaled * glossy_mean_cosine(glossy_lobe.sharpness, glossy_lobe.axis.z));
         }
     }
 }
@@ -91,39 +121,41 @@ fn glossy_look(i: u32, most: f32) {
 
 // What all points say.
 fn glossy_join(scaled: vec3<f32>) {
-    if glossy_sum.used == 0.0 {
-        glossy_sum.origin = glossy_lobe.axis;
+    var sum = lobes_sum();
+    if sum.used == 0.0 {
+        sum.origin = glossy_lobe.axis;
     }
-    glossy_sum.used += glossy_lobe.part;
-    glossy_sum.total += scaled;
+    sum.used += glossy_shown();
+    sum.total += scaled;
     let weight = glossy_channels(scaled);
     let short = glossy_shortening(glossy_lobe.sharpness);
-    let offset = glossy_lobe.axis - glossy_sum.origin;
-    glossy_sum.rest += weight * short;
-    glossy_sum.mean += weight * (1.0 - short) * offset;
-    glossy_sum.squares += weight * (1.0 - short) * dot(offset, offset);
+    let offset = glossy_lobe.axis - sum.origin;
+    sum.rest += weight * short;
+    sum.mean += weight * (1.0 - short) * offset;
+    sum.squares += weight * (1.0 - short) * dot(offset, offset);
+    lobes_put_sum(sum);
 }
 
 // The Gaussian. Of no amplitude where there is nothing to see.
 fn glossy_end(light: SphericalGaussian) -> SphericalGaussian {
-    let mass = glossy_channels(glossy_sum.total);
+    let sum = lobes_sum();
+    let mass = glossy_channels(sum.total);
     if mass < GLOSSY_LEAST_MASS {
         return SphericalGaussian(light.axis, light.sharpness, vec3(0.0));
     }
-    let rest = glossy_sum.rest / mass;
-    let mean = glossy_sum.mean / mass;
-    let squares = glossy_sum.squares / mass;
+    let rest = sum.rest / mass;
+    let mean = sum.mean / mass;
+    let squares = sum.squares / mass;
     // 1 - |m|^2 for the mean vector m = (1 - rest) origin + mean, without the difference of
     // nearly equal numbers: origin . mean is half the sum of squared offsets, below 0.
     let unclamped = rest * (2.0 - rest) + (1.0 - rest) * squares - dot(mean, mean);
     let spread = clamp(unclamped, GLOSSY_LEAST_SPREAD, 1.0);
     let sharpness = sqrt(1.0 - spread) * (2.0 + spread) / spread;
-    let scale = glossy_sum.whole / (glossy_sum.used * spherical_gaussian_energy(sharpness));
-    return SphericalGaussian(
-        glossy_unit_or((1.0 - rest) * glossy_sum.origin + mean, glossy_sum.origin),
-        sharpness,
-        light.amplitude * glossy_sum.total * scale,
-    );
+    let axis = glossy_unit_or((1.0 - rest) * sum.origin + mean, sum.origin);
+    let mean_cosine = max(glossy_mean_cosine(sharpness, axis.z), GLOSSY_LEAST_MEAN_COSINE);
+    let integral = spherical_gaussian_energy(sharpness) * mean_cosine;
+    let scale = sum.whole / (sum.used * integral);
+    return SphericalGaussian(axis, sharpness, light.amplitude * sum.total * scale);
 }
 
 // All of it, for kernels that have registers.

@@ -53,6 +53,16 @@ fn lobes_color() -> vec3<f32> {
     return lobes_tint;
 }
 
+var<private> lobes_products: GlossySum;
+
+fn lobes_put_sum(sum: GlossySum) {
+    lobes_products = sum;
+}
+
+fn lobes_sum() -> GlossySum {
+    return lobes_products;
+}
+
 fn lobes_reflection() -> Reflection {
     return lobes_model;
 }

@@ -216,6 +216,17 @@ fn lobes_color() -> vec3<f32> {
     return slots_reflection_value(SLOTS_COLOR).xyz;
 }
 
+// Where they take no registers.
+var<workgroup> slots_products: array<GlossySum, 64>;
+
+fn lobes_put_sum(sum: GlossySum) {
+    slots_products[slots_own] = sum;
+}
+
+fn lobes_sum() -> GlossySum {
+    return slots_products[slots_own];
+}
+
 fn lobes_reflection() -> Reflection {
     let specular = slots_reflection_at(SLOTS_SPECULAR);
     let grazing = slots_reflection_value(SLOTS_GRAZING);

@@ -309,7 +309,7 @@ impl<'a, F: SignedDistance> Tile<'a, F> {
         let [begin, count, _] = self.lights();
         for first in (begin..count).step_by(ROUND) {
             let lights = first..count.min(first + ROUND);
-            let mut rounds = self.round(glossies, lights.clone(), gathered);
+            let mut rounds = self.round(glossies, (lights.clone(), false), gathered);
             for ((round, pixel), sum) in rounds.iter_mut().zip(&self.pixels).zip(&*gathered) {
                 let mut estimate = *sum;
                 for (waiting, index) in round.iter_mut().zip(lights.clone()) {
@@ -346,7 +346,7 @@ impl<'a, F: SignedDistance> Tile<'a, F> {
         // And light from everywhere.
         for first in (0..=distant).step_by(ROUND) {
             let lights = first..(distant + 1).min(first + ROUND);
-            let mut rounds = self.round(glossies, lights.clone(), &scaled);
+            let mut rounds = self.round(glossies, (lights.clone(), true), &scaled);
             for ((round, pixel), sum) in rounds.iter_mut().zip(&self.pixels).zip(&mut scaled) {
                 for (waiting, index) in round.iter_mut().zip(lights.clone()) {
                     let (Some(found), Some(pixel)) = (&mut *waiting, pixel) else {
@@ -393,16 +393,16 @@ impl<'a, F: SignedDistance> Tile<'a, F> {
         }
     }
 
-    /// The lobes that reflections make of some lights, of those that can add to what was gathered before. The light
-    /// after the last distant one, if there is an image, is light from everywhere, measured by itself.
+    /// The lobes that reflections make of some lights, of those that can add to what was gathered before. Where they
+    /// are to say what is seen of an image, the one after the last distant light is light from everywhere, measured by
+    /// itself.
     fn round(
         &self,
         glossies: &[Option<Glossy>],
-        lights: std::ops::Range<usize>,
+        (lights, of_image): (std::ops::Range<usize>, bool),
         gathered: &[Vec3],
     ) -> Vec<Round> {
-        let [begin, _, distant] = self.lights();
-        let of_image = lights.start < begin;
+        let [_, _, distant] = self.lights();
         let round = |(pixel, (glossy, sum)): (&Option<Pixel<F>>, (&Option<Glossy>, &Vec3))| {
             let mut round: Round = [None; ROUND];
             let (Some(pixel), Some(glossy)) = (pixel, glossy) else {

@@ -94,10 +94,7 @@ pub fn run(options: &Options, monitor: Monitor) -> anyhow::Result<Report> {
     lap("bake scene");
 
     let image = sky(512, 256);
-    let fit = environment::FitOptions {
-        lobes: options.lobes,
-        ..environment::FitOptions::default()
-    };
+    let fit = environment::FitOptions::with_lobes(options.lobes);
     let fitted = environment::fit(&image, &fit, monitor)?.environment;
     let environment_path = options.folder.join("demo-environment.relight");
     format::write_file(&environment_path, &format::write_environment(&fitted)?)?;

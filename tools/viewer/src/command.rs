@@ -38,7 +38,7 @@ struct Arguments {
     /// How well meshes are baked.
     #[arg(long, value_enum)]
     quality: Option<QualityArgument>,
-    /// Lobes to fit to images.
+    /// Lobes to fit to images [default: as many as it takes, 8 to 64].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
     lobes: Option<u16>,
     /// Write a picture and end, without a window.

@@ -174,7 +174,7 @@ pub struct Settings {
     pub panels: bool,
     /// Which sections of the side panel are open.
     pub sections: [bool; 7],
-    /// Lobes to fit to images.
+    /// Lobes to fit to images; 0: as many as it takes.
     pub lobes: usize,
     /// Whether files that change are read again.
     pub watch: bool,
@@ -200,7 +200,7 @@ impl Default for Settings {
             bounce: true,
             panels: true,
             sections: [true, true, true, false, true, false, false],
-            lobes: 64,
+            lobes: 0,
             watch: true,
             light_speed: 0.6,
             resolution: 1.0,

@@ -3,8 +3,8 @@
 use std::sync::atomic::AtomicBool;
 
 use js_sys::{Function, Uint8Array, Uint32Array};
+use relight_bake::environment;
 use relight_bake::environment::hdr::{self, Reading};
-use relight_bake::environment::{self, FitOptions};
 use relight_bake::measured::{Table, fit};
 use relight_bake::monitor::{Monitor, Progress};
 use relight_format::{self as format, MaterialAsset, MaterialReport, TextureSlot};
@@ -12,7 +12,7 @@ use send_wrapper::SendWrapper;
 use wasm_bindgen::prelude::wasm_bindgen;
 use wasm_bindgen::{JsError, JsValue};
 
-use crate::jobs::{fit_stages_to, panorama_of};
+use crate::jobs::{fit_options, fit_stages_to, panorama_of};
 
 static NEVER: AtomicBool = AtomicBool::new(false);
 
@@ -43,10 +43,7 @@ pub fn fit_light(
     };
     let stages = fit_stages_to(lobes);
     for (index, lobes) in stages.iter().copied().enumerate() {
-        let options = FitOptions {
-            lobes,
-            ..FitOptions::default()
-        };
+        let options = fit_options(lobes);
         let fitted = environment::fit(&image, &options, monitor).map_err(failed)?;
         let mut fitted = fitted.environment;
         name.clone_into(&mut fitted.report.source);

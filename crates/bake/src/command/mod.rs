@@ -236,6 +236,7 @@ fn bake_environment(arguments: &EnvironmentArguments, monitor: Monitor) -> anyho
     } = environment::bake(&arguments.input, &image, &options, monitor)
         .with_context(|| arguments.input.display().to_string())?;
     let irradiance_error = curve.last().map_or(0.0, |last| last.irradiance_error);
+    let of_all = irradiance_error * (1.0 - source_light.iter().sum::<f32>());
     let bytes = format::write_environment(&environment)?;
     outputs.check(&files)?;
     write_checked(&arguments.output, &bytes, |bytes| {
@@ -269,7 +270,7 @@ fn bake_environment(arguments: &EnvironmentArguments, monitor: Monitor) -> anyho
         text: format!(
             "{}: {} sources, {} lobes, {} bytes\n{}\
              of the rest: relative L2 error {:.4}, energy error {:.4?}, irradiance error \
-             {irradiance_error:.4}\n{seconds:.1} s\n",
+             {irradiance_error:.4}; of all light: irradiance error {of_all:.4}\n{seconds:.1} s\n",
             arguments.output.display(),
             environment.sources.len(),
             environment.lobes.len(),
@@ -286,6 +287,7 @@ fn bake_environment(arguments: &EnvironmentArguments, monitor: Monitor) -> anyho
             "relative_l2": report.relative_l2,
             "energy_error": report.energy_error,
             "irradiance_error": irradiance_error,
+            "irradiance_error_of_all": of_all,
             "repaired_pixels": report.repaired_pixels,
             "seconds": seconds,
         }),

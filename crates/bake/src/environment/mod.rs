@@ -36,11 +36,20 @@ use solve::{Fit, GLOSS_WEIGHT, Problem, Resolution};
 /// Most lobes that can be asked for: the time grows with the cube.
 pub const MAX_LOBES: usize = 1024;
 
+/// Least lobes that stand for an image, whatever their error.
+pub const LEAST_LOBES: usize = 8;
+
+/// Error of irradiance, over that of the whole image, at which pictures hardly gain by more lobes.
+const ENOUGH: f32 = 0.0035;
+
 /// How to fit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FitOptions {
     /// Number of lobes, 1 to [`MAX_LOBES`]. The fit has fewer where more do not help.
     pub lobes: usize,
+    /// Stop at the first number of lobes, from [`LEAST_LOBES`] on and among those of the curve, with which irradiance is
+    /// off by at most this part of that of the whole image, root mean square; sources count as exact.
+    pub irradiance_error: Option<f32>,
     /// Stop at the first number of lobes, among those of the curve, with at most this
     /// relative L2 error; then `lobes` is the most to try.
     pub max_error: Option<f32>,
@@ -53,8 +62,20 @@ impl Default for FitOptions {
     fn default() -> Self {
         Self {
             lobes: 64,
+            irradiance_error: Some(ENOUGH),
             max_error: None,
             sources: MAX_SOURCES,
+        }
+    }
+}
+
+impl FitOptions {
+    /// As many lobes as this, where more help.
+    pub fn with_lobes(lobes: usize) -> Self {
+        Self {
+            lobes,
+            irradiance_error: None,
+            ..Self::default()
         }
     }
 }
@@ -133,8 +154,15 @@ pub fn fit(image: &LatLong, options: &FitOptions, monitor: Monitor) -> Result<Fi
         )));
     }
     let split = sources::split(image, options.sources);
+    let rest = 1.0 - split.light.iter().sum::<f32>();
+    let is_enough = |rung: &Rung| {
+        let enough = (options.irradiance_error).is_some_and(|most| {
+            rung.allowed >= LEAST_LOBES && rest * rung.irradiance_error <= most
+        });
+        enough || (options.max_error).is_some_and(|most| rung.relative_l2 <= most)
+    };
     let curve = match Problem::new(&split.rest) {
-        Some(problem) => climb(problem, &split.rest, options, monitor)?,
+        Some(problem) => climb(problem, &split.rest, options.lobes, is_enough, monitor)?,
         None => Vec::new(),
     };
     let (lobes, relative_l2, energy_error) = match curve.last() {
@@ -205,12 +233,13 @@ fn rungs(count: usize) -> Vec<usize> {
     rungs
 }
 
-/// Fits with more and more lobes, each from the one before, so that a fit does not depend on
+/// Fits with more and more lobes, up to `most` or until there are enough, each from the one before, so that a fit does not depend on
 /// how many lobes will follow.
 fn climb(
     mut problem: Problem,
     image: &LatLong,
-    options: &FitOptions,
+    most: usize,
+    is_enough: impl Fn(&Rung) -> bool,
     monitor: Monitor,
 ) -> Result<Vec<Rung>, Interrupted> {
     let tell = |part: f64| monitor.step("fitting lobes", part as f32);
@@ -219,17 +248,17 @@ fn climb(
     let mut fit = problem.project(vec![problem.ambient()], Resolution::Coarse);
     fit = problem.refine(&fit, Resolution::Coarse, STEPS_PER_BATCH);
     let mut best = fit.clone();
-    for allowed in rungs(options.lobes) {
+    for allowed in rungs(most) {
         let tell = || {
             // Time grows with the square of the number of lobes or so.
-            tell(0.99 * (allowed as f64 / options.lobes as f64).powi(2))
+            tell(0.99 * (allowed as f64 / most as f64).powi(2))
         };
         fit = improve(&problem, &fit, allowed, tell)?;
         let last = curve.last();
-        let most = last.map_or(f32::INFINITY, |last| last.relative_l2);
+        let most_l2 = last.map_or(f32::INFINITY, |last| last.relative_l2);
         let accept = |fit: &Fit| {
             let rung = measured(image, allowed, lobes(fit));
-            (rung.relative_l2 <= most).then(|| (fit.clone(), rung))
+            (rung.relative_l2 <= most_l2).then(|| (fit.clone(), rung))
         };
         let most_irradiance = last.map_or(f32::INFINITY, |last| {
             IRRADIANCE_GROWTH * last.irradiance_error
@@ -268,11 +297,9 @@ fn climb(
                 rung
             }
         };
-        let reached = options
-            .max_error
-            .is_some_and(|most| rung.relative_l2 <= most);
+        let enough = is_enough(&rung);
         curve.push(rung);
-        if reached {
+        if enough {
             break;
         }
     }
@@ -409,11 +436,29 @@ mod tests {
 
     fn fitted(image: &LatLong, lobes: usize) -> Environment {
         let options = FitOptions {
-            lobes,
-            max_error: None,
             sources: 0,
+            ..FitOptions::with_lobes(lobes)
         };
         fit(image, &options, SILENT).unwrap().environment
+    }
+
+    #[test]
+    fn there_are_as_few_lobes_as_irradiance_takes() {
+        let image = patches();
+        let options = FitOptions::default();
+        let found = fit(&image, &options, SILENT).unwrap();
+        let rest = 1.0 - found.source_light.iter().sum::<f32>();
+        let errors: Vec<f32> = (found.curve.iter())
+            .filter(|rung| rung.allowed >= LEAST_LOBES)
+            .map(|rung| rest * rung.irradiance_error)
+            .collect();
+        let (last, before) = errors.split_last().unwrap();
+        assert!(*last <= ENOUGH && before.iter().all(|error| *error > ENOUGH));
+        assert!(found.environment.lobes.len() < options.lobes);
+        let all = fit(&image, &FitOptions::with_lobes(24), SILENT).unwrap();
+        assert_eq!(all.curve.last().map(|rung| rung.allowed), Some(24));
+        // What is fitted does not depend on where the fit ends.
+        assert_eq!(all.curve[..found.curve.len()], found.curve);
     }
 
     /// Patches, stripes and a small light: nothing that lobes fit exactly.

@@ -655,6 +655,8 @@ fn sources_match_twins(gpu: &mut Gpu) -> Outcome {
 fn local_lights_and_reflections_match_twins(gpu: &mut Gpu) -> Outcome {
     let (width, height) = (160, 120);
     let lights = lights();
+    // As many as are found at a time: light from everywhere, which follows them, is then found alone.
+    let doubled = lights.repeat(2);
     let image = stripes();
     let lamp = LocalLight {
         position: Vec3::new(0.9, 1.4, 0.6),
@@ -689,6 +691,11 @@ fn local_lights_and_reflections_match_twins(gpu: &mut Gpu) -> Outcome {
             reflections: Some(&image),
             rotation: Quat::from_rotation_x(1.0),
             method: Method::Ambient,
+            ..plain.clone()
+        },
+        Frame {
+            lights: &doubled,
+            reflections: Some(&image),
             ..plain.clone()
         },
     ] {

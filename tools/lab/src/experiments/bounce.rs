@@ -2,7 +2,7 @@
 //! what it costs; then under a light that turns.
 
 use glam::Quat;
-use relight_bake::environment::{MAX_SOURCES, hdr};
+use relight_bake::environment::{FitOptions, hdr};
 use relight_bake::files::{Access, Files};
 use relight_bake::scene::{self, load};
 use relight_format::{self as format, Scene};
@@ -16,7 +16,6 @@ use crate::truth::lobes::Visibility;
 use crate::truth::{ALL_BOUNCES, Geometry, Options, full, lobes};
 
 /// Lobes per environment, as `bake environment` fits them by default.
-const LOBES: usize = 64;
 /// Degrees that the light is turned by, for the error and for the film.
 const TURN: f32 = 100.0;
 const FILM: u32 = 6;
@@ -46,7 +45,7 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
     section.text = vec![format!(
         "Errors are relative RMSE, noise removed, of the whole picture against ray tracing with \
          all bounces: of the original image and reflection models (full), and of the same sources and \
-         {LOBES} lobes under exact visibility (lobes). Part alone is the bounced light of the picture less \
+         lobes under exact visibility (lobes). Part alone is the bounced light of the picture less \
          that of the ray tracing, over the mean of the whole picture: what the direct part has \
          no share in. Turned is part alone with the light turned by {TURN} degrees."
     )];
@@ -71,7 +70,7 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
         let bounced = Baked::new(laboratory, name, text, None)?;
         let direct = Baked::new(laboratory, name, text, Some(0))?;
         let image = hdr::load(&bounced.environment)?;
-        let light = Light::of(image, LOBES, MAX_SOURCES, laboratory.monitor)?;
+        let light = Light::of(image, &FitOptions::default(), laboratory.monitor)?;
         let frame = light.frame(camera(&bounced.scene)?);
         let with = laboratory.draw(&bounced.scene, &frame)?;
         let without = laboratory.draw(&direct.scene, &frame)?;

@@ -1,8 +1,8 @@
 //! The whole way, from environment image and reflection model to pixel, against a ray tracer
 //! that knows of no lobes, and what each step of the way costs.
 
+use relight_bake::environment;
 use relight_bake::environment::hdr::LatLong;
-use relight_bake::environment::{self, MAX_SOURCES};
 use relight_bake::measured;
 use relight_format::Scene;
 use relight_runtime::{Frame, twin};
@@ -13,9 +13,6 @@ use super::{Laboratory, METHODS, camera, difference, percent};
 use crate::image_file::Image;
 use crate::truth::lobes::Visibility;
 use crate::truth::{Geometry, Options, SEED, full};
-
-/// Lobes per environment, as `bake environment` fits them by default.
-const LOBES: usize = 64;
 
 /// Times that differences are drawn.
 const DIFFERENCE: f32 = 4.0;
@@ -39,7 +36,7 @@ const ROWS: [(&str, &str, f64); 11] = [
 pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result<()> {
     section.text = vec![format!(
         "Truth here is the original image and the original reflection models, ray-traced. The \
-             three methods have {LOBES} lobes and what the image has beyond them; `lobes alone` is \
+             three methods have as many lobes as `bake environment` fits by default, and what the image has beyond them; `lobes alone` is \
              polar without the latter, to which the steps belong. From truth to that picture lead \
              four, each the relative RMSE between two ray tracings that differ in one thing: lobes \
              in place of the environment; Gaussians in place of reflection models; signed \
@@ -59,6 +56,7 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
             "cells",
             "polar",
             "lobes alone",
+            "lobes",
             "samples per pixel",
             "environment fit",
             "reflection",
@@ -70,7 +68,7 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
         let input = laboratory.input(scene_name)?;
         let tables = full::tables(&input)?;
         let scene = laboratory.scene(scene_name)?;
-        let light = laboratory.light_with_sources(light_name, LOBES, MAX_SOURCES)?;
+        let light = laboratory.default_light(light_name)?;
         let (width, height) = (light.image.width, light.image.height);
         let fitted = environment::render_all(&light.environment, width, height);
         // With random numbers of their own, so that the noise of two differs.
@@ -105,6 +103,7 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
             percent(cells, &truth)?,
             percent(polar, &truth)?,
             percent(&without, &truth)?,
+            light.lobes.len().into(),
             (work.samples as f64 / work.pixels.max(1) as f64).into(),
             percent(&under_lobes, &truth)?,
             percent(&exact, &under_lobes)?,

@@ -1,7 +1,7 @@
 //! How well lobes fit environments, and how many of them it takes.
 
 use rayon::prelude::*;
-use relight_bake::environment::{self, FitOptions, MAX_SOURCES, hdr};
+use relight_bake::environment::{self, FitOptions, hdr};
 
 use super::Laboratory;
 use super::report::{Section, Table};
@@ -53,11 +53,7 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
     // Most of a fit is one thread's work.
     let fits = IMAGES.into_par_iter().map(|(name, path)| {
         let image = hdr::load(&laboratory.settings.data.join("env").join(path))?;
-        let options = FitOptions {
-            lobes: most,
-            sources: MAX_SOURCES,
-            max_error: None,
-        };
+        let options = FitOptions::with_lobes(most);
         let fitted = environment::fit(&image, &options, laboratory.monitor)?;
         Ok((name, fitted))
     });

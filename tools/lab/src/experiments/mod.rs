@@ -201,21 +201,15 @@ impl Light {
     fn new(
         data: &Path,
         name: &str,
-        lobes: usize,
-        sources: usize,
+        options: &FitOptions,
         monitor: Monitor,
     ) -> anyhow::Result<Self> {
         let image = hdr::load(&data.join(known(&ENVIRONMENTS, name)?))?;
-        Self::of(image, lobes, sources, monitor)
+        Self::of(image, options, monitor)
     }
 
-    fn of(image: LatLong, lobes: usize, sources: usize, monitor: Monitor) -> anyhow::Result<Self> {
-        let options = FitOptions {
-            lobes,
-            sources,
-            max_error: None,
-        };
-        let environment = environment::fit(&image, &options, monitor)?.environment;
+    fn of(image: LatLong, options: &FitOptions, monitor: Monitor) -> anyhow::Result<Self> {
+        let environment = environment::fit(&image, options, monitor)?.environment;
         let lobes: Vec<_> = environment.lobes.iter().map(Into::into).collect();
         Ok(Self {
             beyond: Prefiltered::new(&environment.prefiltered, &lobes),
@@ -251,7 +245,7 @@ pub struct Laboratory<'a> {
     renderer: Renderer,
     monitor: Monitor<'a>,
     scenes: BTreeMap<String, Rc<Scene>>,
-    environments: BTreeMap<(String, usize, usize), Rc<Light>>,
+    environments: BTreeMap<(String, Option<usize>), Rc<Light>>,
 }
 
 impl<'a> Laboratory<'a> {
@@ -321,22 +315,28 @@ impl<'a> Laboratory<'a> {
 
     /// One of [`ENVIRONMENTS`], by lobes alone.
     fn light(&mut self, name: &str, lobes: usize) -> anyhow::Result<Rc<Light>> {
-        self.light_with_sources(name, lobes, 0)
+        self.light_of(name, Some(lobes))
     }
 
-    /// One of [`ENVIRONMENTS`], by lobes and at most so many sources.
-    fn light_with_sources(
-        &mut self,
-        name: &str,
-        lobes: usize,
-        sources: usize,
-    ) -> anyhow::Result<Rc<Light>> {
-        let key = (name.to_owned(), lobes, sources);
+    /// One of [`ENVIRONMENTS`], as `bake environment` fits it by default.
+    fn default_light(&mut self, name: &str) -> anyhow::Result<Rc<Light>> {
+        self.light_of(name, None)
+    }
+
+    fn light_of(&mut self, name: &str, lobes: Option<usize>) -> anyhow::Result<Rc<Light>> {
+        let key = (name.to_owned(), lobes);
         if let Some(light) = self.environments.get(&key) {
             return Ok(light.clone());
         }
         let data = &self.settings.data;
-        let light = Rc::new(Light::new(data, name, lobes, sources, self.monitor)?);
+        let options = match lobes {
+            Some(lobes) => FitOptions {
+                sources: 0,
+                ..FitOptions::with_lobes(lobes)
+            },
+            None => FitOptions::default(),
+        };
+        let light = Rc::new(Light::new(data, name, &options, self.monitor)?);
         self.environments.insert(key, light.clone());
         Ok(light)
     }

@@ -13,6 +13,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
+use relight_bake::environment::FitOptions;
 use relight_bake::environment::hdr::LatLong;
 use relight_format::{self as format, Limits, MaterialAsset, Scene, Specular, Surface, Texture};
 use relight_runtime::{LocalLight, Panorama};
@@ -170,7 +171,12 @@ fn bake_plan(qualities: &[Quality]) -> Plan {
 /// The stages of fits of these numbers of lobes: time grows with the square, or a little less.
 fn fit_plan(stages: &[usize]) -> Plan {
     (stages.iter())
-        .map(|lobes| ("fitting lobes", (4.0 + *lobes as f32).powf(1.8)))
+        .map(|lobes| {
+            (
+                "fitting lobes",
+                (4.0 + fit_options(*lobes).lobes as f32).powf(1.8),
+            )
+        })
         .collect()
 }
 
@@ -237,9 +243,21 @@ pub const LIGHT_ENDINGS: [&str; 3] = ["hdr", "exr", "relight"];
 /// The same of materials.
 pub const MATERIAL_ENDINGS: [&str; 3] = ["bsdf", "binary", "relight"];
 
-/// Numbers of lobes of the stages of a fit that ends with `lobes`.
+/// How an image is fitted with so many lobes; 0: as many as it takes.
+pub fn fit_options(lobes: usize) -> FitOptions {
+    match lobes {
+        0 => FitOptions::default(),
+        lobes => FitOptions::with_lobes(lobes),
+    }
+}
+
+/// Numbers of lobes of the stages of a fit that ends with `lobes`, as in [`fit_options`].
 pub fn fit_stages_to(lobes: usize) -> Vec<usize> {
-    let mut stages = vec![DRAFT_LOBES.min(lobes), lobes];
+    let draft = match lobes {
+        0 => DRAFT_LOBES,
+        lobes => DRAFT_LOBES.min(lobes),
+    };
+    let mut stages = vec![draft, lobes];
     stages.dedup();
     stages
 }

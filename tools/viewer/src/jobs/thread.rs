@@ -8,8 +8,8 @@ use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::time::Instant;
 
 use anyhow::Context as _;
+use relight_bake::environment;
 use relight_bake::environment::hdr::{self, LatLong};
-use relight_bake::environment::{self, FitOptions};
 use relight_bake::measured::{Table, fit};
 use relight_bake::monitor::{Interrupted, Monitor, Progress};
 use relight_bake::scene;
@@ -18,8 +18,8 @@ use relight_format::{self as format, Limits};
 use relight_lab::demo;
 
 use super::{
-    Event, FileKind, Kind, Loaded, Plan, Status, Tracker, bake_plan, file_name, fit_plan,
-    panorama_of, surface_of,
+    Event, FileKind, Kind, Loaded, Plan, Status, Tracker, bake_plan, file_name, fit_options,
+    fit_plan, panorama_of, surface_of,
 };
 use crate::state::{Light, Quality};
 
@@ -390,10 +390,7 @@ fn fit_stages(
 ) -> anyhow::Result<()> {
     (context.plan)(fit_plan(stages));
     for (index, lobes) in stages.iter().copied().enumerate() {
-        let options = FitOptions {
-            lobes,
-            ..FitOptions::default()
-        };
+        let options = fit_options(lobes);
         let mut fitted = environment::fit(image, &options, context.monitor)?.environment;
         name.clone_into(&mut fitted.report.source);
         let source = source.map(Path::to_owned);

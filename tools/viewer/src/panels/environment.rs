@@ -27,8 +27,12 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
     ));
     ui.horizontal(|ui| {
         ui.add(
-            egui::Slider::new(&mut viewer.settings.lobes, 1..=256)
+            egui::Slider::new(&mut viewer.settings.lobes, 0..=256)
                 .logarithmic(true)
+                .custom_formatter(|lobes, _| match lobes as usize {
+                    0 => "as it takes".to_owned(),
+                    lobes => lobes.to_string(),
+                })
                 .text("lobes"),
         );
         if ui.button("Fit").clicked() {

@@ -164,6 +164,7 @@ impl<'a> Bake<'a> {
                 placed,
                 chunks,
                 (contours, radiosity),
+                object_diagonal,
                 options,
                 monitor,
             ),

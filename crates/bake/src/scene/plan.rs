@@ -14,7 +14,7 @@ use crate::compress::{self, Compressed, Fit, Fits, Samples};
 use crate::monitor::Interrupted;
 use crate::transfer::compress::ClusterTransfer;
 
-/// What the error aimed at, squared, is worth in bytes per vertex.
+/// What the error aimed at, squared, is worth in bytes per vertex; see `Prepared::counts`.
 const BYTES_PER_ERROR: f32 = 17.5;
 /// Bytes that a texel of a basis image and a coefficient take in a file, about.
 const BASIS_BYTES: f32 = 0.19;
@@ -79,6 +79,10 @@ impl Prepared<'_> {
         let fitted = samples.fitted_of(columns(&members, vertices));
         let basis = compress::analyse(&fitted, max_channels - 1);
         let count = members.len() as f32;
+        let counted: f32 = members
+            .iter()
+            .map(|&place| self.counts[place as usize])
+            .sum();
         let texels = self.options.basis_resolution.pow(2) as f32;
         let tile_bytes =
             CHANNELS_PER_TILE as f32 * (texels * BASIS_BYTES + count * COEFFICIENT_BYTES);
@@ -95,7 +99,7 @@ impl Prepared<'_> {
                 error,
                 tiles,
                 bytes: tiles as f32 * tile_bytes,
-                worth: count * BYTES_PER_ERROR * (error / aim).powi(2),
+                worth: counted * BYTES_PER_ERROR * (error / aim).powi(2),
                 coefficients,
             }
         };

@@ -47,6 +47,12 @@ pub(super) struct Placed {
     ray_offset: f32,
 }
 
+/// Distance of places, in diagonals of the object, below which their errors count by their surface: about that of scans of
+/// a hundred thousand triangles.
+pub(super) const EVEN_SPACING: f32 = 0.004;
+/// Area of a vertex of an even mesh, in squares of its edges.
+const EVEN_AREA: f32 = 0.866;
+
 /// How far from its vertex, in offsets, a place lies at most that has not been moved.
 const MOVED: f32 = 1.5;
 /// Least cosine between normals of places that stand for each other.
@@ -118,6 +124,24 @@ fn spread(
     })
 }
 
+/// Of every place, what its errors count for beside those of one at the ordinary distance from others, `spacing`:
+/// where places lie closer together, they count by their surface.
+fn counts(origins: &[Vec3], triangles: &[[u32; 3]], spacing: f32) -> Vec<f32> {
+    let mut counts = vec![0.0; origins.len()];
+    let ordinary = EVEN_AREA * spacing * spacing;
+    for triangle in triangles {
+        let [a, b, c] = triangle.map(|place| origins[place as usize]);
+        let area = 0.5 * (b - a).cross(c - a).length();
+        for &place in triangle {
+            counts[place as usize] += area / (3.0 * ordinary);
+        }
+    }
+    for count in &mut counts {
+        *count = count.min(1.0);
+    }
+    counts
+}
+
 /// A refined scene with all that sampling and compressing parts of it needs, in any order.
 pub(super) struct Prepared<'a> {
     pub(super) options: Options,
@@ -132,6 +156,8 @@ pub(super) struct Prepared<'a> {
     by_place: Vec<u32>,
     /// The places of every triangle's corners.
     pub(super) triangles: Vec<[u32; 3]>,
+    /// Of every place, what its errors count for.
+    pub(super) counts: Vec<f32>,
     /// Which places are sampled, and at which light is gathered.
     pub(super) sparse: Sparse,
     pub(super) sparse_light: Sparse,
@@ -162,6 +188,7 @@ impl<'a> Prepared<'a> {
         placed: Placed,
         chunks: Vec<Vec<u32>>,
         (contours, radiosity): (ContourMesh, Option<Radiosity>),
+        object_diagonal: f32,
         options: &Options,
         monitor: Monitor<'a>,
     ) -> Self {
@@ -178,7 +205,9 @@ impl<'a> Prepared<'a> {
         } else {
             0
         };
+        let spacing = EVEN_SPACING * object_diagonal;
         Self {
+            counts: counts(&placed.origins, &placed.triangles, spacing),
             options: options.clone(),
             monitor,
             tilts,
@@ -395,5 +424,36 @@ impl<'a> Prepared<'a> {
         let fraction = done as f64 / total as f64;
         self.monitor
             .step("visibility and compression", fraction.min(0.999) as f32)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::cluster::tests::grid;
+
+    /// However fine a mesh is, its errors count as much as those of one as coarse as counts one each.
+    #[test]
+    fn places_close_together_count_by_their_surface() {
+        let sum = |n: u32, spacing: f32| -> (f32, usize) {
+            let (mut origins, triangles) = grid(n, |_, _| 0.0);
+            for origin in &mut origins {
+                *origin *= 12.0 / n as f32;
+            }
+            let counts = counts(&origins, &triangles, spacing);
+            assert!(counts.iter().all(|count| (0.0..=1.0).contains(count)));
+            (counts.iter().sum(), counts.len())
+        };
+        let whole = 144.0 / (EVEN_AREA * 0.25);
+        for n in [48, 96] {
+            let (counted, places) = sum(n, 0.5);
+            assert!(
+                (counted / whole - 1.0).abs() < 0.01,
+                "{counted} of {places}"
+            );
+        }
+        // Where they are further apart, each counts one, but for two corners of one triangle each.
+        let (counted, places) = sum(12, 0.5);
+        assert!(counted > places as f32 - 1.0, "{counted} of {places}");
     }
 }

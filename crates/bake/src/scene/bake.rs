@@ -145,8 +145,8 @@ impl<'a> Bake<'a> {
             basis: Vec::new(),
             transfer: (radiosity.as_ref()).map(|all| all.head(options.transfer.order)),
         };
-        let spacing = options.sample_spacing * object_diagonal;
-        let placed = Placed::new(&mut mesh, &contours, ray_offset, spacing);
+        let spacing = options.sample_spacing;
+        let placed = Placed::new(&mut mesh, &contours, ray_offset, object_diagonal, spacing);
         head.report
             .warnings
             .extend(darkness(&placed, &mesh, &contours));
@@ -164,7 +164,6 @@ impl<'a> Bake<'a> {
                 placed,
                 chunks,
                 (contours, radiosity),
-                object_diagonal,
                 options,
                 monitor,
             ),

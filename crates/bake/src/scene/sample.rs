@@ -41,6 +41,8 @@ pub(super) struct Placed {
     places: Vec<u32>,
     /// The places of every triangle's corners.
     pub(super) triangles: Vec<[u32; 3]>,
+    /// Of every place, what its errors count for.
+    counts: Vec<f32>,
     /// Which of them are sampled, and at which light is gathered.
     sparse: Sparse,
     sparse_light: Sparse,
@@ -63,18 +65,20 @@ const LIGHT_SMOOTH: f32 = 0.6;
 const LIGHT_SPACING: f32 = 2.5;
 
 impl Placed {
-    /// Copies vertices that see different things from different sides. `spacing` of samples is in metres, 0 for
-    /// all places.
+    /// Copies vertices that see different things from different sides. `spacing` of samples is in diagonals of the
+    /// object, 0 for all places.
     pub(super) fn new(
         mesh: &mut Mesh,
         contours: &ContourMesh,
         ray_offset: f32,
+        object_diagonal: f32,
         spacing: f32,
     ) -> Self {
         let triangles = mesh.indices();
         let positions = mesh.positions();
         let places = Places::new(&positions, &triangles, contours.caster(), ray_offset);
         let [sparse, sparse_light] = if spacing > 0.0 {
+            let spacing = spacing * object_diagonal;
             spread(&positions, &triangles, &places, ray_offset, spacing)
         } else {
             [(); 2].map(|()| Sparse::all(places.origins.len()))
@@ -86,7 +90,9 @@ impl Placed {
         for vertex in divided.copied {
             mesh.vertices.push(mesh.vertices[vertex as usize]);
         }
+        let even = EVEN_SPACING * object_diagonal;
         Self {
+            counts: counts(&places.origins, &places.corners, even),
             origins: places.origins,
             places: divided.places,
             triangles: places.corners,
@@ -188,7 +194,6 @@ impl<'a> Prepared<'a> {
         placed: Placed,
         chunks: Vec<Vec<u32>>,
         (contours, radiosity): (ContourMesh, Option<Radiosity>),
-        object_diagonal: f32,
         options: &Options,
         monitor: Monitor<'a>,
     ) -> Self {
@@ -205,9 +210,8 @@ impl<'a> Prepared<'a> {
         } else {
             0
         };
-        let spacing = EVEN_SPACING * object_diagonal;
         Self {
-            counts: counts(&placed.origins, &placed.triangles, spacing),
+            counts: placed.counts,
             options: options.clone(),
             monitor,
             tilts,

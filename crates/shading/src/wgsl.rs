@@ -357,7 +357,7 @@ pub struct Interface {
 /// All of them.
 pub const INTERFACES: &[Interface] = &[
     Interface {
-        what: "where a reflection's lobes and what is seen of textures are: with the invocation, or where passes hand them on",
+        what: "where a reflection's lobes, sums over them and what is seen of textures are: with the invocation, or where passes hand them on",
         names: &[
             "lobes_put",
             "lobes_shape",
@@ -366,6 +366,8 @@ pub const INTERFACES: &[Interface] = &[
             "lobes_reflection",
             "lobes_view",
             "lobes_in_world",
+            "lobes_put_sum",
+            "lobes_sum",
             "surface_texture",
         ],
         files: &["lobes.wgsl", "slots.wgsl"],

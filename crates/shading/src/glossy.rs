@@ -117,18 +117,19 @@ impl<'a> Glossy<'a> {
             ..*light
         };
         let scale = self.color.element_sum();
-        let mut products = [(white, 0.0); MAX_SPECULAR_LOBES];
+        // Each with its integral, and a bound on that times the cosine.
+        let mut products = [(white, 0.0, 0.0); MAX_SPECULAR_LOBES];
         let products = &mut products[..self.shapes.count];
         let (mut all, mut own) = (0.0, 0.0);
-        for (shape, (product, part)) in self.shapes.as_slice().iter().zip(&mut *products) {
+        for (shape, (product, part, shown)) in self.shapes.as_slice().iter().zip(&mut *products) {
             *product = white.product(&SphericalGaussian {
                 amplitude: shape.amplitude * scale,
                 ..*shape
             });
             *part = product.amplitude.x * energy(product.sharpness);
-            let shown = *part * most_cosine(product);
-            all += shown;
-            own += shown * shape.sharpness;
+            *shown = *part * most_cosine(product);
+            all += *shown;
+            own += *shown * shape.sharpness;
         }
         let color = light.amplitude * (self.color / scale);
         if all < LEAST_MASS || negligible(TAIL * all * color, gathered) {
@@ -143,8 +144,7 @@ impl<'a> Glossy<'a> {
         let mut origin = None;
         let (mut used, mut total) = (0.0, Vec3::ZERO);
         let (mut rest, mut squares, mut mean) = (0.0, 0.0, Vec3::ZERO);
-        for &(product, part) in &*products {
-            let shown = part * most_cosine(&product);
+        for &(product, part, shown) in &*products {
             if shown < LEAST_PART * all {
                 continue;
             }

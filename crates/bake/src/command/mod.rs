@@ -229,14 +229,15 @@ fn bake_environment(arguments: &EnvironmentArguments, monitor: Monitor) -> anyho
         ));
     }
     let options = arguments.options();
+    let fitted = environment::bake(&arguments.input, &image, &options, monitor)
+        .with_context(|| arguments.input.display().to_string())?;
+    let of_all = fitted.irradiance_error_of_all();
     let environment::Fitted {
         environment,
         curve,
         source_light,
-    } = environment::bake(&arguments.input, &image, &options, monitor)
-        .with_context(|| arguments.input.display().to_string())?;
+    } = fitted;
     let irradiance_error = curve.last().map_or(0.0, |last| last.irradiance_error);
-    let of_all = irradiance_error * (1.0 - source_light.iter().sum::<f32>());
     let bytes = format::write_environment(&environment)?;
     outputs.check(&files)?;
     write_checked(&arguments.output, &bytes, |bytes| {

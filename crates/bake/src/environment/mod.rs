@@ -47,8 +47,9 @@ const ENOUGH: f32 = 0.0035;
 pub struct FitOptions {
     /// Number of lobes, 1 to [`MAX_LOBES`]. The fit has fewer where more do not help.
     pub lobes: usize,
-    /// Stop at the first number of lobes, from [`LEAST_LOBES`] on and among those of the curve, with which irradiance is
-    /// off by at most this part of that of the whole image, root mean square; sources count as exact.
+    /// Stop at the first number of lobes, from [`LEAST_LOBES`] on and among those of the curve, whose error of irradiance
+    /// times the part of the image's light that is not the sources' is at most this: about the error of the whole image's
+    /// irradiance, root mean square over normals, as sources are exact.
     pub irradiance_error: Option<f32>,
     /// Stop at the first number of lobes, among those of the curve, with at most this
     /// relative L2 error; then `lobes` is the most to try.
@@ -117,6 +118,19 @@ pub struct Fitted {
     pub source_light: Vec<f32>,
 }
 
+impl Fitted {
+    /// Error of irradiance over that of the whole image, as [`FitOptions::irradiance_error`] has it.
+    pub fn irradiance_error_of_all(&self) -> f32 {
+        let last = self.curve.last().map_or(0.0, |last| last.irradiance_error);
+        last * rest_light(&self.source_light)
+    }
+}
+
+/// Part of an image's light that is not its sources'.
+fn rest_light(source_light: &[f32]) -> f32 {
+    1.0 - source_light.iter().sum::<f32>()
+}
+
 /// Fits an image that was loaded from `input`, whose name the report has.
 pub fn bake(
     input: &Path,
@@ -154,7 +168,7 @@ pub fn fit(image: &LatLong, options: &FitOptions, monitor: Monitor) -> Result<Fi
         )));
     }
     let split = sources::split(image, options.sources);
-    let rest = 1.0 - split.light.iter().sum::<f32>();
+    let rest = rest_light(&split.light);
     let is_enough = |rung: &Rung| {
         let enough = (options.irradiance_error).is_some_and(|most| {
             rung.allowed >= LEAST_LOBES && rest * rung.irradiance_error <= most
@@ -447,7 +461,7 @@ mod tests {
         let image = patches();
         let options = FitOptions::default();
         let found = fit(&image, &options, SILENT).unwrap();
-        let rest = 1.0 - found.source_light.iter().sum::<f32>();
+        let rest = rest_light(&found.source_light);
         let errors: Vec<f32> = (found.curve.iter())
             .filter(|rung| rung.allowed >= LEAST_LOBES)
             .map(|rung| rest * rung.irradiance_error)

@@ -51,7 +51,9 @@ pub(super) struct Placed {
 
 /// Distance of places, in diagonals of the object, below which their errors count by their surface: about that of scans of
 /// a hundred thousand triangles.
-pub(super) const EVEN_SPACING: f32 = 0.004;
+const EVEN_SPACING: f32 = 0.004;
+/// Least that errors at a place count for: a small thing in a large scene may be looked at closely.
+const LEAST_COUNT: f32 = 0.2;
 /// Area of a vertex of an even mesh, in squares of its edges.
 const EVEN_AREA: f32 = 0.866;
 
@@ -143,7 +145,7 @@ fn counts(origins: &[Vec3], triangles: &[[u32; 3]], spacing: f32) -> Vec<f32> {
         }
     }
     for count in &mut counts {
-        *count = count.min(1.0);
+        *count = count.clamp(LEAST_COUNT, 1.0);
     }
     counts
 }
@@ -449,13 +451,17 @@ mod tests {
             (counts.iter().sum(), counts.len())
         };
         let whole = 144.0 / (EVEN_AREA * 0.25);
-        for n in [48, 96] {
+        for n in [30, 36] {
             let (counted, places) = sum(n, 0.5);
             assert!(
                 (counted / whole - 1.0).abs() < 0.01,
                 "{counted} of {places}"
             );
         }
+        // However close together they are, something is left of each.
+        let (counted, places) = sum(96, 0.5);
+        let least = LEAST_COUNT * places as f32;
+        assert!((counted / least - 1.0).abs() < 1e-4, "{counted} of {least}");
         // Where they are further apart, each counts one, but for two corners of one triangle each.
         let (counted, places) = sum(12, 0.5);
         assert!(counted > places as f32 - 1.0, "{counted} of {places}");

@@ -29,7 +29,7 @@ fn glossy_begin(light: SphericalGaussian, gathered: vec3<f32>) -> bool {
     let faint = glossy_faint(color, gathered);
     let by_points = glossy_by_points(light.sharpness, whole.y);
     lobes_put_sum(GlossySum(whole.x, faint, by_points, vec3(0.0), 0.0, vec3(0.0), 0.0, 0.0, vec3(0.0)));
-    glossy_lobe = GlossyLobe(vec3(0.0), 0.0, vec3(0.0), 0.0, 0.0);
+    glossy_lobe = GlossyLobe(vec3(0.0), 0.0, vec3(0.0), 0.0, 0.0, 0u);
     return whole.x >= GLOSSY_LEAST_MASS && !all(GLOSSY_TAIL * whole.x * color <= SHADE_NEGLIGIBLE * gathered);
 }
 
@@ -60,13 +60,15 @@ fn glossy_mean_cosine(sharpness: f32, cosine: f32) -> f32 {
     return tables_cosine_integral(sharpness, cosine) / spherical_gaussian_energy(sharpness);
 }
 
-// Of one lobe: its product, the integral of that, what points that look at the model found, and their weight.
+// Of one lobe: its product, what points that look at the model found, and their weight; the product's integral, and how
+// many points look.
 struct GlossyLobe {
     axis: vec3<f32>,
     sharpness: f32,
     sum: vec3<f32>,
     whole: f32,
     part: f32,
+    points: u32,
 }
 
 var<private> glossy_lobe: GlossyLobe;
@@ -93,12 +95,12 @@ fn glossy_add(light: SphericalGaussian, index: u32) {
     if i == 0u {
         let product = glossy_times(light, index / GLOSSY_POINTS);
         let part = product.amplitude.x * spherical_gaussian_energy(product.sharpness);
-        glossy_lobe = GlossyLobe(product.axis, product.sharpness, vec3(0.0), 0.0, part);
+        let shown = part * glossy_most_cosine(product.sharpness, product.axis.z);
+        glossy_lobe = GlossyLobe(product.axis, product.sharpness, vec3(0.0), 0.0, part, glossy_points(shown));
     }
-    let points = glossy_points(glossy_shown());
-    if i < points {
+    if i < glossy_lobe.points {
         glossy_look(i, GLOSSY_EXCESS * spherical_gaussian_energy(light.sharpness));
-        if i + 1u == points {
+        if i + 1u == glossy_lobe.points {
             let by_points = glossy_lobe.sum / max(glossy_lobe.whole, GLOSSY_LEAST_COSINE);
             let scaled = mix(glossy_lobe.part * lobes_color(), by_points, lobes_sum().by_points);
             glossy_join(scaled * glossy_mean_cosine(glossy_lobe.sharpness, glossy_lobe.axis.z));

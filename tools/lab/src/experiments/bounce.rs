@@ -15,7 +15,6 @@ use crate::image_file::Image;
 use crate::truth::lobes::Visibility;
 use crate::truth::{ALL_BOUNCES, Geometry, Options, full, lobes};
 
-/// Lobes per environment, as `bake environment` fits them by default.
 /// Degrees that the light is turned by, for the error and for the film.
 const TURN: f32 = 100.0;
 const FILM: u32 = 6;

@@ -34,17 +34,18 @@ const ROWS: [(&str, &str, f64); 11] = [
 ];
 
 pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result<()> {
-    section.text = vec![format!(
+    section.text = vec![
         "Truth here is the original image and the original reflection models, ray-traced. The \
-             three methods have as many lobes as `bake environment` fits by default, and what the image has beyond them; `lobes alone` is \
-             polar without the latter, to which the steps belong. From truth to that picture lead \
-             four, each the relative RMSE between two ray tracings that differ in one thing: lobes \
-             in place of the environment; Gaussians in place of reflection models; signed \
-             distances at vertices in place of rays; the integrator (polar) in place of random \
-             directions. Steps add up as errors do, which may cancel. `Formerly` is polar of \
-             version 0.1.0 with 32 lobes. Pictures: ambient, polar, four times its \
-             difference from truth, and truth."
-    )];
+         three methods have as many lobes as `bake environment` fits by default, and what the \
+         image has beyond them; `lobes alone` is polar without the latter, to which the steps \
+         belong. From truth to that picture lead four, each the relative RMSE between two ray \
+         tracings that differ in one thing: lobes in place of the environment; Gaussians in place \
+         of reflection models; signed distances at vertices in place of rays; the integrator \
+         (polar) in place of random directions. Steps add up as errors do, which may cancel. \
+         `Formerly` is polar of version 0.1.0 with 32 lobes. Pictures: ambient, polar, four times \
+         its difference from truth, and truth."
+            .to_owned(),
+    ];
     let mut table = Table::new(
         "end-to-end",
         "Relative RMSE of each method against full truth, and of each step, %",

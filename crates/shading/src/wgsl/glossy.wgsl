@@ -90,7 +90,8 @@ fn glossy_shown() -> f32 {
     return glossy_lobe.part * glossy_most_cosine(glossy_lobe.sharpness, glossy_lobe.axis.z);
 }
 
-fn glossy_add(light: SphericalGaussian, index: u32) {
+// The point to go on with is returned.
+fn glossy_add(light: SphericalGaussian, index: u32) -> u32 {
     let i = index % GLOSSY_POINTS;
     if i == 0u {
         let product = glossy_times(light, index / GLOSSY_POINTS);
@@ -106,6 +107,7 @@ fn glossy_add(light: SphericalGaussian, index: u32) {
             glossy_join(scaled * glossy_mean_cosine(glossy_lobe.sharpness, glossy_lobe.axis.z));
         }
     }
+    return index + select(1u, GLOSSY_POINTS - i, i + 1u >= glossy_lobe.points);
 }
 
 // The integral of a product, as one point says that the model makes it: in all at most `most` times the
@@ -165,8 +167,8 @@ fn glossy_reflected(light: SphericalGaussian, gathered: vec3<f32>) -> SphericalG
     if !glossy_begin(light, gathered) {
         return SphericalGaussian(light.axis, light.sharpness, vec3(0.0));
     }
-    for (var i = 0u; i < glossy_count(); i++) {
-        glossy_add(light, i);
+    for (var i = 0u; i < glossy_count();) {
+        i = glossy_add(light, i);
     }
     return glossy_end(light);
 }

@@ -31,12 +31,10 @@ fn products_main(
         }
         if glossy_begin(light, products_gathered(index)) {
             let count = glossy_count();
-            for (var i = 0u; i < count; i++) {
-                glossy_add(light, i);
-                if i + 1u == count {
-                    products_put(place, index, glossy_end(light));
-                }
+            for (var i = 0u; i < count;) {
+                i = glossy_add(light, i);
             }
+            products_put(place, index, glossy_end(light));
         }
     }
     slots_again();

@@ -172,10 +172,10 @@ pub struct SourcePoint {
     pub direction: [f32; 3],
     /// Distance that rays start from the surface, the same for all; metres.
     pub ray_offset: f32,
-    /// Its share of the source's light: ∫ radiance dω, linear Rec.709; zero on the rim. Of a source's first entry, the
-    /// cone around all others: how many rays a group asks for where something is in the way, then zeros.
+    /// Its share of the source's light: ∫ radiance dω, linear Rec.709; zero on the rim.
     pub light: [f32; 3],
-    /// Of a cone, whose axis is the direction: the cosine of its half angle. 0 in others.
+    /// Of a cone, whose axis is the direction: the cosine of its half angle. Of the first on the rim: how many points a group
+    /// has. 0 in others.
     pub cone_cosine: f32,
 }
 

@@ -19,6 +19,7 @@ use relight_format::math;
 use std::f32::consts::FRAC_1_PI;
 use std::sync::Arc;
 
+use bytemuck::Zeroable as _;
 use glam::{Mat3, Vec2, Vec3};
 use relight_format::Environment;
 
@@ -38,34 +39,49 @@ pub const RIM: u32 = 12;
 /// Groups of a source's points.
 pub const GROUPS: u32 = 8;
 
-/// Places of a group: each for a few points that lie side by side. And points of a group.
-pub const LEVELS: [u32; 2] = [8, 32];
+/// Places of a group, at which reflections look: each stands for a few points that lie side by side.
+pub const PLACES: u32 = 8;
 
-/// Points of a source.
-pub const POINTS: u32 = GROUPS * LEVELS[1];
+/// Most points of a group, to which rays go.
+pub const GROUP_POINTS: u32 = 32;
+
+/// Least points of a group: where all else is hidden, the least of sources may be all light there is.
+const LEAST_POINTS: u32 = 4;
+
+/// Points that sources are divided into.
+pub const POINTS: u32 = GROUPS * GROUP_POINTS;
 
 /// Entries of [`Sources::points`] for each source: its cone, its groups' cones, its rim, its groups' places and its
-/// groups' points.
-pub const STRIDE: u32 = FIRST_PLACE + GROUPS * LEVELS[0] + POINTS;
+/// groups' points, behind which are zeros where those are few.
+pub const STRIDE: u32 = FIRST_PLACE + GROUPS * PLACES + POINTS;
 
 /// Of those, the first of groups, of the rim and of places.
 const FIRST_GROUP: u32 = 1;
 const FIRST_RIM: u32 = FIRST_GROUP + GROUPS;
 const FIRST_PLACE: u32 = FIRST_RIM + RIM;
-const FIRST_POINT: u32 = FIRST_PLACE + GROUPS * LEVELS[0];
+const FIRST_POINT: u32 = FIRST_PLACE + GROUPS * PLACES;
 
 /// Place of a group that rays go to second, where those to the first are blocked: the one across the group.
-const SECOND_PLACE: u32 = LEVELS[0] - 1;
+const SECOND_PLACE: u32 = PLACES - 1;
 
-/// Part of all light from which on a source's groups ask for all their points where something is in the way, and not
-/// just for their places.
-const MAIN_SHARE: f32 = 0.125;
+/// Most of all light that one of a source's points stands for, where there may be more of them.
+const POINT_SHARE: f32 = 0.125 / 64.0;
 
-/// A group's radius, over the reflection's roughness at most, radians, at which one place stands for all of it.
-const SMALL: f32 = 0.2;
+/// Radius of a source or of a group of its points, in roughnesses as slopes of the half vector, at which its middle stands
+/// for all of it on the peak of a reflection. Far from there lobes change more slowly, or have nothing left to change.
+const SMALL: f32 = 0.1;
 
-/// The same where there is nothing but a Lambertian base.
+/// Most radius at which its middle stands for all of it, radians.
 const SMALL_DIFFUSE: f32 = 0.15;
+
+/// Least cosine with the normal at which it does.
+const LEAST_COSINE: f32 = 0.2;
+
+/// Most that is raised to a power of e.
+const MOST_EXPONENT: f32 = 80.0;
+
+/// A bit for each group.
+const ALL_GROUPS: u32 = (1 << GROUPS) - 1;
 
 /// Taken from the cosine of a cone's half angle, so that rounding leaves no point outside.
 const CONE_SLACK: f32 = 1e-6;
@@ -90,7 +106,7 @@ const STEP: [u32; 2] = [3_242_174_889, 2_447_445_414];
 pub const SEEN_TEXELS: u32 = (2 + GROUPS).div_ceil(4);
 
 /// Of the word about groups: an app's shadow map takes light away, how much of it says one more word behind the others.
-const SHADOWED: u32 = 1 << (3 * GROUPS);
+const SHADOWED: u32 = 1 << (2 * GROUPS);
 
 /// Of a source and a workgroup's 64 pixels: how many such groups of texels lie side by side in an image.
 pub const SEEN_COLUMNS: u32 = 16;
@@ -125,7 +141,7 @@ impl Sources {
             grid::luminance(lobe.integral().into()).max(0.0)
         });
         let all = lobes.sum::<f32>() + grids.iter().map(|grid| grid.luminance).sum::<f32>();
-        let entries = |grid: &Grid| entries(grid, grid.luminance >= MAIN_SHARE * all);
+        let entries = |grid: &Grid| entries(grid, points_of_group(grid.luminance / all));
         Some(Self {
             points: grids.iter().flat_map(entries).collect(),
             grids: grids.into(),
@@ -191,8 +207,19 @@ impl Sources {
     }
 }
 
-/// The entries of a source, which is among the main ones or not.
-fn entries(grid: &Grid, is_main: bool) -> Vec<gpu::SourcePoint> {
+/// How many points a group has of a source that has a part of all light.
+fn points_of_group(share: f32) -> u32 {
+    let least = (share / (GROUPS as f32 * POINT_SHARE)).ceil() as u32;
+    least.clamp(LEAST_POINTS, GROUP_POINTS).next_power_of_two()
+}
+
+/// How many points a group has of a source.
+fn of_group(all: &[gpu::SourcePoint]) -> u32 {
+    all[FIRST_RIM as usize].cone_cosine as u32
+}
+
+/// The entries of a source whose groups have so many points.
+fn entries(grid: &Grid, of_group: u32) -> Vec<gpu::SourcePoint> {
     let mut points = grid.points();
     let axis = mean(&points).0;
     arrange(&mut points, axis.any_orthonormal_pair().into());
@@ -210,17 +237,19 @@ fn entries(grid: &Grid, is_main: bool) -> Vec<gpu::SourcePoint> {
             ..entry((axis, light))
         }
     };
-    let whole = gpu::SourcePoint {
-        light: [LEVELS[usize::from(is_main)] as f32, 0.0, 0.0],
-        ..cone(&points)
-    };
+    let mut rim: Vec<_> = rim(&points, axis)
+        .map(|direction| entry((direction, Vec3::ZERO)))
+        .collect();
+    rim[0].cone_cosine = of_group as f32;
+    let divided = |parts: u32| points.chunks((GROUP_POINTS / parts) as usize);
     let place = |points: &[(Vec3, Vec3)]| entry(mean(points));
-    let in_group = LEVELS[1] as usize;
-    std::iter::once(whole)
-        .chain(points.chunks(in_group).map(cone))
-        .chain(rim(&points, axis).map(|direction| entry((direction, Vec3::ZERO))))
-        .chain(points.chunks(in_group / LEVELS[0] as usize).map(place))
-        .chain(points.iter().copied().map(entry))
+    std::iter::once(cone(&points))
+        .chain(divided(1).map(cone))
+        .chain(rim)
+        .chain(divided(PLACES).map(place))
+        .chain(divided(of_group).map(place))
+        .chain(std::iter::repeat(gpu::SourcePoint::zeroed()))
+        .take(STRIDE as usize)
         .collect()
 }
 
@@ -233,7 +262,7 @@ fn mean(points: &[(Vec3, Vec3)]) -> (Vec3, Vec3) {
 
 /// Orders points so that every half, every quarter and so on lies side by side, as seen along two axes.
 fn arrange(points: &mut [(Vec3, Vec3)], axes: [Vec3; 2]) {
-    if points.len() <= (LEVELS[1] / LEVELS[0]) as usize {
+    if points.len() < 2 {
         return;
     }
     let extent = |axis: &Vec3| {
@@ -304,7 +333,6 @@ impl Lit<'_> {
             return Vec3::ZERO;
         }
         let wo = point.to_local(point.view);
-        let least_cosine = small_cosine(reflection, wo.z);
         let shown = |source: &gpu::SourcePoint| {
             let wi = point.to_local(source.direction.into());
             if wi.z <= 0.0 {
@@ -313,26 +341,31 @@ impl Lit<'_> {
             let value = diffuse + models::evaluate_specular(reflection, wi, wo);
             Vec3::from(source.light) * (wi.z * value)
         };
+        let is_small = |cone: &gpu::SourcePoint| {
+            let wi = point.to_local(cone.direction.into());
+            is_small(reflection, cone.cone_cosine, wi, wo)
+        };
         let of_source = |(all, seen): (&[gpu::SourcePoint], &Seen)| {
+            if seen.whole == ALL_GROUPS && is_small(&all[0]) {
+                return shown(&all[0]) * (1.0 - seen.hidden);
+            }
             let mut sum = Vec3::ZERO;
+            let points = of_group(all);
             for group in 0..GROUPS {
-                let cone = &all[(FIRST_GROUP + group) as usize];
                 let is_whole = seen.whole & (1 << group) != 0;
-                if is_whole
-                    && cone.cone_cosine >= least_cosine
-                    && point.normal.dot(cone.direction.into()) > SMALL
-                {
-                    sum += shown(cone);
+                if !is_whole && seen.points[group as usize] == 0 {
                     continue;
                 }
-                let (first, mut bits) = match (is_whole, seen.finer) {
-                    (true, _) => (FIRST_PLACE + group * LEVELS[0], (1 << LEVELS[0]) - 1),
-                    (_, false) => (FIRST_PLACE + group * LEVELS[0], seen.points[group as usize]),
-                    (_, true) => (FIRST_POINT + group * LEVELS[1], seen.points[group as usize]),
-                };
-                while bits != 0 {
-                    sum += shown(&all[(first + bits.trailing_zeros()) as usize]);
-                    bits &= bits - 1;
+                let cone = &all[(FIRST_GROUP + group) as usize];
+                if is_small(cone) {
+                    sum += seen.part(group, points) * shown(cone);
+                    continue;
+                }
+                for place in 0..PLACES {
+                    let part = seen.part_of_place(group, points, place);
+                    if part > 0.0 {
+                        sum += part * shown(&all[(FIRST_PLACE + group * PLACES + place) as usize]);
+                    }
                 }
             }
             sum * (1.0 - seen.hidden)
@@ -342,16 +375,31 @@ impl Lit<'_> {
     }
 }
 
-/// The least cosine of half the angle of a cone at one place of which a reflection's value stands for all of it, seen
-/// at the cosine `view` with the normal.
-fn small_cosine(reflection: &Reflection, view: f32) -> f32 {
-    let alpha = reflection.alpha.min_element();
-    let radius = match reflection.model {
-        Model::None => SMALL_DIFFUSE,
-        model if model.has_exponent() => SMALL * view * (2.0 / alpha).sqrt(),
-        _ => SMALL * view * alpha,
-    };
-    1.0 - 0.5 * radius * radius
+/// Whether what is reflected from one direction of a cone, its axis `wi`, stands for all of it.
+fn is_small(reflection: &Reflection, cosine: f32, wi: Vec3, wo: Vec3) -> bool {
+    let radius_squared = 2.0 * (1.0 - cosine);
+    if wi.z <= LEAST_COSINE || radius_squared > SMALL_DIFFUSE * SMALL_DIFFUSE {
+        return false;
+    }
+    if reflection.model == Model::None {
+        return true;
+    }
+    let half = (wi + wo).normalize();
+    let mut alpha = reflection.alpha;
+    if reflection.model.has_exponent() {
+        alpha = (2.0 / alpha).map(f32::sqrt);
+    }
+    // In roughnesses, as slopes of the half vector: how far the lobe's peak is, the radius of the cone, and how near it
+    // comes to the peak.
+    let away = (half.truncate() / (alpha * half.z)).length();
+    let radius =
+        radius_squared.sqrt() / (2.0 * half.dot(wo) * half.z * half.z * alpha.min_element());
+    let near = (away - radius).max(0.0);
+    if reflection.model == Model::Ggx {
+        return radius * radius <= SMALL * SMALL * (1.0 + near * near);
+    }
+    let most = SMALL * SMALL * math::exp((near * near).min(MOST_EXPONENT));
+    radius * radius * (1.0 + 4.0 * away * away) <= most
 }
 
 /// The constants of this module, as WGSL.
@@ -360,8 +408,7 @@ pub fn wgsl_constants() -> String {
         ("MAX_SOURCES", MAX_SOURCES),
         ("SOURCE_RIM", RIM),
         ("SOURCE_GROUPS", GROUPS),
-        ("SOURCE_PLACES", LEVELS[0]),
-        ("SOURCE_GROUP_POINTS", LEVELS[1]),
+        ("SOURCE_PLACES", PLACES),
         ("SOURCE_SECOND_PLACE", SECOND_PLACE),
         ("SOURCE_STRIDE", STRIDE),
         ("SOURCE_FIRST_GROUP", FIRST_GROUP),
@@ -373,6 +420,7 @@ pub fn wgsl_constants() -> String {
         ("SOURCE_SEEN_COLUMNS", SEEN_COLUMNS),
         ("SOURCE_TURN", seen::TURN),
         ("SOURCE_QUARTER", seen::QUARTER),
+        ("SOURCE_ALL_GROUPS", ALL_GROUPS),
     ];
     let constants = counts.map(|(name, count)| format!("const {name}: u32 = {count}u;\n"));
     constants.concat()
@@ -381,6 +429,8 @@ pub fn wgsl_constants() -> String {
          const SOURCE_OWN: f32 = {OWN:?};\n\
          const SOURCE_SMALL: f32 = {SMALL:?};\n\
          const SOURCE_SMALL_DIFFUSE: f32 = {SMALL_DIFFUSE:?};\n\
+         const SOURCE_LEAST_COSINE: f32 = {LEAST_COSINE:?};\n\
+         const SOURCE_MOST_EXPONENT: f32 = {MOST_EXPONENT:?};\n\
          const SOURCE_STEP: vec2<u32> = vec2({}u, {}u);\n",
             STEP[0], STEP[1],
         )
@@ -480,12 +530,14 @@ mod tests {
         assert_eq!(sources.count(), 2);
         let all = sources.points().chunks(STRIDE as usize);
         for (all, light) in all.zip(light(&environment)) {
-            let parts = [FIRST_GROUP, FIRST_RIM, FIRST_PLACE, FIRST_POINT, STRIDE];
+            let parts = [0, FIRST_GROUP, FIRST_RIM, FIRST_PLACE, FIRST_POINT, STRIDE];
             let parts = parts.map(|part| part as usize);
-            let [groups, rim, places, points] =
-                [0, 1, 2, 3].map(|part| &all[parts[part]..parts[part + 1]]);
+            let [whole, groups, rim, places, points] =
+                [0, 1, 2, 3, 4].map(|part| &all[parts[part]..parts[part + 1]]);
+            let of_group = of_group(all);
+            let points = &points[..(GROUPS * of_group) as usize];
             assert!(rim.iter().all(|probe| probe.light == [0.0; 3]));
-            for level in [groups, places, points] {
+            for level in [whole, groups, places, points] {
                 let sum: Vec3 = level.iter().map(|point| Vec3::from(point.light)).sum();
                 let error = (sum - light).abs();
                 assert!(error.cmple(1e-5 * light).all(), "{sum} for {light}");
@@ -500,9 +552,9 @@ mod tests {
             };
             holds(&all[0], points);
             holds(&all[0], rim);
-            let of_groups = points.chunks(LEVELS[1] as usize);
+            let of_groups = points.chunks(of_group as usize);
             for ((group, points), places) in
-                (groups.iter().zip(of_groups)).zip(places.chunks(LEVELS[0] as usize))
+                (groups.iter().zip(of_groups)).zip(places.chunks(PLACES as usize))
             {
                 holds(group, points);
                 holds(group, places);
@@ -520,22 +572,24 @@ mod tests {
         let mut environment = environment();
         let asked = |environment: &Environment| {
             let sources = Sources::new(environment).unwrap();
-            let firsts = sources.points().iter().step_by(STRIDE as usize);
-            firsts
-                .map(|first| first.light[0] as u32)
+            let rims = sources.points()[FIRST_RIM as usize..].iter();
+            rims.step_by(STRIDE as usize)
+                .map(|first| first.cone_cosine as u32)
                 .collect::<Vec<_>>()
         };
-        let [some, all] = LEVELS;
-        assert_eq!(asked(&environment), [all, some]);
+        let [few, all] = [LEAST_POINTS, GROUP_POINTS];
+        assert_eq!(asked(&environment), [all, few]);
         environment.source_texels[320] = [1e8; 3];
-        assert_eq!(asked(&environment), [some, all]);
+        assert_eq!(asked(&environment), [few, all]);
         environment.lobes.push(relight_format::Lobe {
             axis: [0.0, 1.0, 0.0],
             sharpness: 1.0,
             amplitude: [1e8; 3],
             reserved: 0.0,
         });
-        assert_eq!(asked(&environment), [some, some]);
+        assert_eq!(asked(&environment), [few, few]);
+        let shares = [0.0, 0.04, 0.1, 0.2, 0.3, 1.0];
+        assert_eq!(shares.map(points_of_group), [4, 4, 8, 16, 32, 32]);
     }
 
     #[test]
@@ -585,6 +639,59 @@ mod tests {
             println!("{found} for {expected}");
             assert!(error < QUADRATURE_TOLERANCE, "{error}");
         }
+    }
+
+    /// The widest cones whose middle stands for them reflect what their middle does.
+    #[test]
+    fn middles_of_small_cones_reflect_as_much_as_all_of_them() {
+        let mut wide = 0;
+        for (model, x, y) in [
+            (Model::Ggx, 0.1, 0.1),
+            (Model::Ggx, 0.15, 0.5),
+            (Model::Ward, 0.15, 0.3),
+            (Model::CookTorrance, 0.1, 0.1),
+            (Model::BlinnPhong, 200.0, 200.0),
+            (Model::AshikhminShirley, 0.1, 0.2),
+        ] {
+            let reflection = Reflection::new(model, Vec3::ONE, Vec2::new(x, y));
+            for (view, azimuth) in [(0.2f32, 0.0f32), (0.9, 0.7), (0.95, 2.0), (0.5, 1.2)] {
+                let (sin, cos) = math::sin_cos(azimuth);
+                let wo = (Vec2::new(cos, sin) * (1.0 - view * view).sqrt()).extend(view);
+                let value = |wi: Vec3| wi.z * models::evaluate_specular(&reflection, wi, wo).x;
+                let peak = value(Vec3::new(-wo.x, -wo.y, wo.z));
+                for index in 0..400u32 {
+                    let wi = local(index);
+                    let cosine = |radius: f32| 1.0 - 0.5 * radius * radius;
+                    let radii = (1..15).rev().map(|step| 0.01 * step as f32);
+                    let mut small =
+                        radii.filter(|radius| is_small(&reflection, cosine(*radius), wi, wo));
+                    let Some(radius) = small.next() else {
+                        continue;
+                    };
+                    wide += u32::from(radius > 0.1);
+                    let (u, v) = wi.any_orthonormal_pair();
+                    let around = |step: u32| {
+                        let away = radius * ((step as f32 + 0.5) / 64.0).sqrt();
+                        let (sin, cos) = math::sin_cos(2.399_963_2 * step as f32);
+                        value((wi + away * (cos * u + sin * v)).normalize())
+                    };
+                    let mean = (0..64).map(around).sum::<f32>() / 64.0;
+                    let error = (value(wi) - mean).abs() / (mean + 0.1 * peak);
+                    assert!(
+                        error < 0.04,
+                        "{model:?} {x} {y} {wo} {wi} {radius}: {error}"
+                    );
+                }
+            }
+        }
+        assert!(wide > 1000, "{wide}");
+    }
+
+    /// Directions all over the hemisphere.
+    fn local(index: u32) -> Vec3 {
+        let z = (index as f32 + 0.5) / 400.0;
+        let (sin, cos) = math::sin_cos(2.399_963_2 * index as f32);
+        (Vec2::new(cos, sin) * (1.0 - z * z).sqrt()).extend(z)
     }
 
     #[test]

@@ -10,8 +10,8 @@
 use glam::{Vec2, Vec3};
 
 use super::{
-    FIRST_PLACE, FIRST_POINT, FIRST_RIM, GROUPS, LEVELS, LONGEST_SIDE, Lit, OWN, Pixel, RIM,
-    SECOND_PLACE, STEP, STRIDE,
+    ALL_GROUPS, FIRST_PLACE, FIRST_POINT, FIRST_RIM, GROUPS, LONGEST_SIDE, Lit, OWN, PLACES, Pixel,
+    RIM, SECOND_PLACE, STEP, STRIDE, of_group,
 };
 use crate::camera::View;
 use crate::gpu;
@@ -29,16 +29,28 @@ pub(super) const QUARTER: u32 = 0x1111_1111;
 pub struct Seen {
     /// A bit for each group: all of it.
     pub(super) whole: u32,
-    /// Whether `points` are points, and not places.
-    pub(super) finer: bool,
-    /// Of every group that is not seen whole, a bit for each of its places or points.
+    /// Of every group that is not seen whole, a bit for each of its points.
     pub(super) points: [u32; GROUPS as usize],
     /// Part of its light that an app's shadow map takes away.
     pub(super) hidden: f32,
 }
 
 impl Seen {
-    /// The places or points of a group, of which there are those in `all`.
+    /// The part of a group of so many points that is seen.
+    pub(super) fn part(&self, group: u32, of_group: u32) -> f32 {
+        let points = self.of_group(group, u32::MAX >> (32 - of_group));
+        points.count_ones() as f32 / of_group as f32
+    }
+
+    /// The part of one of its places that is seen.
+    pub(super) fn part_of_place(&self, group: u32, of_group: u32, place: u32) -> f32 {
+        let of_place = (of_group / PLACES).max(1);
+        let all = u32::MAX >> (32 - of_place);
+        let points = self.of_group(group, u32::MAX) >> (place * of_group / PLACES);
+        (points & all).count_ones() as f32 / of_place as f32
+    }
+
+    /// The points of a group, of which there are those in `all`.
     fn of_group(&self, group: u32, all: u32) -> u32 {
         if self.whole & (1 << group) != 0 {
             all
@@ -151,6 +163,12 @@ impl Look<'_> {
             return Seen::default();
         }
         let from = self.meet(0, 0);
+        if from.is_none() && self.is_cone_above(0) {
+            return Seen {
+                whole: ALL_GROUPS,
+                ..Seen::default()
+            };
+        }
         let confirmed = match from {
             Some(from) if !near.is_empty() => self.confirmed(near, turn, from),
             _ => None,
@@ -158,32 +176,21 @@ impl Look<'_> {
         confirmed.unwrap_or_else(|| self.all_points(from))
     }
 
-    /// The entry of a group's first place or point, and a bit for each of them.
+    /// The entry of a group's first point, and a bit for each of them.
     fn group(&self, group: u32) -> (u32, u32) {
-        let of_group = self.all[0].light[0] as u32;
-        let first = if self.is_fine() {
-            FIRST_POINT
-        } else {
-            FIRST_PLACE
-        };
-        (first + group * of_group, u32::MAX >> (32 - of_group))
-    }
-
-    /// Whether it is asked for its points, and not just for places.
-    fn is_fine(&self) -> bool {
-        self.all[0].light[0] as u32 > LEVELS[0]
+        let of_group = of_group(self.all);
+        (FIRST_POINT + group * of_group, u32::MAX >> (32 - of_group))
     }
 
     /// What the pixels about this one agree on and rays do not contradict, with rays to what they disagree about.
     fn confirmed(&mut self, near: &[&Seen], turn: u32, from: u32) -> Option<Seen> {
-        let of_group = |group: u32, all: u32| {
-            let seen = near.iter().map(|near| near.of_group(group, all));
-            seen.fold((all, 0), |(common, any), bits| (common & bits, any | bits))
-        };
+        let mut seen = Seen::default();
         for group in 0..GROUPS {
             let (_, all) = self.group(group);
-            let (common, any) = of_group(group, all);
-            let mut asked = tried(common, turn) | tried(all & !any, turn);
+            let of_group = near.iter().map(|near| near.of_group(group, all));
+            let (common, any) =
+                of_group.fold((all, 0), |(common, any), bits| (common & bits, any | bits));
+            let mut asked = tried(common, turn) | (any & !common) | tried(all & !any, turn);
             let mut met = Some(from);
             if common == all {
                 met = self.meet(1 + group, from).and(met);
@@ -194,19 +201,11 @@ impl Look<'_> {
                     all & (QUARTER << (turn % 4))
                 };
             }
-            let found = self.rays(group, asked, met);
-            if found.seen & !common != 0 || found.hidden & common != 0 {
+            let found = self.told(group, asked, met);
+            if found.seen & !any != 0 || found.hidden & common != 0 {
                 return None;
             }
-        }
-        let mut seen = Seen {
-            finer: self.is_fine(),
-            ..Seen::default()
-        };
-        for group in 0..GROUPS {
-            let (_, all) = self.group(group);
-            let (common, any) = of_group(group, all);
-            let bits = common | self.rays(group, any & !common, Some(from)).seen;
+            let bits = common | found.seen;
             seen.whole |= u32::from(bits == all) << group;
             seen.points[group as usize] = bits;
         }
@@ -220,7 +219,6 @@ impl Look<'_> {
         if from.is_some() && probed == 0 {
             return seen;
         }
-        seen.finer = self.is_fine();
         for group in 0..GROUPS {
             // A first ray that was blocked has told.
             let mut met = from;
@@ -234,7 +232,7 @@ impl Look<'_> {
                 continue;
             }
             let (_, all) = self.group(group);
-            let found = self.rays(group, all, met);
+            let found = self.told(group, all, met);
             seen.whole |= u32::from(found.seen != 0 && found.hidden == 0) << group;
             seen.points[group as usize] = found.seen;
         }
@@ -242,10 +240,10 @@ impl Look<'_> {
     }
 
     /// Whether anything of the source is visible: the first place of each group, a bit each, and where all of those are
-    /// hidden, a second one and the rim.
+    /// hidden, a second one and, of a source of many points, the rim.
     fn probe(&mut self, from: u32) -> u32 {
         let mut found = 0;
-        for step in 0..2 * GROUPS + RIM {
+        for step in 0..probes(of_group(self.all)) {
             if step >= GROUPS && found != 0 {
                 break;
             }
@@ -256,7 +254,24 @@ impl Look<'_> {
         found
     }
 
-    /// Sends rays to places or points of a group, a bit each.
+    /// What is seen of points of a group, a bit each: of the most that a group has, a quarter tells for all of them where
+    /// all of that says the same.
+    fn told(&mut self, group: u32, asked: u32, from: Option<u32>) -> Found {
+        if asked != u32::MAX {
+            return self.rays(group, asked, from);
+        }
+        let mut found = self.rays(group, QUARTER, from);
+        if found.hidden == 0 && found.seen != 0 {
+            found.seen = asked;
+        } else if found.seen != 0 {
+            let others = self.rays(group, !QUARTER, from);
+            found.seen |= others.seen;
+            found.hidden |= others.hidden;
+        }
+        found
+    }
+
+    /// Sends rays to points of a group, a bit each.
     fn rays(&mut self, group: u32, asked: u32, from: Option<u32>) -> Found {
         let (first, _) = self.group(group);
         let mut found = Found::default();
@@ -325,7 +340,7 @@ impl Look<'_> {
     }
 }
 
-/// What rays to a group have told: a bit for each place or point that is above the horizon.
+/// What rays to a group have told: a bit for each point that is above the horizon.
 #[derive(Clone, Copy, Debug, Default)]
 struct Found {
     seen: u32,
@@ -339,6 +354,11 @@ fn tried(bits: u32, turn: u32) -> u32 {
     bits & bits.wrapping_neg()
 }
 
+/// How many rays tell whether anything of a source is visible.
+fn probes(of_group: u32) -> u32 {
+    2 * GROUPS + if of_group < PLACES { 0 } else { RIM }
+}
+
 /// Entry and place in the pixel of what tells whether anything of a source is visible.
 fn probe(step: u32) -> (u32, Vec2) {
     if step >= 2 * GROUPS {
@@ -346,7 +366,7 @@ fn probe(step: u32) -> (u32, Vec2) {
     }
     let (group, round) = (step % GROUPS, step / GROUPS);
     let of_group = round * SECOND_PLACE;
-    let entry = FIRST_PLACE + group * LEVELS[0] + of_group;
+    let entry = FIRST_PLACE + group * PLACES + of_group;
     (entry, place(of_group * GROUPS + group))
 }
 
@@ -374,7 +394,7 @@ mod tests {
     use super::*;
     use crate::occluders::{Node, Occluders};
     use crate::pixel_visibility::{PIXELS, Place, SIDE};
-    use crate::sources::Sources;
+    use crate::sources::{GROUP_POINTS, Sources};
     use crate::surface::{Appearance, local_point};
     use relight_format::{Environment, Source};
 
@@ -439,7 +459,7 @@ mod tests {
         let mut rays = [0; 2];
         let part = |seen: &[Seen]| {
             let points = |group| seen[0].of_group(group, u32::MAX).count_ones();
-            (0..GROUPS).map(points).sum::<u32>() as f32 / (GROUPS * LEVELS[1]) as f32
+            (0..GROUPS).map(points).sum::<u32>() as f32 / (GROUPS * GROUP_POINTS) as f32
         };
         let alone = points
             .iter()

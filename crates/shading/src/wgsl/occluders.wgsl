@@ -1,36 +1,29 @@
 // Twin of occluders.rs.
 
-// A walk along a ray: the next node, and what is left of a leaf's triangles.
+// A walk through the hierarchy: the next node, and what is left of a leaf's triangles.
 struct OccludersWalk {
     node: u32,
     triangle: u32,
     last: u32,
-    blocked: bool,
+    met: bool,
 }
 
 // Whether anything lies on the ray more than `nearest` lengths of its direction in front of its origin; all that does is
-// known to be in the node `first` and those behind it. Eight steps at a time: software GPUs
-// bound the iterations of a shader's loops, all together.
+// known to be in the node `first` and those behind it. Three nodes for each triangle, which rays meet about as often;
+// and eight steps at a time: software GPUs bound the iterations of a shader's loops, all together.
 fn occluders_block(first: u32, origin: vec3<f32>, direction: vec3<f32>, nearest: f32) -> bool {
     let least = vec3(OCCLUDERS_LEAST_COMPONENT);
     let inverse = 1.0 / select(direction, least, abs(direction) < least);
     let end = arrayLength(&occluder_nodes);
     var walk = OccludersWalk(first, 0u, 0u, false);
-    while !walk.blocked && (walk.node < end || walk.triangle < walk.last) {
-        walk = occluders_step(walk, end, origin, direction, inverse, nearest);
-        walk = occluders_step(walk, end, origin, direction, inverse, nearest);
-        walk = occluders_step(walk, end, origin, direction, inverse, nearest);
-        walk = occluders_step(walk, end, origin, direction, inverse, nearest);
-        walk = occluders_step(walk, end, origin, direction, inverse, nearest);
-        walk = occluders_step(walk, end, origin, direction, inverse, nearest);
-        walk = occluders_step(walk, end, origin, direction, inverse, nearest);
-        walk = occluders_step(walk, end, origin, direction, inverse, nearest);
+    while !walk.met && (walk.node < end || walk.triangle < walk.last) {
+        walk = occluders_steps(walk, end, origin, direction, inverse, nearest);
+        walk = occluders_steps(walk, end, origin, direction, inverse, nearest);
     }
-    return walk.blocked;
+    return walk.met;
 }
 
-// A triangle or a node further.
-fn occluders_step(
+fn occluders_steps(
     walk: OccludersWalk,
     end: u32,
     origin: vec3<f32>,
@@ -38,29 +31,37 @@ fn occluders_step(
     inverse: vec3<f32>,
     nearest: f32,
 ) -> OccludersWalk {
-    var next = walk;
-    if walk.blocked {
-        return next;
-    }
-    if walk.triangle < walk.last {
-        next.blocked = occluders_meet(walk.triangle, origin, direction, nearest);
+    var next = occluders_step(walk, end, origin, inverse);
+    next = occluders_step(next, end, origin, inverse);
+    next = occluders_step(next, end, origin, inverse);
+    if !next.met && next.triangle < next.last {
+        next.met = occluders_meet(next.triangle, origin, direction, nearest);
         next.triangle++;
-    } else if walk.node < end {
-        let node = occluder_nodes[walk.node];
-        let a = (node.low - origin) * inverse;
-        let b = (node.high - origin) * inverse;
-        let near = min(a, b);
-        let far = max(a, b);
-        let enter = max(max(max(near.x, near.y), near.z), 0.0);
-        if enter > min(min(far.x, far.y), far.z) {
-            next.node = node.next;
-        } else {
-            next.node++;
-            next.triangle = node.triangles >> OCCLUDERS_COUNT_BITS;
-            next.last = next.triangle + (node.triangles & OCCLUDERS_MAX_TRIANGLES);
-        }
     }
     return next;
+}
+
+// A node further, unless there are triangles before it.
+fn occluders_step(walk: OccludersWalk, end: u32, origin: vec3<f32>, inverse: vec3<f32>) -> OccludersWalk {
+    if walk.met || walk.triangle < walk.last || walk.node >= end {
+        return walk;
+    }
+    let node = occluder_nodes[walk.node];
+    let a = (node.low - origin) * inverse;
+    let b = (node.high - origin) * inverse;
+    let near = min(a, b);
+    let far = max(a, b);
+    let enter = max(max(max(near.x, near.y), near.z), 0.0);
+    if enter > min(min(far.x, far.y), far.z) {
+        return OccludersWalk(node.next, 0u, 0u, false);
+    }
+    return occluders_enter(walk.node, node.triangles);
+}
+
+// Into a node.
+fn occluders_enter(node: u32, triangles: u32) -> OccludersWalk {
+    let first = triangles >> OCCLUDERS_COUNT_BITS;
+    return OccludersWalk(node + 1u, first, first + (triangles & OCCLUDERS_MAX_TRIANGLES), false);
 }
 
 // Möller & Trumbore 1997.
@@ -93,44 +94,51 @@ fn occluders_meet_cone(
     axis: vec3<f32>,
     cosine: f32,
 ) -> u32 {
-    let sine = sqrt(max(1.0 - cosine * cosine, 0.0));
-    let cut = radius * cosine / max(sine, OCCLUDERS_LEAST_SINE);
     let end = arrayLength(&occluder_nodes);
-    var place = first;
-    var met = cosine <= 0.0;
-    while place < end && !met {
-        let node = occluder_nodes[place];
-        let middle = 0.5 * (node.low + node.high) - origin;
-        let around = 0.5 * length(node.high - node.low);
-        let along = dot(axis, middle);
-        let across = sqrt(max(dot(middle, middle) - along * along, 0.0));
-        let outside = (across - radius) * cosine - along * sine;
-        let highest = dot(face, middle) + 0.5 * dot(abs(face), node.high - node.low);
-        if outside > around || along < -around || highest <= 0.0 {
-            place = node.next;
-        } else {
-            met = occluders_leaf_meets_cone(node.triangles, origin, cut, face, axis, cosine);
-            place += select(1u, 0u, met);
+    if cosine <= 0.0 {
+        return first;
+    }
+    var walk = OccludersWalk(first, 0u, 0u, false);
+    while !walk.met && (walk.node < end || walk.triangle < walk.last) {
+        walk = occluders_cone_step(walk, end, origin, radius, face, axis, cosine);
+        if walk.triangle < walk.last {
+            let cut = radius * cosine / max(occluders_sine(cosine), OCCLUDERS_LEAST_SINE);
+            walk.met = occluders_triangle_meets_cone(walk.triangle, origin, cut, face, axis, cosine);
+            walk.triangle++;
         }
     }
-    return select(OCCLUDERS_NONE, place, met);
+    // The leaf, behind which the walk would have gone on.
+    return select(OCCLUDERS_NONE, walk.node - 1u, walk.met);
 }
 
-fn occluders_leaf_meets_cone(
-    leaf: u32,
+fn occluders_sine(cosine: f32) -> f32 {
+    return sqrt(max(1.0 - cosine * cosine, 0.0));
+}
+
+// A node further, unless there are triangles before it.
+fn occluders_cone_step(
+    walk: OccludersWalk,
+    end: u32,
     origin: vec3<f32>,
-    cut: f32,
+    radius: f32,
     face: vec3<f32>,
     axis: vec3<f32>,
     cosine: f32,
-) -> bool {
-    let first = leaf >> OCCLUDERS_COUNT_BITS;
-    let last = first + (leaf & OCCLUDERS_MAX_TRIANGLES);
-    var met = false;
-    for (var i = first; i < last && !met; i++) {
-        met = occluders_triangle_meets_cone(i, origin, cut, face, axis, cosine);
+) -> OccludersWalk {
+    if walk.triangle < walk.last || walk.node >= end {
+        return walk;
     }
-    return met;
+    let node = occluder_nodes[walk.node];
+    let middle = 0.5 * (node.low + node.high) - origin;
+    let around = 0.5 * length(node.high - node.low);
+    let along = dot(axis, middle);
+    let across = sqrt(max(dot(middle, middle) - along * along, 0.0));
+    let outside = (across - radius) * cosine - along * occluders_sine(cosine);
+    let highest = dot(face, middle) + 0.5 * dot(abs(face), node.high - node.low);
+    if outside > around || along < -around || highest <= 0.0 {
+        return OccludersWalk(node.next, 0u, 0u, false);
+    }
+    return occluders_enter(walk.node, node.triangles);
 }
 
 // A cone meets a triangle that its axis hits, or an edge of which enters it; its first part, of length

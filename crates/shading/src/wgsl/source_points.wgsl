@@ -5,6 +5,11 @@ fn sources_entry(source: u32) -> u32 {
     return (frame_index * frames[frame_index].source_count + source) * SOURCE_STRIDE;
 }
 
+// How many points a group of a source has.
+fn sources_of_group(entry: u32) -> u32 {
+    return u32(source_points[entry + SOURCE_FIRST_RIM].cone_cosine);
+}
+
 // Where source_seen has a source as a workgroup's pixels see it.
 fn sources_seen_row(workgroup: u32, source: u32) -> u32 {
     return workgroup * frames[frame_index].source_count + source;
@@ -13,8 +18,7 @@ fn sources_seen_row(workgroup: u32, source: u32) -> u32 {
 // The first texel of a pixel: a word about its groups, one bit of each byte for each of them; then of every group that is
 // seen in part a word of bits. The other texels are written where those have any.
 //
-// Bits of the lowest byte: all of the group is seen; of the next: part of it; of the third: which are points,
-// and not places. SOURCE_SHADOWED: behind the groups' words is one more, the part of the light that an app's shadow map
+// Bits of the lowest byte: all of the group is seen; of the next: part of it. SOURCE_SHADOWED: behind the groups' words is one more, the part of the light that an app's shadow map
 // takes away.
 //
 // Pixels are numbered among so many: all of a tile, or those of its coarse grid.

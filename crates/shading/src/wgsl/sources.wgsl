@@ -122,8 +122,10 @@ var<workgroup> sources_seen: array<u32, 64u * 4u * SOURCE_SEEN_TEXELS>;
 // Its last word, which holds nothing else, is the pixel's number in the tile and, behind those six bits, the source's
 // row in source_seen.
 const SOURCES_PIXEL: u32 = 4u * SOURCE_SEEN_TEXELS - 1u;
-// The one before: places or points that rays will be sent to, where pixels take from others.
+// The one before: points that rays will be sent to, where pixels take from others.
 const SOURCES_ASKED: u32 = 4u * SOURCE_SEEN_TEXELS - 2u;
+// And those that no other pixel sees, where later is what an app's shadow map takes away.
+const SOURCES_NONE: u32 = 1u + SOURCE_GROUPS;
 // From where rays start, there for the same reason: the pixel's centre on the surface, and the triangle's normal; behind
 // each a coordinate of the way there from where the surface was met, pixels.
 var<workgroup> sources_starts: array<vec4<f32>, 128>;
@@ -178,12 +180,11 @@ fn sources_above(entry: u32, normal: vec3<f32>) -> bool {
     return above;
 }
 
-// What is done, one after the other. First what is in the way of the whole source. For pixels that take from others: what
-// rays tell of what those agree on, and what they do not agree on, group by group. For others, and where those were
+// What is done, one after the other. First what is in the way of the whole source. For pixels that take from others: rays
+// to what those do not agree on, and some to what they agree on, group by group. For others, and where those were
 // contradicted: whether any of the source is seen, then points, group by group.
 const SOURCES_TRY: u32 = 1u;
-const SOURCES_REST: u32 = SOURCES_TRY + SOURCE_GROUPS;
-const SOURCES_PROBE: u32 = SOURCES_REST + SOURCE_GROUPS;
+const SOURCES_PROBE: u32 = SOURCES_TRY + SOURCE_GROUPS;
 const SOURCES_POINTS: u32 = SOURCES_PROBE + 1u;
 const SOURCES_END: u32 = SOURCES_POINTS + SOURCE_GROUPS;
 
@@ -192,30 +193,28 @@ fn sources_group(step: u32) -> u32 {
     return (step - select(SOURCES_TRY, SOURCES_POINTS, step >= SOURCES_POINTS)) % SOURCE_GROUPS;
 }
 
-// Readies a step: what the pixels about this one all see of its group goes where that is kept, and for which points there
-// will be rays. Done before cones are followed, it would take more registers.
+// Readies a step: what the pixels about this one all see of its group, and none, goes where that is kept, and for which
+// points there will be rays. Done before cones are followed, it would take more registers.
 fn sources_ask(all: u32, step: u32) {
     let group = sources_group(step);
-    var near = vec2(0u);
+    var near = vec2(0u, all);
     if step < SOURCES_PROBE {
         near = sources_between(all, group);
     }
-    var asked = near.y & ~near.x;
-    if step < SOURCES_REST {
-        asked = sources_tried(near.x) | sources_tried(all & ~near.y);
-        if near.x == all {
-            asked = all & (SOURCE_QUARTER << sources_turn(4u));
-        }
+    var asked = (near.y & ~near.x) | sources_tried(near.x) | sources_tried(all & ~near.y);
+    if near.x == all {
+        asked = all & (SOURCE_QUARTER << sources_turn(4u));
     }
+    sources_seen[sources_word(SOURCES_NONE)] = all & ~near.y;
+    sources_seen[sources_word(SOURCES_ASKED)] = asked;
     if step < SOURCES_END {
         sources_seen[sources_word(1u + group)] = near.x;
     }
-    sources_seen[sources_word(SOURCES_ASKED)] = asked;
 }
 
 // One place that cones and rays are followed: copies of it are most of a shader.
 fn sources_steps(entry: u32, asks: bool) {
-    let of_group = u32(source_points[entry].light.x);
+    let of_group = sources_of_group(entry);
     let all = 0xffffffffu >> (32u - of_group);
     // The first node that has anything in the way.
     var first = 0u;
@@ -227,17 +226,23 @@ fn sources_steps(entry: u32, asks: bool) {
         // Of the whole source; of a group that all pixels about this one see; and of one of which a first ray, that was
         // not blocked, has not told enough.
         var by_cone = step == 0u || (step >= SOURCES_POINTS && (probed & (1u << group)) != 0u);
-        if step < SOURCES_REST {
+        if step < SOURCES_PROBE {
             by_cone = by_cone || sources_seen[sources_word(1u + group)] == all;
         }
         var met = first;
+        let cone = entry + select(SOURCE_FIRST_GROUP + group, 0u, step == 0u);
         if by_cone {
-            let cone = source_points[entry + select(SOURCE_FIRST_GROUP + group, 0u, step == 0u)];
             let across = max(length(sources_sides[0] + sources_sides[1]), length(sources_sides[0] - sources_sides[1]));
-            let origin = sources_start(0u).xyz;
-            let face = sources_start(1u).xyz;
-            met = occluders_meet_cone(first, origin, 0.5 * across, face, cone.direction, cone.cone_cosine);
+            met = occluders_meet_cone(
+                first,
+                sources_start(0u).xyz,
+                0.5 * across,
+                sources_start(1u).xyz,
+                source_points[cone].direction,
+                source_points[cone].cone_cosine,
+            );
         }
+        let is_clear = met == OCCLUDERS_NONE && sources_cone_above(cone, sources_start(1u).xyz);
         var next = step + 1u;
         if step == 0u {
             first = met;
@@ -245,15 +250,19 @@ fn sources_steps(entry: u32, asks: bool) {
             if met == OCCLUDERS_NONE {
                 next = SOURCES_POINTS;
             }
+            if is_clear {
+                sources_seen[sources_word(0u)] = SOURCE_ALL_GROUPS;
+                break;
+            }
         } else {
             var asked = all;
             if step < SOURCES_PROBE {
                 asked = sources_seen[sources_word(SOURCES_ASKED)];
             }
             if step == SOURCES_PROBE {
-                asked = (1u << (2u * SOURCE_GROUPS + SOURCE_RIM)) - 1u;
+                asked = sources_probes(of_group);
             }
-            if met == OCCLUDERS_NONE && sources_cone_above(entry + SOURCE_FIRST_GROUP + group, sources_start(1u).xyz) {
+            if is_clear {
                 asked = 0u;
             }
             let node = select(OCCLUDERS_NONE, first, met != OCCLUDERS_NONE);
@@ -263,21 +272,24 @@ fn sources_steps(entry: u32, asks: bool) {
                 if probed == 0u {
                     break;
                 }
-            } else if step < SOURCES_REST {
-                let agreed = sources_seen[sources_word(1u + group)];
-                if ((found.x & ~agreed) | (found.y & agreed)) != 0u {
-                    next = SOURCES_PROBE;
-                }
             } else {
-                let bits = sources_seen[sources_word(1u + group)] | found.x;
+                let agreed = sources_seen[sources_word(1u + group)];
+                let bits = agreed | found.x;
                 var whole = bits == all;
                 if step >= SOURCES_POINTS {
                     whole = asked == 0u || (bits != 0u && found.y == 0u);
                 }
+                let wrong = (found.x & sources_seen[sources_word(SOURCES_NONE)]) | (found.y & agreed);
                 sources_seen[sources_word(1u + group)] = bits;
                 sources_seen[sources_word(0u)] |= select(select(0u, 1u << SOURCE_GROUPS, bits != 0u), 1u, whole) << group;
-                if next == SOURCES_PROBE {
-                    break;
+                if step < SOURCES_PROBE {
+                    if wrong != 0u {
+                        // All that was told so far is told again.
+                        sources_seen[sources_word(0u)] = 0u;
+                        next = SOURCES_PROBE;
+                    } else if next == SOURCES_PROBE {
+                        break;
+                    }
                 }
             }
         }
@@ -286,13 +298,9 @@ fn sources_steps(entry: u32, asks: bool) {
             sources_ask(all, step);
         }
     }
-    var told = sources_seen[sources_word(0u)];
-    let finer = u32(source_points[entry].light.x) > SOURCE_PLACES && told != 0u;
-    told |= select(0u, ((1u << SOURCE_GROUPS) - 1u) << (2u * SOURCE_GROUPS), finer);
-    sources_seen[sources_word(0u)] = told;
 }
 
-// The places, or points, of a group that the pixels about one all see, and those that any does.
+// The points of a group that the pixels about one all see, and those that any does.
 fn sources_between(all: u32, group: u32) -> vec2<u32> {
     let row = sources_seen[sources_word(SOURCES_PIXEL)] >> 6u;
     var found = vec2(all, 0u);
@@ -322,8 +330,9 @@ fn sources_turn(turns: u32) -> u32 {
     return (SOURCE_TURN * sources_seen[sources_word(SOURCES_PIXEL)]) % turns;
 }
 
-// Rays to the places or points of a group, or to what tells whether anything of a source is visible, for which there
-// is a bit in `asked`: which are seen, and which are hidden.
+// Rays to the points of a group, or to what tells whether anything of a source is visible, for which there is a bit in
+// `asked`: which are seen, and which are hidden. Of the most points that a group has, a quarter tells for all of them
+// where all of that says the same.
 fn sources_rays(
     entry: u32,
     step: u32,
@@ -331,13 +340,23 @@ fn sources_rays(
     asked: u32,
     first: u32,
 ) -> vec2<u32> {
-    let of_group = u32(source_points[entry].light.x);
-    let start = select(SOURCE_FIRST_PLACE, SOURCE_FIRST_POINT, of_group > SOURCE_PLACES) + group * of_group;
+    let start = SOURCE_FIRST_POINT + group * sources_of_group(entry);
     var found = vec2(0u);
     var bits = asked;
     while bits != 0u {
-        let bit = firstTrailingBit(bits);
-        bits &= bits - 1u;
+        var bit = firstTrailingBit(bits);
+        if asked == 0xffffffffu {
+            let of_quarter = bits & SOURCE_QUARTER;
+            if of_quarter != 0u {
+                bit = firstTrailingBit(of_quarter);
+            } else if found.x == 0u {
+                break;
+            } else if found.y == 0u {
+                found.x = asked;
+                break;
+            }
+        }
+        bits &= ~(1u << bit);
         // The entry, and the number of its place in the pixel.
         var at = vec2(start + bit, bit * SOURCE_GROUPS + group);
         if step == SOURCES_PROBE {
@@ -364,8 +383,13 @@ fn sources_cone_above(cone: u32, face: vec3<f32>) -> bool {
     return along > 0.0 && along * along + cosine * cosine > 1.0;
 }
 
+// How many rays tell whether anything of a source is visible, as bits.
+fn sources_probes(of_group: u32) -> u32 {
+    return 0xffffffffu >> (32u - 2u * SOURCE_GROUPS - select(0u, SOURCE_RIM, of_group >= SOURCE_PLACES));
+}
+
 // What tells whether anything of a source is visible: the first place of each group, and where all of those are
-// hidden, a second one and the rim.
+// hidden, a second one and, of a source of many points, the rim.
 fn sources_probe(step: u32) -> vec2<u32> {
     if step >= 2u * SOURCE_GROUPS {
         return vec2(SOURCE_FIRST_RIM + step - 2u * SOURCE_GROUPS, 0u);

@@ -7,81 +7,77 @@ fn sources_shown_main(
     @builtin(workgroup_id) workgroup: vec3<u32>,
     @builtin(local_invocation_index) invocation: u32,
 ) {
-    slots_enter(workgroup.x, invocation);
+    slots_enter_again(workgroup.x, invocation);
     if slots_surface() == 0u {
         return;
     }
-    let gathered = slots_gathered_at(SLOTS_SUM);
-    let state = slots_state(gathered.w);
-    var diffuse = vec3(0.0);
-    if state.reflection == 0u {
-        diffuse = slots_gathered_value(SLOTS_DIFFUSE).xyz / PI;
-    }
-    var reflection = lobes_reflection();
-    if state.next == SLOTS_DONE {
-        // There is none, or it is black.
-        reflection.model = MODEL_NONE;
-        if all(diffuse == vec3(0.0)) {
-            return;
-        }
-    }
-    let point = slots_point();
-    let wo = lobes_view();
     let row = sources_seen_row(workgroup.x, 0u);
-    var sum = bitcast<vec3<f32>>(gathered.xyz);
     for (var source = 0u; source < frames[frame_index].source_count; source++) {
-        sum += sources_shown(source, row + source, invocation, point, wo, diffuse, reflection);
+        let shown = sources_shown(source, row + source, invocation);
+        slots_again();
+        let gathered = slots_gathered_at(SLOTS_SUM);
+        slots_put_value(SLOTS_SUM, bitcast<vec3<f32>>(gathered.xyz) + shown, gathered.w);
     }
-    slots_put_value(SLOTS_SUM, sum, gathered.w);
 }
 
-// What they show of one source.
-fn sources_shown(
-    source: u32,
-    row: u32,
-    invocation: u32,
-    point: SurfacePoint,
-    wo: vec3<f32>,
-    diffuse: vec3<f32>,
-    reflection: Reflection,
-) -> vec3<f32> {
+// The Lambertian base, which is shown with the first reflection.
+fn sources_diffuse(state: SlotState) -> vec3<f32> {
+    if state.reflection == 0u {
+        return slots_gathered_value(SLOTS_DIFFUSE).xyz / PI;
+    }
+    return vec3(0.0);
+}
+
+// The reflection. None where there is none, or it is black.
+fn sources_reflection(state: SlotState) -> Reflection {
+    var reflection = lobes_reflection();
+    if state.next == SLOTS_DONE {
+        reflection.model = MODEL_NONE;
+    }
+    return reflection;
+}
+
+// What they show of one source. What is needed is read where it is: registers are short.
+fn sources_shown(source: u32, row: u32, invocation: u32) -> vec3<f32> {
     var sum = vec3(0.0);
     let told = sources_seen_word(row, 0u, invocation);
     if told == 0u {
         return sum;
     }
     let entry = sources_entry(source);
-    let least_cosine = sources_small_cosine(reflection, wo.z);
-    var group = 0u;
-    var bits = 0u;
-    var first = 0u;
-    while bits != 0u || group < SOURCE_GROUPS {
-        if bits != 0u {
-            let at = first + firstTrailingBit(bits);
-            bits &= bits - 1u;
-            let wi = surface_to_local(point, source_points[at].direction);
-            if wi.z > 0.0 {
-                let shown = diffuse + models_specular(reflection, wi, wo);
-                sum += source_points[at].light * (wi.z * shown);
-            }
+    let of_group = sources_of_group(entry);
+    // The next cone: all of the source, or one of its groups. Of the last one what is seen, and the places of it that are
+    // still to be looked at.
+    var cone = select(SOURCE_FIRST_GROUP, 0u, (told & SOURCE_ALL_GROUPS) == SOURCE_ALL_GROUPS);
+    var seen = 0u;
+    var places = 0u;
+    while places != 0u || cone < SOURCE_FIRST_RIM {
+        var at = cone;
+        let is_cone = places == 0u;
+        if is_cone {
+            seen = sources_seen_of_cone(row, told, cone, invocation);
+            cone++;
         } else {
-            let state = told >> group;
-            first = entry + SOURCE_FIRST_PLACE + group * SOURCE_PLACES;
-            if (state & 1u) != 0u {
-                bits = (1u << SOURCE_PLACES) - 1u;
-                let cone = entry + SOURCE_FIRST_GROUP + group;
-                let is_small = source_points[cone].cone_cosine >= least_cosine;
-                if is_small && dot(point.normal, source_points[cone].direction) > SOURCE_SMALL {
-                    first = cone;
-                    bits = 1u;
-                }
-            } else if ((state >> SOURCE_GROUPS) & 1u) != 0u {
-                bits = sources_seen_word(row, 1u + group, invocation);
-                if ((state >> (2u * SOURCE_GROUPS)) & 1u) != 0u {
-                    first = entry + SOURCE_FIRST_POINT + group * SOURCE_GROUP_POINTS;
-                }
+            at = SOURCE_FIRST_PLACE + (cone - SOURCE_FIRST_GROUP - 1u) * SOURCE_PLACES + firstTrailingBit(places);
+        }
+        // How many points it has, and which of them are seen.
+        let points = select(max(of_group / SOURCE_PLACES, 1u), of_group, is_cone);
+        let first_point = select(firstTrailingBit(places) * of_group / SOURCE_PLACES, 0u, is_cone);
+        let bits = (seen >> first_point) & (0xffffffffu >> (32u - points));
+        places &= places - 1u;
+        slots_again();
+        let state = slots_state(slots_gathered_at(SLOTS_SUM).w);
+        let reflection = sources_reflection(state);
+        let wi = surface_to_local(slots_point(), source_points[entry + at].direction);
+        if is_cone && bits != 0u && !sources_is_small(reflection, source_points[entry + at].cone_cosine, wi, lobes_view()) {
+            places = select((1u << SOURCE_PLACES) - 1u, 0u, at == 0u);
+        } else if bits != 0u && wi.z > 0.0 {
+            let shown = sources_diffuse(state) + models_specular(reflection, wi, lobes_view());
+            let part = f32(countOneBits(bits)) / f32(points);
+            sum += part * source_points[entry + at].light * (wi.z * shown);
+            if at == 0u {
+                break;
             }
-            group++;
         }
     }
     if (told & SOURCE_SHADOWED) != 0u {
@@ -90,18 +86,42 @@ fn sources_shown(
     return sum;
 }
 
-// The least cosine of half the angle of a cone at one place of which a reflection's value stands for all of it, seen
-// at the cosine `view` with the normal.
-fn sources_small_cosine(reflection: Reflection, view: f32) -> f32 {
-    let alpha = min(reflection.alpha.x, reflection.alpha.y);
-    var radius = SOURCE_SMALL * view * alpha;
-    if reflection.model == MODEL_BLINN_PHONG {
-        radius = SOURCE_SMALL * view * sqrt(2.0 / alpha);
+// The points that are seen of the source, where all of it is, or of one of its groups.
+fn sources_seen_of_cone(row: u32, told: u32, cone: u32, invocation: u32) -> u32 {
+    let state = told >> (max(cone, SOURCE_FIRST_GROUP) - SOURCE_FIRST_GROUP);
+    if (state & 1u) != 0u {
+        return 0xffffffffu;
+    }
+    if ((state >> SOURCE_GROUPS) & 1u) == 0u {
+        return 0u;
+    }
+    return sources_seen_word(row, cone, invocation);
+}
+
+// Whether what is reflected from one direction of a cone, its axis `wi`, stands for all of it.
+fn sources_is_small(reflection: Reflection, cosine: f32, wi: vec3<f32>, wo: vec3<f32>) -> bool {
+    let radius_squared = 2.0 * (1.0 - cosine);
+    if wi.z <= SOURCE_LEAST_COSINE || radius_squared > SOURCE_SMALL_DIFFUSE * SOURCE_SMALL_DIFFUSE {
+        return false;
     }
     if reflection.model == MODEL_NONE {
-        radius = SOURCE_SMALL_DIFFUSE;
+        return true;
     }
-    return 1.0 - 0.5 * radius * radius;
+    let half = normalize(wi + wo);
+    var alpha = reflection.alpha;
+    if reflection.model == MODEL_BLINN_PHONG {
+        alpha = sqrt(2.0 / alpha);
+    }
+    // In roughnesses, as slopes of the half vector: how far the lobe's peak is, the radius of the cone, and how near it
+    // comes to the peak.
+    let away = length(half.xy / (alpha * half.z));
+    let radius = sqrt(radius_squared) / (2.0 * dot(half, wo) * half.z * half.z * min(alpha.x, alpha.y));
+    let near = max(away - radius, 0.0);
+    if reflection.model == MODEL_GGX {
+        return radius * radius <= SOURCE_SMALL * SOURCE_SMALL * (1.0 + near * near);
+    }
+    let most = SOURCE_SMALL * SOURCE_SMALL * exp(min(near * near, SOURCE_MOST_EXPONENT));
+    return radius * radius * (1.0 + 4.0 * away * away) <= most;
 }
 
 fn sources_seen_word(row: u32, word: u32, invocation: u32) -> u32 {

@@ -201,7 +201,7 @@ impl Look<'_> {
                     all & (QUARTER << (turn % 4))
                 };
             }
-            let found = self.told(group, asked, met);
+            let found = self.rays(group, asked, met);
             if found.seen & !any != 0 || found.hidden & common != 0 {
                 return None;
             }
@@ -232,7 +232,7 @@ impl Look<'_> {
                 continue;
             }
             let (_, all) = self.group(group);
-            let found = self.told(group, all, met);
+            let found = self.rays(group, all, met);
             seen.whole |= u32::from(found.seen != 0 && found.hidden == 0) << group;
             seen.points[group as usize] = found.seen;
         }
@@ -250,23 +250,6 @@ impl Look<'_> {
             let (entry, place) = probe(step);
             let visible = self.is_visible(entry, place, Some(from));
             found |= u32::from(visible == Some(true)) << step;
-        }
-        found
-    }
-
-    /// What is seen of points of a group, a bit each: of the most that a group has, a quarter tells for all of them where
-    /// all of that says the same.
-    fn told(&mut self, group: u32, asked: u32, from: Option<u32>) -> Found {
-        if asked != u32::MAX {
-            return self.rays(group, asked, from);
-        }
-        let mut found = self.rays(group, QUARTER, from);
-        if found.hidden == 0 && found.seen != 0 {
-            found.seen = asked;
-        } else if found.seen != 0 {
-            let others = self.rays(group, !QUARTER, from);
-            found.seen |= others.seen;
-            found.hidden |= others.hidden;
         }
         found
     }

@@ -331,8 +331,7 @@ fn sources_turn(turns: u32) -> u32 {
 }
 
 // Rays to the points of a group, or to what tells whether anything of a source is visible, for which there is a bit in
-// `asked`: which are seen, and which are hidden. Of the most points that a group has, a quarter tells for all of them
-// where all of that says the same.
+// `asked`: which are seen, and which are hidden.
 fn sources_rays(
     entry: u32,
     step: u32,
@@ -344,19 +343,8 @@ fn sources_rays(
     var found = vec2(0u);
     var bits = asked;
     while bits != 0u {
-        var bit = firstTrailingBit(bits);
-        if asked == 0xffffffffu {
-            let of_quarter = bits & SOURCE_QUARTER;
-            if of_quarter != 0u {
-                bit = firstTrailingBit(of_quarter);
-            } else if found.x == 0u {
-                break;
-            } else if found.y == 0u {
-                found.x = asked;
-                break;
-            }
-        }
-        bits &= ~(1u << bit);
+        let bit = firstTrailingBit(bits);
+        bits &= bits - 1u;
         // The entry, and the number of its place in the pixel.
         var at = vec2(start + bit, bit * SOURCE_GROUPS + group);
         if step == SOURCES_PROBE {

@@ -56,8 +56,8 @@ real!(f64: sin = sin, cos = cos, tan = tan, asin = asin, acos = acos, atan = ata
     exp2 = exp2, exp_m1 = expm1, ln = log, ln_1p = log1p, log2 = log2, log10 = log10,;
     atan2 = libm::atan2, powf = libm::pow, hypot = libm::hypot,; sincos);
 
-/// `libm::powf` in a third of its time, which exponents of reflections are most of: with 53 bits the logarithm needs no
-/// second part.
+/// `libm::powf` in a third of its time, which was most of that of highlights with exponents: of 53 bits, the logarithm
+/// needs no second part.
 fn power(base: f32, exponent: f32) -> f32 {
     if base > 0.0 && base.is_finite() && exponent.is_finite() {
         libm::exp2(f64::from(exponent) * libm::log2(f64::from(base))) as f32

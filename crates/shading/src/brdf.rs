@@ -352,11 +352,7 @@ fn profile_width(model: Model, alpha: f32) -> f32 {
 /// Albedo of the model seen from `wo` (local), as the factors of its specular colour and
 /// of white.
 fn albedo(values: &[f32], reflection: &Reflection, wo: Vec3) -> Vec2 {
-    let alpha = if reflection.model.has_exponent() {
-        Vec2::splat((2.0 / reflection.alpha.x).sqrt())
-    } else {
-        reflection.alpha
-    };
+    let alpha = reflection.roughness();
     let low = MIN_ALPHA.sqrt();
     let last = (ALBEDO_ALPHAS - 1) as f32;
     let coordinate = |alpha: f32| ((alpha.sqrt() - low) / (1.0 - low)).clamp(0.0, 1.0) * last;

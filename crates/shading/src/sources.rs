@@ -40,10 +40,10 @@ pub const RIM: u32 = 12;
 pub const GROUPS: u32 = 8;
 
 /// Places of a group, at which reflections look: each stands for a few points that lie side by side.
-pub const PLACES: u32 = 8;
+const PLACES: u32 = 8;
 
 /// Most points of a group, to which rays go.
-pub const GROUP_POINTS: u32 = 32;
+const GROUP_POINTS: u32 = 32;
 
 /// Least points of a group: where all else is hidden, the least of sources may be all light there is.
 const LEAST_POINTS: u32 = 4;
@@ -352,13 +352,13 @@ impl Lit<'_> {
             let mut sum = Vec3::ZERO;
             let points = of_group(all);
             for group in 0..GROUPS {
-                let is_whole = seen.whole & (1 << group) != 0;
-                if !is_whole && seen.points[group as usize] == 0 {
+                let part = seen.part(group, points);
+                if part == 0.0 {
                     continue;
                 }
                 let cone = &all[(FIRST_GROUP + group) as usize];
                 if is_small(cone) {
-                    sum += seen.part(group, points) * shown(cone);
+                    sum += part * shown(cone);
                     continue;
                 }
                 for place in 0..PLACES {
@@ -385,10 +385,7 @@ fn is_small(reflection: &Reflection, cosine: f32, wi: Vec3, wo: Vec3) -> bool {
         return true;
     }
     let half = (wi + wo).normalize();
-    let mut alpha = reflection.alpha;
-    if reflection.model.has_exponent() {
-        alpha = (2.0 / alpha).map(f32::sqrt);
-    }
+    let alpha = reflection.roughness();
     // In roughnesses, as slopes of the half vector: how far the lobe's peak is, the radius of the cone, and how near it
     // comes to the peak.
     let away = (half.truncate() / (alpha * half.z)).length();

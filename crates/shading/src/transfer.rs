@@ -427,11 +427,8 @@ fn uncolored(reflection: &Reflection) -> f32 {
     else {
         return 0.0;
     };
-    let mean = if reflection.model.has_exponent() {
-        (2.0 / reflection.alpha.x).sqrt()
-    } else {
-        (reflection.alpha.x * reflection.alpha.y).sqrt()
-    };
+    let roughness = reflection.roughness();
+    let mean = (roughness.x * roughness.y).sqrt();
     let place = (mean - MIN_ALPHA) / (1.0 - MIN_ALPHA) * (ALPHAS - 1) as f32;
     let place = place.clamp(0.0, (ALPHAS - 1) as f32);
     let low = (place as usize).min(ALPHAS - 2);

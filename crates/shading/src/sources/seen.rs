@@ -187,9 +187,9 @@ impl Look<'_> {
         let mut seen = Seen::default();
         for group in 0..GROUPS {
             let (_, all) = self.group(group);
-            let of_group = near.iter().map(|near| near.of_group(group, all));
+            let seen_near = near.iter().map(|near| near.of_group(group, all));
             let (common, any) =
-                of_group.fold((all, 0), |(common, any), bits| (common & bits, any | bits));
+                seen_near.fold((all, 0), |(common, any), bits| (common & bits, any | bits));
             let mut asked = tried(common, turn) | (any & !common) | tried(all & !any, turn);
             let mut met = Some(from);
             if common == all {

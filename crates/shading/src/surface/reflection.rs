@@ -106,6 +106,15 @@ impl Reflection<'_> {
         }
     }
 
+    /// Roughness along tangent and bitangent, of models with an exponent as well.
+    pub(crate) fn roughness(&self) -> Vec2 {
+        if self.model.has_exponent() {
+            Vec2::splat((2.0 / self.alpha.x).sqrt())
+        } else {
+            self.alpha
+        }
+    }
+
     /// Colour of the reflection about a half vector at `cosine` = h·o.
     pub fn color(&self, cosine: f32) -> Vec3 {
         if self.has_fresnel() {

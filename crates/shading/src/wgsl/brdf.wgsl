@@ -264,12 +264,14 @@ fn brdf_profile_width(model: u32, alpha: f32) -> f32 {
     return 1.0 / sqrt(max(inverse_square, BRDF_MIN_INVERSE_SQUARE));
 }
 
+// Roughness along tangent and bitangent, of models with an exponent as well.
+fn brdf_roughness(reflection: Reflection) -> vec2<f32> {
+    return select(reflection.alpha, sqrt(2.0 / reflection.alpha), vec2(reflection.model == MODEL_BLINN_PHONG));
+}
+
 // Factors of the specular colour and of white.
 fn brdf_albedo(reflection: Reflection, wo: vec3<f32>) -> vec2<f32> {
-    var alpha = reflection.alpha;
-    if reflection.model == MODEL_BLINN_PHONG {
-        alpha = sqrt(2.0 / alpha);
-    }
+    let alpha = brdf_roughness(reflection);
     let low = sqrt(SURFACE_MIN_ALPHA);
     let last = f32(BRDF_ALBEDO_ALPHAS - 1u);
     let position = clamp((sqrt(alpha) - low) / (1.0 - low), vec2(0.0), vec2(1.0)) * last;

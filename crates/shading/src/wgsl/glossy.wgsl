@@ -96,8 +96,8 @@ fn glossy_add(light: SphericalGaussian, index: u32) -> u32 {
     if i == 0u {
         let product = glossy_times(light, index / GLOSSY_POINTS);
         let part = product.amplitude.x * spherical_gaussian_energy(product.sharpness);
-        let shown = part * glossy_most_cosine(product.sharpness, product.axis.z);
-        glossy_lobe = GlossyLobe(product.axis, product.sharpness, vec3(0.0), 0.0, part, glossy_points(shown));
+        glossy_lobe = GlossyLobe(product.axis, product.sharpness, vec3(0.0), 0.0, part, 0u);
+        glossy_lobe.points = glossy_points(glossy_shown());
     }
     if i < glossy_lobe.points {
         glossy_look(i, GLOSSY_EXCESS * spherical_gaussian_energy(light.sharpness));

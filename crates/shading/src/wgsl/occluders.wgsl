@@ -111,6 +111,7 @@ fn occluders_meet_cone(
     return select(OCCLUDERS_NONE, walk.node - 1u, walk.met);
 }
 
+// Found again where it is needed: to keep it takes registers that there are not.
 fn occluders_sine(cosine: f32) -> f32 {
     return sqrt(max(1.0 - cosine * cosine, 0.0));
 }

@@ -18,8 +18,8 @@ fn sources_seen_row(workgroup: u32, source: u32) -> u32 {
 // The first texel of a pixel: a word about its groups, one bit of each byte for each of them; then of every group that is
 // seen in part a word of bits. The other texels are written where those have any.
 //
-// Bits of the lowest byte: all of the group is seen; of the next: part of it. SOURCE_SHADOWED: behind the groups' words is one more, the part of the light that an app's shadow map
-// takes away.
+// Bits of the lowest byte: all of the group is seen; of the next: part of it. SOURCE_SHADOWED: behind the groups' words is
+// one more, the part of the light that an app's shadow map takes away.
 //
 // Pixels are numbered among so many: all of a tile, or those of its coarse grid.
 fn sources_seen_place(row: u32, texel: u32, pixel: u32, pixels: u32) -> vec2<u32> {

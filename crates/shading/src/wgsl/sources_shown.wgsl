@@ -11,6 +11,10 @@ fn sources_shown_main(
     if slots_surface() == 0u {
         return;
     }
+    let state = slots_state(slots_gathered_at(SLOTS_SUM).w);
+    if state.next == SLOTS_DONE && all(sources_diffuse(state) == vec3(0.0)) {
+        return;
+    }
     let row = sources_seen_row(workgroup.x, 0u);
     for (var source = 0u; source < frames[frame_index].source_count; source++) {
         let shown = sources_shown(source, row + source, invocation);
@@ -108,10 +112,7 @@ fn sources_is_small(reflection: Reflection, cosine: f32, wi: vec3<f32>, wo: vec3
         return true;
     }
     let half = normalize(wi + wo);
-    var alpha = reflection.alpha;
-    if reflection.model == MODEL_BLINN_PHONG {
-        alpha = sqrt(2.0 / alpha);
-    }
+    let alpha = brdf_roughness(reflection);
     // In roughnesses, as slopes of the half vector: how far the lobe's peak is, the radius of the cone, and how near it
     // comes to the peak.
     let away = length(half.xy / (alpha * half.z));

@@ -203,6 +203,9 @@ fn interpolate(
         (mean, part) = (0.0, 1.0);
     }
     let mut seen = None;
+    if part == 0.0 && is_sure(mean_depth, leeway) {
+        return mean;
+    }
     if part < 1.0 {
         let [distance, radius] = look();
         let aside = ((distance / radius).clamp(-1.0, 1.0) - mean_depth).abs();
@@ -219,6 +222,11 @@ fn interpolate(
         ..asked
     };
     known + left.rounded().unknown * find(distance)
+}
+
+/// Whether no depth that a pixel may find, -1 to 1, is far enough from what lies between others' for doubt.
+fn is_sure(mean_depth: f32, leeway: f32) -> bool {
+    1.0 + mean_depth.abs() <= FIRM * DEPTH_AGREEMENT * leeway
 }
 
 /// The part of a fraction that a pixel has to find for itself where others differ by a part of what they may. With the

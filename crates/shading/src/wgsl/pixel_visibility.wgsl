@@ -177,6 +177,8 @@ fn pixel_find(phase: u32, index: u32) {
     if phase == PIXEL_INTERPOLATE && between.z >= 1.0 {
         pixel_depths[index] = PIXEL_UNSEEN;
         pixel_queue(PIXEL_INTEGRATE_REST, index);
+    } else if phase == PIXEL_INTERPOLATE && pixel_is_sure(between, pixel_share(index)) {
+        pixel_fractions[index] = between.x;
     } else {
         pixel_look(phase, index, between);
     }
@@ -245,6 +247,11 @@ fn pixel_between(pixel: u32, lobe: u32, parents: u32) -> vec3<f32> {
     }
     let leeway = pixel_leeway(pixel_share(lobe * PIXEL_COUNT + pixel));
     return vec3(mean, pixel_doubt((high - low) / (PIXEL_AGREEMENT * leeway)));
+}
+
+// Whether others agree, and no depth that a pixel may find, -1 to 1, is far enough from theirs for doubt.
+fn pixel_is_sure(between: vec3<f32>, share: f32) -> bool {
+    return between.z == 0.0 && 1.0 + abs(between.y) <= PIXEL_FIRM * PIXEL_DEPTH_AGREEMENT * pixel_leeway(share);
 }
 
 fn pixel_leeway(share: f32) -> f32 {

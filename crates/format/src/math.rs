@@ -74,10 +74,10 @@ fn power(base: f32, exponent: f32) -> f32 {
 /// a second part. Within .6 of an ulp.
 #[inline]
 fn exponential(x: f32) -> f32 {
-    // Beyond, it is 0 or infinite.
-    let octaves = f64::from(x.clamp(-150.0, 100.0)) * std::f64::consts::LOG2_E;
     // Added to a number, this rounds it to an integer and leaves that in the last bits.
     const ROUND: f64 = 6_755_399_441_055_744.0;
+    // Beyond, it is 0 or infinite.
+    let octaves = f64::from(x.clamp(-150.0, 100.0)) * std::f64::consts::LOG2_E;
     let rounded = octaves + ROUND;
     let r = (octaves - (rounded - ROUND)) * std::f64::consts::LN_2;
     let square = r * r;

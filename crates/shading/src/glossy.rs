@@ -46,6 +46,8 @@ const LEAST_MASS: f32 = 1e-30;
 const LEAST_PART: f32 = 0.01;
 /// Products below this part of a light's are as bright as the model is at their centre.
 const MINOR_PART: f32 = 0.05;
+/// So are those of a light that is so many times as sharp as their lobe: the model is one all over them.
+const SHARPER: f32 = 64.0;
 /// So are those that would add less than this to what has been gathered before, were the lobes the
 /// model.
 const FAINT: f32 = 0.002;
@@ -144,12 +146,13 @@ impl<'a> Glossy<'a> {
         let mut origin = None;
         let (mut used, mut total) = (0.0, Vec3::ZERO);
         let (mut rest, mut squares, mut mean) = (0.0, 0.0, Vec3::ZERO);
-        for &(product, part, shown) in &*products {
+        for (&(product, part, shown), shape) in products.iter().zip(self.shapes.as_slice()) {
             if shown < LEAST_PART * all {
                 continue;
             }
             used += shown;
-            let points = if shown <= faint || shown < MINOR_PART * all {
+            let is_small = shown <= faint || shown < MINOR_PART * all;
+            let points = if is_small || light.sharpness > SHARPER * shape.sharpness {
                 1
             } else {
                 POINTS
@@ -281,6 +284,7 @@ pub fn wgsl_constants() -> String {
         ("LEAST_MASS", LEAST_MASS),
         ("LEAST_PART", LEAST_PART),
         ("MINOR_PART", MINOR_PART),
+        ("SHARPER", SHARPER),
         ("FAINT", FAINT),
         ("TAIL", TAIL),
         ("EXCESS", EXCESS),

@@ -78,10 +78,10 @@ fn glossy_count() -> u32 {
     return GLOSSY_POINTS * specular_count;
 }
 
-// How many points of a product look at the model.
-fn glossy_points(shown: f32) -> u32 {
+// How many points of a product, with a light that is much sharper or not, look at the model.
+fn glossy_points(shown: f32, is_sharper: bool) -> u32 {
     let whole = lobes_sum().whole;
-    let one = shown <= lobes_sum().faint || shown < GLOSSY_MINOR_PART * whole;
+    let one = is_sharper || shown <= lobes_sum().faint || shown < GLOSSY_MINOR_PART * whole;
     return select(select(GLOSSY_POINTS, 1u, one), 0u, shown < GLOSSY_LEAST_PART * whole);
 }
 
@@ -97,7 +97,8 @@ fn glossy_add(light: SphericalGaussian, index: u32) -> u32 {
         let product = glossy_times(light, index / GLOSSY_POINTS);
         let part = product.amplitude.x * spherical_gaussian_energy(product.sharpness);
         glossy_lobe = GlossyLobe(product.axis, product.sharpness, vec3(0.0), 0.0, part, 0u);
-        glossy_lobe.points = glossy_points(glossy_shown());
+        let is_sharper = light.sharpness > GLOSSY_SHARPER * lobes_shape(index / GLOSSY_POINTS).w;
+        glossy_lobe.points = glossy_points(glossy_shown(), is_sharper);
     }
     if i < glossy_lobe.points {
         glossy_look(i, GLOSSY_EXCESS * spherical_gaussian_energy(light.sharpness));

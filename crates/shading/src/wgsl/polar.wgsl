@@ -74,8 +74,8 @@ fn polar_fraction(
         var theta = ends.x;
         var here = 0.0;
         var shortest = 0.0;
-        while theta + max(POLAR_RELAXATION * abs(here), shortest) < ends.y {
-            let next = theta + max(POLAR_RELAXATION * abs(here), shortest);
+        while theta + max(POLAR_RELAXATION * abs(here), POLAR_LAST_STEP * shortest) < ends.y {
+            let next = min(theta + max(POLAR_RELAXATION * abs(here), shortest), ends.y);
             var there = distance;
             if next > 0.0 {
                 there = ssdf_distance(ssdf, axis * cos(next) + outward * sin(next));

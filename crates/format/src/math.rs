@@ -34,31 +34,30 @@ pub trait Real: sealed::Real {}
 impl<T: sealed::Real> Real for T {}
 
 macro_rules! real {
-    ($type:ty: $($name:ident = $function:ident,)*; $($name2:ident = $function2:path,)*; $sincos:ident, $exp:path) => {
+    ($type:ty: $($name:ident = $function:path,)*; $($name2:ident = $function2:path,)*; $sincos:path) => {
         impl sealed::Real for $type {
-            $(fn $name(self) -> Self {
-                libm::$function(self)
+            $(#[inline]
+            fn $name(self) -> Self {
+                $function(self)
             })*
-            #[inline]
-            fn exp(self) -> Self {
-                $exp(self)
-            }
-            $(fn $name2(self, other: Self) -> Self {
+            $(#[inline]
+            fn $name2(self, other: Self) -> Self {
                 $function2(self, other)
             })*
+            #[inline]
             fn sin_cos(self) -> (Self, Self) {
-                libm::$sincos(self)
+                $sincos(self)
             }
         }
     };
 }
 
-real!(f32: sin = sinf, cos = cosf, tan = tanf, asin = asinf, acos = acosf, atan = atanf, tanh = tanhf,
-    exp2 = exp2f, exp_m1 = expm1f, ln = logf, ln_1p = log1pf, log2 = log2f, log10 = log10f,;
-    atan2 = libm::atan2f, powf = power, hypot = libm::hypotf,; sincosf, exponential);
-real!(f64: sin = sin, cos = cos, tan = tan, asin = asin, acos = acos, atan = atan, tanh = tanh,
-    exp2 = exp2, exp_m1 = expm1, ln = log, ln_1p = log1p, log2 = log2, log10 = log10,;
-    atan2 = libm::atan2, powf = libm::pow, hypot = libm::hypot,; sincos, libm::exp);
+real!(f32: sin = libm::sinf, cos = libm::cosf, tan = libm::tanf, asin = libm::asinf, acos = libm::acosf, atan = libm::atanf,
+    tanh = libm::tanhf, exp = exponential, exp2 = libm::exp2f, exp_m1 = libm::expm1f, ln = libm::logf, ln_1p = libm::log1pf,
+    log2 = libm::log2f, log10 = libm::log10f,; atan2 = libm::atan2f, powf = power, hypot = libm::hypotf,; libm::sincosf);
+real!(f64: sin = libm::sin, cos = libm::cos, tan = libm::tan, asin = libm::asin, acos = libm::acos, atan = libm::atan,
+    tanh = libm::tanh, exp = libm::exp, exp2 = libm::exp2, exp_m1 = libm::expm1, ln = libm::log, ln_1p = libm::log1p,
+    log2 = libm::log2, log10 = libm::log10,; atan2 = libm::atan2, powf = libm::pow, hypot = libm::hypot,; libm::sincos);
 
 /// `libm::powf` in a third of its time, which was most of that of highlights with exponents: of 53 bits, the logarithm
 /// needs no second part.
@@ -70,8 +69,9 @@ fn power(base: f32, exponent: f32) -> f32 {
     }
 }
 
-/// `libm::expf` in a third of its time, without branches: of 53 bits, neither the argument's remainder nor the series needs
-/// a second part. Within .6 of an ulp.
+/// `libm::expf` without its branches and its division: of 53 bits, neither the argument's remainder nor the series needs a
+/// second part. Alone it takes four fifths of the time; a frame, whose highlights are made of these, 4 to 8 % less. Within
+/// .6 of an ulp.
 #[inline]
 fn exponential(x: f32) -> f32 {
     // Added to a number, this rounds it to an integer and leaves that in the last bits.

@@ -202,10 +202,10 @@ fn interpolate(
     if low < 0.0 {
         (mean, part) = (0.0, 1.0);
     }
-    let mut seen = None;
     if part == 0.0 && is_sure(mean_depth, leeway) {
         return mean;
     }
+    let mut seen = None;
     if part < 1.0 {
         let [distance, radius] = look();
         let aside = ((distance / radius).clamp(-1.0, 1.0) - mean_depth).abs();

@@ -13,7 +13,7 @@ const BOUNDS: &[(&str, [u64; 2])] = &[
     ("vertices", [84, 96]),
     ("textures", [48, 56]),
     ("textures, second", [48, 64]),
-    ("diffuse", [84, 96]),
+    ("diffuse", [84, 88]),
     ("diffuse, ambient", [60, 80]),
     ("reflections", [72, 96]),
     ("reflections, next", [60, 88]),

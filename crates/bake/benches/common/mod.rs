@@ -89,9 +89,73 @@ pub fn data_folder() -> PathBuf {
     )
 }
 
-/// Loads a mesh and picks about `count` of its places: groups as the bake makes them, at
+/// The name of a mesh that is made: a town of boxes that pass through one another and the ground, among loose triangles.
+const CITY: &str = "city";
+const BOXES: usize = 500;
+const LOOSE_TRIANGLES: usize = 10_000;
+
+/// [`CITY`] as OBJ.
+fn city() -> String {
+    let mut state = 1u64;
+    let mut random = move || {
+        state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        (state >> 40) as f32 / (1u64 << 24) as f32
+    };
+    let mut text = "v -60 0 -60\nv -60 0 60\nv 60 0 60\nv 60 0 -60\nf 1 2 3 4\n".to_owned();
+    let mut vertices = 4;
+    for _ in 0..BOXES {
+        let middle = [100.0 * random() - 50.0, 100.0 * random() - 50.0];
+        let half = [1.0 + 3.0 * random(), 1.0 + 3.0 * random()];
+        let height = 2.0 + 14.0 * random() * random();
+        for i in 0..8 {
+            let sign = |bit: usize| if i >> bit & 1 == 1 { 1.0 } else { -1.0 };
+            let [x, z] = [0, 1].map(|axis| middle[axis] + sign(2 * axis) * half[axis]);
+            let y = if i >> 1 & 1 == 1 { height } else { -0.5 };
+            text += &format!("v {x} {y} {z}\n");
+        }
+        for face in [
+            [0, 2, 3, 1],
+            [4, 5, 7, 6],
+            [0, 1, 5, 4],
+            [2, 6, 7, 3],
+            [0, 4, 6, 2],
+            [1, 3, 7, 5],
+        ] {
+            let [a, b, c, d] = face.map(|corner| vertices + 1 + corner);
+            text += &format!("f {a} {b} {c} {d}\n");
+        }
+        vertices += 8;
+    }
+    for _ in 0..LOOSE_TRIANGLES {
+        let middle = [
+            100.0 * random() - 50.0,
+            12.0 * random(),
+            100.0 * random() - 50.0,
+        ];
+        for _ in 0..3 {
+            let [x, y, z] = middle.map(|x| x + 0.8 * random());
+            text += &format!("v {x} {y} {z}\n");
+        }
+        let first = vertices + 1;
+        text += &format!("f {first} {} {}\n", first + 1, first + 2);
+        vertices += 3;
+    }
+    text
+}
+
+/// Loads a mesh, or makes [`CITY`], and picks about `count` of its places: groups as the bake makes them, at
 /// equal steps.
 pub fn subject(path: &Path, count: usize) -> Subject {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let made = folder.path().join("city.obj");
+    let path = if path == Path::new(CITY) {
+        std::fs::write(&made, city()).expect("a writable folder");
+        &made
+    } else {
+        path
+    };
     let mesh = import::mesh(path).unwrap_or_else(|error| panic!("{error}"));
     let (low, high) = mesh.bounds().expect("imported meshes have vertices");
     let (soup, triangles) = (mesh.soup(), mesh.indices());

@@ -128,6 +128,15 @@ impl Bitmap {
         }
     }
 
+    /// Unsets those that `keep`, asked for each that is set, does not want.
+    pub(crate) fn retain(&mut self, mut keep: impl FnMut(usize) -> bool) {
+        for (index, word) in self.words.iter_mut().enumerate() {
+            for bit in ones(*word) {
+                *word &= !(u64::from(!keep(64 * index + bit)) << bit);
+            }
+        }
+    }
+
     /// Unsets all.
     pub(crate) fn clear(&mut self) {
         self.words.fill(0);

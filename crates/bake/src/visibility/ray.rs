@@ -186,6 +186,13 @@ impl RayCaster {
     }
 }
 
+/// Whether a ray meets one triangle, as a [`RayCaster`] of it says.
+#[inline(always)]
+pub(crate) fn meets(triangle: [Vec3; 3], origin: Vec3, direction: Vec3) -> bool {
+    let ray = Ray::new_inf(origin.into(), direction.into());
+    intersect(&triangle.map(Vec3A::from), &ray).is_some()
+}
+
 /// What is met from behind lies so much farther, a few steps of rounding.
 const BEHIND: f32 = 1.0 + 8.0 * f32::EPSILON;
 

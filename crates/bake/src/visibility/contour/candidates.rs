@@ -66,6 +66,8 @@ pub(super) struct Candidates {
     faces: Vec<i8>,
     /// Triangles whose planes that point lies in, but for rounding.
     in_plane: Vec<u32>,
+    /// Those of them that it lies on, and which way they face.
+    touched: Vec<(u32, i8)>,
     /// Contours that this point sees besides.
     found_batches: Vec<Batch<3>>,
     sides: Sides,
@@ -95,6 +97,7 @@ impl Default for Candidates {
             irregular: Vec::new(),
             faces: Vec::new(),
             in_plane: Vec::new(),
+            touched: Vec::new(),
             found_batches: Vec::new(),
             sides: Sides::default(),
         }
@@ -197,13 +200,14 @@ impl Candidates {
     }
 
     /// Finds the other contours of the parts at these places that the point looked at last sees.
+    /// The triangles that it lies on do not count.
     pub(super) fn find(&mut self, parts: &Parts, positions: &[Vec3], places: &[u32]) {
         self.found_batches.clear();
         simd::arch().dispatch(Find {
             candidates: self,
             places,
         });
-        let face = |triangle: u32| u8::from(self.faces[triangle as usize] > 0);
+        let face = |triangle: u32| self.faces[triangle as usize];
         for edge in &self.irregular {
             let place = self.places[parts.of_vertex(edge.vertices[0]) as usize];
             if let Some(contour) = edge.contour(face)
@@ -213,6 +217,36 @@ impl Candidates {
                 Batch::append(&mut self.found_batches, ends, contour.step);
             }
         }
+    }
+
+    /// Contours of the triangles that the point looked at last lies on.
+    pub(super) fn contours_of_touched(&mut self, positions: &[Vec3]) -> &[Batch<3>] {
+        self.found_batches.clear();
+        for &(index, face) in &self.touched {
+            self.faces[KNOWN + index as usize] = face;
+        }
+        let is_touched = |triangle: u32| {
+            let mut touched = self.touched.iter();
+            touched.any(|(index, _)| KNOWN + *index as usize == triangle as usize)
+        };
+        let face = |triangle: u32| self.faces[triangle as usize];
+        let regular = self.edges.iter().filter_map(|edge| {
+            let step = edge.triangles.map(|triangle| i32::from(face(triangle)));
+            let contour = Contour {
+                vertices: edge.vertices,
+                step: step[0] - step[1],
+            };
+            (contour.step != 0 && edge.triangles.into_iter().any(is_touched)).then_some(contour)
+        });
+        let irregular = self.irregular.iter().filter_map(|edge| {
+            let mut triangles = edge.triangles.iter();
+            (triangles.any(|(triangle, _)| is_touched(*triangle))).then(|| edge.contour(face))?
+        });
+        for contour in regular.chain(irregular) {
+            let ends = (contour.vertices).map(|vertex| positions[vertex as usize].into());
+            Batch::append(&mut self.found_batches, ends, contour.step);
+        }
+        &self.found_batches
     }
 
     /// Whether these are the contours of `eye` among others.
@@ -256,27 +290,38 @@ impl Candidates {
         self.faces[..KNOWN].copy_from_slice(&[-1, 1, 0]);
     }
 
-    /// Finds what `eye` sees. Returns whether it lies on a triangle, but for rounding: what a
-    /// ray from there meets is a matter of its arithmetic.
-    pub(super) fn look(&mut self, facing: &Facing, positions: &[Vec3], eye: Vec3) -> bool {
+    /// Finds what `eye` sees. Triangles that it lies on, but for rounding, are told by
+    /// [`Self::touched`]: whether a ray from there meets them is a matter of its arithmetic.
+    pub(super) fn look(&mut self, facing: &Facing, positions: &[Vec3], eye: Vec3) {
         self.in_plane.clear();
         simd::arch().dispatch(Look {
             candidates: self,
             rounding: facing.rounding_at(eye),
             eye,
         });
-        self.touches(positions, eye, 4.0 * facing.rounding_at(eye))
+        self.touched.clear();
+        for i in 0..self.in_plane.len() {
+            let index = self.in_plane[i];
+            if self.touches(index, positions, eye, 4.0 * facing.rounding_at(eye)) {
+                let face = &mut self.faces[KNOWN + index as usize];
+                self.touched.push((index, *face));
+                *face = 0;
+            }
+        }
     }
 
-    fn touches(&self, positions: &[Vec3], eye: Vec3, margin: f32) -> bool {
-        self.in_plane.iter().any(|&index| {
-            let corners = self.corners[index as usize].map(|v| positions[v as usize].as_dvec3());
-            let [a, b, c] = corners;
-            let normal = (b - a).cross(c - a).normalize_or_zero();
-            [(a, b), (b, c), (c, a)].into_iter().all(|(from, to)| {
-                let inward = normal.cross(to - from).normalize_or_zero();
-                inward.dot(eye.as_dvec3() - from) >= -f64::from(margin)
-            })
+    /// Vertices of the triangles that the point looked at last lies on.
+    pub(super) fn touched(&self) -> impl Iterator<Item = [u32; 3]> {
+        (self.touched.iter()).map(|(index, _)| self.corners[*index as usize])
+    }
+
+    fn touches(&self, index: u32, positions: &[Vec3], eye: Vec3, margin: f32) -> bool {
+        let corners = self.corners[index as usize].map(|v| positions[v as usize].as_dvec3());
+        let [a, b, c] = corners;
+        let normal = (b - a).cross(c - a).normalize_or_zero();
+        [(a, b), (b, c), (c, a)].into_iter().all(|(from, to)| {
+            let inward = normal.cross(to - from).normalize_or_zero();
+            inward.dot(eye.as_dvec3() - from) >= -f64::from(margin)
         })
     }
 

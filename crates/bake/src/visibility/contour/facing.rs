@@ -82,15 +82,12 @@ pub(super) struct IrregularEdge {
 }
 
 impl IrregularEdge {
-    /// The contour that it makes, if any. `face` is 1 for triangles that face the eye and 0
-    /// for the others.
-    pub(super) fn contour(&self, face: impl Fn(u32) -> u8) -> Option<Contour> {
+    /// The contour that it makes, if any. `face` is 1 for triangles that face the eye, −1 for those
+    /// that do not, and 0 for those that do not count.
+    pub(super) fn contour(&self, face: impl Fn(u32) -> i8) -> Option<Contour> {
         let left = |&(triangle, along): &(u32, bool)| {
-            if (face(triangle) == 1) == along {
-                1
-            } else {
-                -1
-            }
+            let face = i32::from(face(triangle));
+            if along { face } else { -face }
         };
         let step = self.triangles.iter().map(left).sum();
         (step != 0).then_some(Contour {
@@ -235,7 +232,8 @@ impl Facing {
         for edge in &self.irregular {
             let mut triangles = edge.triangles.iter();
             if !triangles.any(|&(triangle, _)| side(triangle) == EITHER) {
-                candidates.sure.extend(edge.contour(side));
+                let face = |triangle| if side(triangle) == FRONT { 1 } else { -1 };
+                candidates.sure.extend(edge.contour(face));
             } else if let [(triangle, along)] = edge.triangles[..] {
                 let triangle = number(triangle);
                 candidates.edges.push(CandidateEdge {

@@ -124,8 +124,9 @@ impl Layers {
         Some(bitmap)
     }
 
-    /// Prefix sums of the steps. Columns whose sums do not meet beyond the lower border
-    /// become uncertain; false if row 0's do not meet beyond the upper one.
+    /// Prefix sums of the steps. Columns whose sums do not meet beyond the border become
+    /// uncertain: row 0 has a contour through the centre of such a column's texel on its wrong side.
+    /// False if neighbours of them do not meet beyond the upper border either: then row 0 misses a step.
     fn sum(&mut self) -> bool {
         let n = self.n;
         let mut along = 0;
@@ -142,12 +143,16 @@ impl Layers {
         }
         let (top, bottom) = (&self.totals[..n], &self.totals[(n - 1) * n..]);
         let (over, under) = (&self.steps[..n], &self.steps[n * n..]);
+        let mut before = true;
         for x in 0..n / 2 {
             let other = n - 1 - x;
-            if top[x] - over[x] != top[other] - over[other] {
+            let meet_above = top[x] - over[x] == top[other] - over[other];
+            let meet_below = bottom[x] + under[x] == bottom[other] + under[other];
+            if !(before || meet_above) {
                 return false;
             }
-            if bottom[x] + under[x] != bottom[other] + under[other] {
+            before = meet_above;
+            if !(meet_above && meet_below) {
                 let columns = [x, other].into_iter();
                 self.uncertain
                     .extend(columns.flat_map(|x| (0..n).map(move |y| (y * n + x) as u32)));

@@ -12,7 +12,9 @@
 //!
 //! The result equals one ray per texel. Texels within rounding of a contour get a ray of
 //! their own, and sums around the map, which must vanish, are checked: where they do not,
-//! rays are cast, as they are from a point that lies on another surface.
+//! rays are cast. Triangles that the point itself lies on are not counted: whether a ray meets
+//! them is a matter of its arithmetic, so they are tried one by one, in directions in which
+//! nothing else is.
 
 mod batch;
 mod candidates;
@@ -22,9 +24,11 @@ mod layers;
 mod parts;
 mod rounds;
 
+use std::collections::{HashMap, HashSet};
+
 use glam::Vec3;
 
-use crate::visibility::ray::RayCaster;
+use crate::visibility::ray::{self, RayCaster};
 use crate::visibility::{self, Bitmap, Crossings, Directions};
 use candidates::Candidates;
 use facing::Facing;
@@ -43,8 +47,10 @@ pub struct ContourMesh {
     positions: Vec<Vec3>,
     facing: Facing,
     parts: Parts,
-    /// Per triangle that the caster was made of, its first welded vertex.
-    first_vertices: Vec<u32>,
+    /// Per triangle that the caster was made of, its welded vertices.
+    vertices: Vec<[u32; 3]>,
+    /// Those that are there more than once, by the same vertices in ascending order.
+    repeated: HashMap<[u32; 3], Vec<[u32; 3]>>,
 }
 
 /// An edge where layers begin or end, as seen from some point.
@@ -69,7 +75,7 @@ impl ContourMesh {
     /// Welds vertices of equal coordinates and collects edges. Triangles without area and
     /// repeated triangles are left out: neither changes what is visible.
     pub fn new(triangles: &[[Vec3; 3]]) -> Self {
-        let mut ids = std::collections::HashMap::new();
+        let mut ids = HashMap::new();
         let mut positions = Vec::new();
         let mut weld = |vertex: Vec3| {
             // Adding zero turns −0 into +0.
@@ -79,24 +85,30 @@ impl ContourMesh {
                     positions.len() as u32 - 1
                 })
         };
-        let mut seen = std::collections::HashSet::new();
+        let mut seen = HashSet::new();
+        let mut repeated: HashMap<_, Vec<_>> = HashMap::new();
         let mut welded = Vec::with_capacity(triangles.len());
-        let mut first_vertices = Vec::with_capacity(triangles.len());
+        let mut all_vertices = Vec::with_capacity(triangles.len());
         for triangle in triangles {
             let [a, b, c] = triangle.map(Vec3::as_dvec3);
             let vertices = triangle.map(&mut weld);
-            first_vertices.push(vertices[0]);
-            let mut key = vertices;
-            key.sort_unstable();
-            if (b - a).cross(c - a) != glam::DVec3::ZERO && seen.insert(key) {
+            all_vertices.push(vertices);
+            if (b - a).cross(c - a) == glam::DVec3::ZERO {
+                continue;
+            }
+            if seen.insert(ascending(vertices)) {
                 welded.push(vertices);
+            } else {
+                let again = repeated.entry(ascending(vertices)).or_default();
+                again.push(vertices);
             }
         }
         Self {
             caster: RayCaster::new(triangles),
             facing: Facing::new(&positions, &welded),
             parts: Parts::new(&positions, &welded),
-            first_vertices,
+            vertices: all_vertices,
+            repeated,
             positions,
         }
     }
@@ -134,16 +146,43 @@ impl ContourMesh {
         if !scratch.candidates.covers(origin) {
             self.prepare(&[origin], scratch);
         }
-        let touches = (scratch.candidates).look(&self.facing, &self.positions, origin);
-        let found = self.count(origin, directions.as_slice(), scratch, touches);
-        found.filter(|_| !touches).unwrap_or_else(|| {
+        (scratch.candidates).look(&self.facing, &self.positions, origin);
+        let found = self.count(origin, directions.as_slice(), scratch, false);
+        let (mut bitmap, rays) = found.unwrap_or_else(|| {
             let rays = directions.as_slice().len() as u32;
             (visibility::sample(&self.caster, origin, directions), rays)
-        })
+        });
+        self.try_touched(origin, directions, scratch, &mut bitmap);
+        (bitmap, rays)
     }
 
-    /// What contours tell of what the point looked at last sees, if anything. `at_once`: no part
-    /// of the mesh is left out.
+    /// Takes from what is visible what the triangles hide that the point looked at last lies on.
+    fn try_touched(
+        &self,
+        origin: Vec3,
+        directions: &Directions,
+        scratch: &mut Scratch,
+        bitmap: &mut Bitmap,
+    ) {
+        let Scratch {
+            candidates, layers, ..
+        } = scratch;
+        for vertices in candidates.touched() {
+            let again = self.repeated.get(&ascending(vertices));
+            for vertices in [vertices].iter().chain(again.into_iter().flatten()) {
+                let triangle = vertices.map(|vertex| self.positions[vertex as usize]);
+                bitmap.retain(|texel| !ray::meets(triangle, origin, directions.as_slice()[texel]));
+            }
+        }
+        if candidates.touched().next().is_some() {
+            // Where they end counts for `crossings`.
+            let contours = candidates.contours_of_touched(&self.positions);
+            layers.count(origin, [contours].into_iter());
+        }
+    }
+
+    /// What contours tell of what the point looked at last sees past the triangles that it lies on, if
+    /// anything. `at_once`: no part of the mesh is left out.
     fn count(
         &self,
         origin: Vec3,
@@ -166,7 +205,10 @@ impl ContourMesh {
             candidates.find(&self.parts, &self.positions, chosen);
             layers.count(origin, candidates.contours(chosen));
             let counted = |triangle: usize| {
-                rounds.is_counted(self.parts.of_vertex(self.first_vertices[triangle]))
+                let vertices = self.vertices[triangle];
+                let alike = |touched| ascending(touched) == ascending(vertices);
+                rounds.is_counted(self.parts.of_vertex(vertices[0]))
+                    && !candidates.touched().any(alike)
             };
             let open = layers.resolve(
                 before.as_ref(),
@@ -198,6 +240,12 @@ impl ContourMesh {
         crossings::locate(segments, visible, layers.resolution(), crossings);
         crossings
     }
+}
+
+/// Three numbers in order.
+fn ascending(mut numbers: [u32; 3]) -> [u32; 3] {
+    numbers.sort_unstable();
+    numbers
 }
 
 #[cfg(test)]
@@ -377,7 +425,27 @@ mod tests {
             [0.0, 1e-9, 2.0],
             [0.0, 1e-3, 2.0],
         ];
-        assert_same_bits(&triangles, &origins.map(Vec3::from), 64);
+        let origins = origins.map(Vec3::from);
+        let rays = assert_same_bits(&triangles, &origins, 64);
+        assert!(rays < 64 * 64, "{rays} rays from {} points", origins.len());
+        // The same with faces twice, from other corners on and turned over.
+        let again: Vec<_> = (triangles.iter())
+            .flat_map(|&[a, b, c]| [[b, c, a], [c, b, a]])
+            .collect();
+        triangles.extend(again);
+        assert_same_bits(&triangles, &origins, 64);
+        // Anywhere on faces of boxes that pass through one another.
+        let mut state = 5;
+        let triangles = town(&mut state);
+        let on_faces: Vec<Vec3> = (0..60)
+            .map(|_| {
+                let [a, b, c] = triangles[(random(&mut state) * 1800.0) as usize];
+                let (u, v) = (random(&mut state), random(&mut state));
+                a + 0.5 * (u * (b - a) + v * (c - a))
+            })
+            .collect();
+        let rays = assert_same_bits(&triangles, &on_faces, 64);
+        assert!(rays < 60 * 64 * 64 / 4, "{rays} rays");
     }
 
     /// A town: boxes, each of which hangs together, among loose triangles.

@@ -81,6 +81,11 @@ impl Weighting {
         weighting
     }
 
+    /// Of the basis images' texels.
+    pub(crate) fn directions(&self) -> &Directions {
+        &self.directions
+    }
+
     /// How far the boundary of `found` is off, squared: as an error of light shows, which
     /// grows with the displacement until the boundary has passed all of a light.
     pub(crate) fn squared_displacement(&self, found: &[f32], exact: &[f32], normal: Normal) -> f32 {

@@ -251,7 +251,7 @@ impl<'a> Bake<'a> {
         let every = (prepared.triangles.len() / PROBES).max(LEAST_PROBE_STEP);
         let probes = prepared.probes(triangles, every as u32)?;
         let count = vertices.len() as u64;
-        let bounced = prepared.bounced(triangles)?;
+        let bounced = prepared.bounced(triangles, &vertices, samples.ssdfs())?;
         let bounced = bounced.as_ref();
         let start = Instant::now();
         let part = (triangles, &vertices[..], &samples);

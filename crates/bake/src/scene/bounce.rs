@@ -5,6 +5,7 @@ use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 use glam::Vec3;
+use nalgebra::DMatrix;
 use rayon::prelude::*;
 use relight_format as format;
 
@@ -12,6 +13,7 @@ use super::assemble::Cluster;
 use super::sample::Prepared;
 use super::statistics::add_time;
 use crate::monitor::Interrupted;
+use crate::ssdf;
 use crate::transfer::compress::{Compressed, compress};
 use crate::transfer::gather::Receiver;
 
@@ -38,8 +40,14 @@ impl ChunkLight {
 }
 
 impl Prepared<'_> {
-    /// Bounced light of the vertices that some triangles use, if light bounces.
-    pub(super) fn bounced(&self, triangles: &[u32]) -> Result<Option<ChunkLight>, Interrupted> {
+    /// Bounced light of the vertices that some triangles use, if light bounces. `ssdfs` has a column for each of the
+    /// triangles' `places`, which ascend.
+    pub(super) fn bounced(
+        &self,
+        triangles: &[u32],
+        places: &[u32],
+        ssdfs: &DMatrix<f32>,
+    ) -> Result<Option<ChunkLight>, Interrupted> {
         let Some(radiosity) = &self.radiosity else {
             return Ok(None);
         };
@@ -50,16 +58,28 @@ impl Prepared<'_> {
         });
         let rays = self.options.transfer.vertex_rays;
         let caster = self.contours.caster();
+        // Where all places are sampled: what others stand for is no surer than what it is interpolated between.
+        let sampled = self.options.sample_spacing == 0.0;
+        let centres = self.weighting.directions();
         let gather = |vertex: u32| {
             let start = Instant::now();
             let normal = self.mesh.vertices[vertex as usize].normal;
+            let place = self.places[vertex as usize];
             let receiver = Receiver {
-                origin: self.origins[self.places[vertex as usize] as usize],
+                origin: self.origins[place as usize],
                 normal: normal.normalize_or(Vec3::Y),
             };
-            let gathered = radiosity.gather(caster, &receiver, rays, !mirror);
+            let ssdf = (places.binary_search(&place).ok())
+                .filter(|_| sampled)
+                .map(|column| &ssdfs.as_slice()[column * ssdfs.nrows()..][..ssdfs.nrows()]);
+            let is_clear = |direction| {
+                ssdf.is_some_and(|distances| ssdf::is_clear(distances, centres, direction))
+            };
+            let mut cast = 0;
+            let rays = (rays, &mut cast);
+            let gathered = radiosity.gather(caster, &receiver, rays, !mirror, is_clear);
             add_time(&self.counters.bounce_nanoseconds, start);
-            (self.counters.bounce_rays).fetch_add(u64::from(rays), Ordering::Relaxed);
+            (self.counters.bounce_rays).fetch_add(cast, Ordering::Relaxed);
             gathered
         };
         let stand: Vec<Vec<(u32, f32)>> = (vertices.iter())

@@ -99,9 +99,9 @@ pub(super) fn choose_aim(prepared: &Prepared, head: &format::Scene) -> Result<Ch
     let mut trials = Vec::new();
     for chunk in spread(prepared.chunks.len(), count) {
         let vertices = prepared.vertices_of(&prepared.chunks[chunk]);
+        let ssdfs = prepared.ssdfs(&vertices)?;
         trials.push(Trial {
             triangles: prepared.chunks[chunk].clone(),
-            ssdfs: prepared.ssdfs(&vertices)?,
             // Only an error that is asked for has to be measured.
             probes: match size {
                 Some(_) => Vec::new(),
@@ -109,9 +109,10 @@ pub(super) fn choose_aim(prepared: &Prepared, head: &format::Scene) -> Result<Ch
             },
             // Only a size that is asked for counts its bytes.
             bounced: match size {
-                Some(_) => prepared.bounced(&prepared.chunks[chunk])?,
+                Some(_) => prepared.bounced(&prepared.chunks[chunk], &vertices, &ssdfs)?,
                 None => None,
             },
+            ssdfs,
             vertices,
         });
     }

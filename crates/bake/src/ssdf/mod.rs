@@ -16,7 +16,7 @@
 //! little as it takes, to vanish at the points of the boundary: relaxed projections
 //! (Kaczmarz 1937) onto one equation per point.
 
-use glam::{Mat4, Vec2, Vec2Swizzles as _, Vec3, Vec4};
+use glam::{Mat4, UVec2, Vec2, Vec2Swizzles as _, Vec3, Vec4};
 use pulp::{Simd, WithSimd};
 use relight_format::math;
 use relight_shading::octahedral::{self, Footprint};
@@ -59,6 +59,22 @@ pub struct DistanceTransform {
     /// Pairs of texels that are neighbours over the border, and the midpoint between them.
     border: Vec<([u32; 2], Vec2)>,
 }
+
+/// Whether an SSDF, given at the `centres` of its texels, tells that nothing is met in a direction, nor close to it.
+pub(crate) fn is_clear(distances: &[f32], centres: &Directions, direction: Vec3) -> bool {
+    let resolution = centres.resolution();
+    let texel = octahedral::encode(direction) * resolution as f32;
+    let [x, y] = (texel.as_uvec2().min(UVec2::splat(resolution - 1))).to_array();
+    let texel = (y * resolution + x) as usize;
+    // Distances grow no faster than angles, of which chords are a little less.
+    let reach = distances[texel] - CLEAR;
+    reach > 0.0 && reach * reach > ARC * direction.distance_squared(centres.as_slice()[texel])
+}
+
+/// Radians that something has to be away to be no matter of rounding, or of samples between which the boundary passes.
+const CLEAR: f32 = 0.02;
+/// Square of an angle of a tenth of a radian, from the middle of a texel to its corner, over its chord's, and some.
+const ARC: f32 = 1.002;
 
 /// Four neighbouring texels, and what one sweep over the equations of the points between
 /// them makes of their distances: the equations' projections, multiplied.

@@ -25,13 +25,15 @@ pub(crate) struct Receiver {
 impl Radiosity {
     /// The outputs of a vertex as [`relight_format::Transfer`] has them, one after the other: per
     /// output and channel `columns` numbers; without radiance if there is to be `irradiance`
-    /// alone. Depends on the receiver alone.
+    /// alone. Of so many rays those are cast for which `is_clear` does not know that they meet nothing; they are
+    /// counted up in `cast`.
     pub(crate) fn gather(
         &self,
         caster: &RayCaster,
         receiver: &Receiver,
-        rays: u32,
+        (rays, cast): (u32, &mut u64),
         irradiance: bool,
+        is_clear: impl Fn(Vec3) -> bool,
     ) -> Vec<f32> {
         let block = 3 * self.columns();
         let outputs = if irradiance { 3 } else { 7 };
@@ -49,6 +51,10 @@ impl Radiosity {
         let mut emitted = Emitted::default();
         let (mut beyond, mut beyond_factors) = (Vec::new(), Vec::new());
         for ray in self.hemisphere(receiver.normal, rays, seed) {
+            if is_clear(ray.direction) {
+                continue;
+            }
+            *cast += 1;
             let Some(met) = self.meet(caster, receiver.origin, ray.direction) else {
                 continue;
             };

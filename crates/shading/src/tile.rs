@@ -118,7 +118,7 @@ pub fn shade<F: SignedDistance>(
                 tile.add_sources(&seen, index, &mut radiance);
             }
             tile.reflect(&glossies, &mut radiance);
-            tile.reflect_image(&glossies, &mut beside);
+            tile.reflect_image(&glossies, &radiance, &mut beside);
         }
     }
     counts.integrals += tile.counts.integrals;
@@ -334,8 +334,14 @@ impl<'a, F: SignedDistance> Tile<'a, F> {
         }
     }
 
-    /// What one reflection of every pixel shows of the environment's image, where the lights are visible.
-    fn reflect_image(&mut self, glossies: &[Option<Glossy>], beside: &mut [Vec3]) {
+    /// What one reflection of every pixel shows of the environment's image, where the lights are visible. Of lights that
+    /// add little to what is `gathered` it need not be known closely.
+    fn reflect_image(
+        &mut self,
+        glossies: &[Option<Glossy>],
+        gathered: &[Vec3],
+        beside: &mut [Vec3],
+    ) {
         let [begin, _, distant] = self.lights();
         if begin == 0 {
             return;
@@ -346,8 +352,12 @@ impl<'a, F: SignedDistance> Tile<'a, F> {
         // And light from everywhere.
         for first in (0..=distant).step_by(ROUND) {
             let lights = first..(distant + 1).min(first + ROUND);
-            let mut rounds = self.round(glossies, (lights.clone(), true), &scaled);
-            for ((round, pixel), sum) in rounds.iter_mut().zip(&self.pixels).zip(&mut scaled) {
+            let sums: Vec<Vec3> = (gathered.iter().zip(&scaled))
+                .map(|(gathered, scaled)| gathered + scaled)
+                .collect();
+            let mut rounds = self.round(glossies, (lights.clone(), true), &sums);
+            let pixels = self.pixels.iter().zip(gathered).zip(&mut scaled);
+            for (round, ((pixel, gathered), sum)) in rounds.iter_mut().zip(pixels) {
                 for (waiting, index) in round.iter_mut().zip(lights.clone()) {
                     let (Some(found), Some(pixel)) = (&mut *waiting, pixel) else {
                         continue;
@@ -357,11 +367,12 @@ impl<'a, F: SignedDistance> Tile<'a, F> {
                         continue;
                     }
                     let whole = found.whole();
-                    if negligible(whole, *sum) {
+                    let estimate = *gathered + *sum;
+                    if negligible(whole, estimate) {
                         *waiting = None;
                         continue;
                     }
-                    found.asked.share = share(whole, *sum);
+                    found.asked.share = share(whole, estimate);
                     pixel.ask_corners(index, found);
                     *sum += whole;
                 }

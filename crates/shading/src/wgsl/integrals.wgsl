@@ -36,8 +36,13 @@ fn integrals_ask(waiting: u32) {
         corners = triangles[seen_known(tile_pixel(pixel_own)).x].xyz;
     }
     var estimate = vec3(0.0);
+    // Of an image, what is gathered besides: of lights that add little to it, it need not be known closely.
+    var gathered = vec3(0.0);
     if waiting != 0u {
         estimate = slots_gathered_value(select(SLOTS_SUM, SLOTS_SCALED, INTEGRALS_OF_IMAGE)).xyz;
+        if INTEGRALS_OF_IMAGE {
+            gathered = slots_gathered_value(SLOTS_SUM).xyz;
+        }
     }
     pixel_ask_nothing();
     for (var left = waiting; left != 0u; left &= left - 1u) {
@@ -53,10 +58,10 @@ fn integrals_ask(waiting: u32) {
         if !INTEGRALS_OF_IMAGE {
             whole = amplitude * spherical_gaussian_energy(shape.w);
         }
-        if shade_negligible(whole, estimate) {
+        if shade_negligible(whole, gathered + estimate) {
             continue;
         }
-        let share = shade_share(whole, estimate);
+        let share = shade_share(whole, gathered + estimate);
         var known = 0.0;
         var unknown = 0.0;
         if polar_meets_horizon(shape.w, shape.z) {

@@ -67,7 +67,10 @@ fn products_gathered(index: u32) -> vec3<f32> {
         return slots_gathered_value(SLOTS_SUM).xyz;
     }
     // Light from everywhere is measured by itself.
-    return select(slots_gathered_value(SLOTS_SCALED).xyz, vec3(0.0), index == frames[frame_index].light_count);
+    if index == frames[frame_index].light_count {
+        return vec3(0.0);
+    }
+    return slots_gathered_value(SLOTS_SUM).xyz + slots_gathered_value(SLOTS_SCALED).xyz;
 }
 
 // In the point's frame.

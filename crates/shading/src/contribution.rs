@@ -9,6 +9,9 @@ pub(crate) const NEGLIGIBLE: f32 = 3e-4;
 /// Radiance that is as good as none.
 pub(crate) const DARK: f32 = 1e-30;
 
+/// Radiance by unit of irradiance, as little as none.
+pub(crate) const BLACK: f32 = 1e-6;
+
 /// Whether a lobe of the integral `whole` adds nothing to what has been gathered before.
 pub(crate) fn negligible(whole: Vec3, gathered: Vec3) -> bool {
     whole.cmple(NEGLIGIBLE * gathered).all()

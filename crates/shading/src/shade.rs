@@ -6,7 +6,7 @@ use std::f32::consts::{FRAC_1_PI, PI, TAU};
 
 use glam::{Mat3, Vec3};
 
-use crate::contribution::{DARK, NEGLIGIBLE};
+use crate::contribution::{BLACK, DARK, NEGLIGIBLE};
 use crate::glossy::Glossy;
 use crate::gpu;
 use crate::polar::PolarOptions;
@@ -242,6 +242,7 @@ pub fn wgsl_constants() -> String {
     format!(
         "const SHADE_NEGLIGIBLE: f32 = {NEGLIGIBLE:?};\n\
          const SHADE_DARK: f32 = {DARK:?};\n\
+         const SHADE_BLACK: f32 = {BLACK:?};\n\
          const SHADE_EVEN: f32 = {EVEN:?};\n\
          const SHADE_LEAST_OF_LIGHTS: f32 = {LEAST_OF_LIGHTS:?};\n\
          const SHADE_RING: u32 = {RING}u;\n\

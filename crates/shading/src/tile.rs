@@ -3,11 +3,11 @@
 //! Lobes are taken in rounds of a few lights. What is visible of those of a round is found by the pixels of a tile
 //! together, see [`crate::pixel_visibility`]; what was gathered in a round is known in the next.
 
-use std::f32::consts::FRAC_1_PI;
+use std::f32::consts::{FRAC_1_PI, PI};
 
 use glam::Vec3;
 
-use crate::contribution::{negligible, share};
+use crate::contribution::{BLACK, negligible, share};
 use crate::glossy::Glossy;
 use crate::pixel_visibility::{Asked, PIXELS, Parents, Place};
 use crate::shade::{EVEN, EVENLY, Lighting, Method, diffused, image_reflected, image_seen};
@@ -86,7 +86,7 @@ pub fn shade<F: SignedDistance>(
     // First, so that lobes that add nothing to it are left out.
     let mut radiance = vec![Vec3::ZERO; pixels.len()];
     tile.add_sources(&seen, 0, &mut radiance);
-    let irradiance = tile.irradiance();
+    let irradiance = tile.irradiance(&radiance);
     for ((pixel, radiance), irradiance) in tile.pixels.iter().zip(&mut radiance).zip(irradiance) {
         if let Some(pixel) = pixel {
             *radiance += pixel.point.appearance.diffuse * FRAC_1_PI * irradiance;
@@ -263,17 +263,25 @@ impl<'a, F: SignedDistance> Tile<'a, F> {
         })
     }
 
-    /// Irradiance by all lights, where the corners of a pixel's triangle agree on it interpolated from them.
-    fn irradiance(&mut self) -> Vec<Vec3> {
+    /// Irradiance by all lights, where the corners of a pixel's triangle agree on it interpolated from them. Lights that add
+    /// little to the radiance that is `gathered` need not be known closely.
+    fn irradiance(&mut self, gathered: &[Vec3]) -> Vec<Vec3> {
         let [_, count, _] = self.lights();
         let mut sums = vec![Vec3::ZERO; self.pixels.len()];
+        // As irradiance.
+        let besides = |(pixel, gathered): (&Option<Pixel<F>>, &Vec3)| {
+            pixel.as_ref().map_or(Vec3::ZERO, |pixel| {
+                gathered / (pixel.point.appearance.diffuse / PI).max(Vec3::splat(BLACK))
+            })
+        };
+        let besides: Vec<Vec3> = self.pixels.iter().zip(gathered).map(besides).collect();
         for first in (0..count).step_by(ROUND) {
-            let round = |(pixel, sum): (&Option<Pixel<F>>, &Vec3)| {
+            let round = |(pixel, (sum, besides)): (&Option<Pixel<F>>, (&Vec3, &Vec3))| {
                 let mut round: Round = [None; ROUND];
                 let Some(pixel) = pixel.as_ref().filter(|pixel| pixel.has_diffuse) else {
                     return round;
                 };
-                let mut estimate = *sum;
+                let mut estimate = sum + besides;
                 for (index, waiting) in (first..count).zip(&mut round) {
                     let light = pixel.lighting.light(index, pixel.point.position);
                     let whole = light.integral();
@@ -293,7 +301,12 @@ impl<'a, F: SignedDistance> Tile<'a, F> {
                 }
                 round
             };
-            let rounds: Vec<Round> = self.pixels.iter().zip(&sums).map(round).collect();
+            let rounds: Vec<Round> = self
+                .pixels
+                .iter()
+                .zip(sums.iter().zip(&besides))
+                .map(round)
+                .collect();
             let fractions = self.visible(&rounds);
             for ((sum, round), fractions) in sums.iter_mut().zip(&rounds).zip(fractions) {
                 for (waiting, fraction) in round.iter().zip(fractions) {

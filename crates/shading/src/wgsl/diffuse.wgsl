@@ -49,7 +49,10 @@ fn diffuse_ask(count: u32) {
     let corners = triangles[seen_known(tile_pixel(pixel_own)).x].xyz;
     let weights = slots_barycentrics();
     let holds = slots_corners_hold();
-    var estimate = slots_gathered_value(SLOTS_IRRADIANCE).xyz;
+    // Lights that add little to the radiance that sources gave need not be known closely.
+    let base = slots_gathered_value(SLOTS_DIFFUSE).xyz / PI;
+    let besides = slots_gathered_value(SLOTS_SUM).xyz / max(base, vec3(SHADE_BLACK));
+    var estimate = slots_gathered_value(SLOTS_IRRADIANCE).xyz + besides;
     for (var lobe = 0u; lobe < count; lobe++) {
         let light = diffuse_light(lobe);
         let whole = spherical_gaussian_integral(light);

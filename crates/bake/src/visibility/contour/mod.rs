@@ -39,6 +39,9 @@ use rounds::Rounds;
 /// Points, close together, for which [`ContourMesh::prepare`] pays best.
 pub const GROUP: usize = 32;
 
+/// A point that lies on more triangles, in a heap of them, asks a ray per direction what it sees.
+const MOST_TOUCHED: usize = 32;
+
 /// A mesh's edges, prepared for finding contours from any point, and what casts the few
 /// rays.
 pub struct ContourMesh {
@@ -148,11 +151,17 @@ impl ContourMesh {
         }
         (scratch.candidates).look(&self.facing, &self.positions, origin);
         let found = self.count(origin, directions.as_slice(), scratch, false);
-        let (mut bitmap, rays) = found.unwrap_or_else(|| {
-            let rays = directions.as_slice().len() as u32;
-            (visibility::sample(&self.caster, origin, directions), rays)
-        });
-        self.try_touched(origin, directions, scratch, &mut bitmap);
+        let again = |vertices| self.repeated.get(&ascending(vertices)).map_or(0, Vec::len);
+        let touched: usize = scratch.candidates.touched().map(|at| 1 + again(at)).sum();
+        let (mut bitmap, rays) = found
+            .filter(|_| touched <= MOST_TOUCHED)
+            .unwrap_or_else(|| {
+                let rays = directions.as_slice().len() as u32;
+                (visibility::sample(&self.caster, origin, directions), rays)
+            });
+        if (1..=MOST_TOUCHED).contains(&touched) {
+            self.try_touched(origin, directions, scratch, &mut bitmap);
+        }
         (bitmap, rays)
     }
 
@@ -174,11 +183,9 @@ impl ContourMesh {
                 bitmap.retain(|texel| !ray::meets(triangle, origin, directions.as_slice()[texel]));
             }
         }
-        if candidates.touched().next().is_some() {
-            // Where they end counts for `crossings`.
-            let contours = candidates.contours_of_touched(&self.positions);
-            layers.count(origin, [contours].into_iter());
-        }
+        // Where they end counts for `crossings`.
+        let contours = candidates.contours_of_touched(&self.positions);
+        layers.count(origin, [contours].into_iter());
     }
 
     /// What contours tell of what the point looked at last sees past the triangles that it lies on, if
@@ -434,6 +441,11 @@ mod tests {
             .collect();
         triangles.extend(again);
         assert_same_bits(&triangles, &origins, 64);
+        // And in a heap.
+        let heap: Vec<_> = (triangles.iter())
+            .flat_map(|triangle| [*triangle; MOST_TOUCHED])
+            .collect();
+        assert_same_bits(&heap, &origins, 16);
         // Anywhere on faces of boxes that pass through one another.
         let mut state = 5;
         let triangles = town(&mut state);

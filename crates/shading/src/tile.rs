@@ -301,12 +301,8 @@ impl<'a, F: SignedDistance> Tile<'a, F> {
                 }
                 round
             };
-            let rounds: Vec<Round> = self
-                .pixels
-                .iter()
-                .zip(sums.iter().zip(&besides))
-                .map(round)
-                .collect();
+            let gathered = sums.iter().zip(&besides);
+            let rounds: Vec<Round> = self.pixels.iter().zip(gathered).map(round).collect();
             let fractions = self.visible(&rounds);
             for ((sum, round), fractions) in sums.iter_mut().zip(&rounds).zip(fractions) {
                 for (waiting, fraction) in round.iter().zip(fractions) {

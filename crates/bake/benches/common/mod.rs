@@ -148,15 +148,15 @@ fn city() -> String {
 /// Loads a mesh, or makes [`CITY`], and picks about `count` of its places: groups as the bake makes them, at
 /// equal steps.
 pub fn subject(path: &Path, count: usize) -> Subject {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let made = folder.path().join("city.obj");
-    let path = if path == Path::new(CITY) {
+    let load = |path: &Path| import::mesh(path).unwrap_or_else(|error| panic!("{error}"));
+    let mesh = if path == Path::new(CITY) {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let made = folder.path().join("city.obj");
         std::fs::write(&made, city()).expect("a writable folder");
-        &made
+        load(&made)
     } else {
-        path
+        load(path)
     };
-    let mesh = import::mesh(path).unwrap_or_else(|error| panic!("{error}"));
     let (low, high) = mesh.bounds().expect("imported meshes have vertices");
     let (soup, triangles) = (mesh.soup(), mesh.indices());
     let caster = RayCaster::new(&soup);

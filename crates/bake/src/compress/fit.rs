@@ -5,7 +5,7 @@
 
 use nalgebra::DMatrix;
 
-use super::samples::Fitted;
+use super::samples::{Fitted, column};
 use crate::simd::{self, product, transposed_product};
 
 /// Subspace iterations; two separate the spectrum of SSDFs to well below quantisation.
@@ -305,7 +305,7 @@ fn normal_equations(
     let pairs = triangle(channels);
     // A normal matrix is a weighted sum of products of factors.
     let mut products = Vec::with_capacity(equations * pairs);
-    let factor = |channel: usize| &factors.as_slice()[channel * equations..][..equations];
+    let factor = |channel: usize| column(factors, channel);
     for j in 0..channels {
         for i in 0..=j {
             products.extend(factor(i).iter().zip(factor(j)).map(|(a, b)| a * b));

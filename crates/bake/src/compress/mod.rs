@@ -19,6 +19,7 @@ pub(crate) use encode::{Compressed, decode};
 pub use error::{Normal, Weighting};
 pub use fit::{Fit, Fits, alternate, analyse, images};
 pub use samples::Samples;
+pub(crate) use samples::column;
 
 #[cfg(test)]
 mod tests {

@@ -167,7 +167,7 @@ impl Fitted<'_> {
 }
 
 /// Of a matrix, which holds column after column.
-fn column(matrix: &DMatrix<f32>, index: usize) -> &[f32] {
+pub(crate) fn column(matrix: &DMatrix<f32>, index: usize) -> &[f32] {
     let rows = matrix.nrows();
     &matrix.as_slice()[index * rows..][..rows]
 }

@@ -12,6 +12,7 @@ use relight_format as format;
 use super::assemble::Cluster;
 use super::sample::Prepared;
 use super::statistics::add_time;
+use crate::compress::column;
 use crate::monitor::Interrupted;
 use crate::ssdf;
 use crate::transfer::compress::{Compressed, compress};
@@ -71,13 +72,11 @@ impl Prepared<'_> {
             };
             let ssdf = (places.binary_search(&place).ok())
                 .filter(|_| sampled)
-                .map(|column| &ssdfs.as_slice()[column * ssdfs.nrows()..][..ssdfs.nrows()]);
+                .map(|index| column(ssdfs, index));
             let is_clear = |direction| {
                 ssdf.is_some_and(|distances| ssdf::is_clear(distances, centres, direction))
             };
-            let mut cast = 0;
-            let rays = (rays, &mut cast);
-            let gathered = radiosity.gather(caster, &receiver, rays, !mirror, is_clear);
+            let (gathered, cast) = radiosity.gather(caster, &receiver, rays, !mirror, is_clear);
             add_time(&self.counters.bounce_nanoseconds, start);
             (self.counters.bounce_rays).fetch_add(cast, Ordering::Relaxed);
             gathered

@@ -11,7 +11,7 @@ use relight_format::VisibilityErrors;
 use relight_shading::octahedral;
 
 use super::sample::Prepared;
-use crate::compress::{Compressed, Normal, Weighting};
+use crate::compress::{Compressed, Normal, Weighting, column};
 use crate::monitor::Interrupted;
 use crate::visibility::ray::Crossing;
 
@@ -71,11 +71,9 @@ impl ErrorSums {
     ) {
         let area = f64::from(probe.area);
         let squared_error = |(ssdfs, columns): (&DMatrix<f32>, &[usize])| {
-            let texels = probe.exact.len();
-            let mut found = vec![0.0; texels];
-            for (column, weight) in columns.iter().zip(probe.weights) {
-                let ssdf = &ssdfs.as_slice()[column * texels..][..texels];
-                for (found, value) in found.iter_mut().zip(ssdf) {
+            let mut found = vec![0.0; probe.exact.len()];
+            for (index, weight) in columns.iter().zip(probe.weights) {
+                for (found, value) in found.iter_mut().zip(column(ssdfs, *index)) {
                     *found += weight * value;
                 }
             }

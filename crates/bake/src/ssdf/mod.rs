@@ -47,6 +47,10 @@ const RELAXATION: f32 = 0.3;
 const STRANDS: usize = 8;
 /// Slack of bounds against rounding, a chord.
 const SLACK: f32 = 1e-5;
+/// Radians that something has to be away to be no matter of rounding, or of samples between which the boundary passes.
+const CLEAR: f32 = 0.02;
+/// Square of an angle of a tenth of a radian, from the middle of a texel to its corner, over its chord's, and some.
+const ARC: f32 = 1.002;
 
 /// Tables for the transform between two resolutions.
 pub struct DistanceTransform {
@@ -70,11 +74,6 @@ pub(crate) fn is_clear(distances: &[f32], centres: &Directions, direction: Vec3)
     let reach = distances[texel] - CLEAR;
     reach > 0.0 && reach * reach > ARC * direction.distance_squared(centres.as_slice()[texel])
 }
-
-/// Radians that something has to be away to be no matter of rounding, or of samples between which the boundary passes.
-const CLEAR: f32 = 0.02;
-/// Square of an angle of a tenth of a radian, from the middle of a texel to its corner, over its chord's, and some.
-const ARC: f32 = 1.002;
 
 /// Four neighbouring texels, and what one sweep over the equations of the points between
 /// them makes of their distances: the equations' projections, multiplied.

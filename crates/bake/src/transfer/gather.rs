@@ -25,19 +25,20 @@ pub(crate) struct Receiver {
 impl Radiosity {
     /// The outputs of a vertex as [`relight_format::Transfer`] has them, one after the other: per
     /// output and channel `columns` numbers; without radiance if there is to be `irradiance`
-    /// alone. Of so many rays those are cast for which `is_clear` does not know that they meet nothing; they are
-    /// counted up in `cast`.
+    /// alone. Of so many rays those are cast for which `is_clear` does not know that they meet nothing; also
+    /// returns how many.
     pub(crate) fn gather(
         &self,
         caster: &RayCaster,
         receiver: &Receiver,
-        (rays, cast): (u32, &mut u64),
+        rays: u32,
         irradiance: bool,
         is_clear: impl Fn(Vec3) -> bool,
-    ) -> Vec<f32> {
+    ) -> (Vec<f32>, u64) {
         let block = 3 * self.columns();
         let outputs = if irradiance { 3 } else { 7 };
         let mut sums = vec![0.0; outputs * block];
+        let mut cast = 0;
         let mut values = vec![0.0; block];
         // Of directions that are blocked: sums of w, w ω and w ω ωᵀ.
         let mut moments = Mat4::ZERO;
@@ -54,7 +55,7 @@ impl Radiosity {
             if is_clear(ray.direction) {
                 continue;
             }
-            *cast += 1;
+            cast += 1;
             let Some(met) = self.meet(caster, receiver.origin, ray.direction) else {
                 continue;
             };
@@ -120,7 +121,7 @@ impl Radiosity {
                 fit_radiance(&mut sums[3 * block..], block, moments);
             }
         }
-        sums
+        (sums, cast)
     }
 }
 

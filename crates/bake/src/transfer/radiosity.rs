@@ -658,7 +658,7 @@ pub(super) mod tests {
                 origin: Vec3::new(0.1 + 0.02 * i as f32, 1e-4, 0.4),
                 normal: y,
             };
-            let gathered = solved.gather(&caster, &receiver, (128, &mut 0), true, |_| false);
+            let (gathered, _) = solved.gather(&caster, &receiver, 128, true, |_| false);
             let block = 3 * solved.columns;
             mean += gathered[block + solved.columns - 1] / count as f32;
             // No light from outside.
@@ -701,7 +701,7 @@ pub(super) mod tests {
                 origin: place,
                 normal: Vec3::Y,
             };
-            let gathered = solved.gather(&caster, &receiver, (128, &mut 0), true, |_| false);
+            let (gathered, _) = solved.gather(&caster, &receiver, 128, true, |_| false);
             let found = gathered[block + solved.columns - 1];
             // Lambert's formula, over the edges of the faces that look at the place.
             let face = |corners: [Vec3; 4]| -> f32 {
@@ -755,7 +755,8 @@ pub(super) mod tests {
             normal: Vec3::Y,
         };
         let block = 3 * solved.columns;
-        let inside = solved.gather(&caster, &receiver, (128, &mut 0), true, |_| false)[block];
+        let (inside, _) = solved.gather(&caster, &receiver, 128, true, |_| false);
+        let inside = inside[block];
         // What the open floor gets of the sky in the first harmonic, which is constant.
         let outside = PI * (0.25 / PI).sqrt();
         assert!(inside < 0.1 * outside, "{inside} of {outside}");
@@ -779,10 +780,10 @@ pub(super) mod tests {
                 origin: at(i),
                 normal: y,
             });
-            let gathered = receivers
-                .map(|receiver| solved.gather(&caster, &receiver, (128, &mut 0), true, |_| false));
+            let gathered =
+                receivers.map(|receiver| solved.gather(&caster, &receiver, 128, true, |_| false));
             let found: Vec<f32> = gathered
-                .map(|sums| sums[block + solved.columns - 1])
+                .map(|(sums, _)| sums[block + solved.columns - 1])
                 .collect();
             found.iter().sum::<f32>() / count as f32
         });

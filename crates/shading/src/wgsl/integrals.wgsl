@@ -58,10 +58,11 @@ fn integrals_ask(waiting: u32) {
         if !INTEGRALS_OF_IMAGE {
             whole = amplitude * spherical_gaussian_energy(shape.w);
         }
-        if shade_negligible(whole, gathered + estimate) {
+        let before = gathered + estimate;
+        if shade_negligible(whole, before) {
             continue;
         }
-        let share = shade_share(whole, gathered + estimate);
+        let share = shade_share(whole, before);
         var known = 0.0;
         var unknown = 0.0;
         if polar_meets_horizon(shape.w, shape.z) {

@@ -213,8 +213,7 @@ impl Candidates {
             if let Some(contour) = edge.contour(face)
                 && places.binary_search(&place).is_ok()
             {
-                let ends = (contour.vertices).map(|vertex| positions[vertex as usize].into());
-                Batch::append(&mut self.found_batches, ends, contour.step);
+                append(&mut self.found_batches, contour, positions);
             }
         }
     }
@@ -243,8 +242,7 @@ impl Candidates {
             (triangles.any(|(triangle, _)| is_touched(*triangle))).then(|| edge.contour(face))?
         });
         for contour in regular.chain(irregular) {
-            let ends = (contour.vertices).map(|vertex| positions[vertex as usize].into());
-            Batch::append(&mut self.found_batches, ends, contour.step);
+            append(&mut self.found_batches, contour, positions);
         }
         &self.found_batches
     }
@@ -348,6 +346,11 @@ impl Candidates {
             }
         }
     }
+}
+
+fn append(batches: &mut Vec<Batch<3>>, contour: Contour, positions: &[Vec3]) {
+    let ends = (contour.vertices).map(|vertex| positions[vertex as usize].into());
+    Batch::append(batches, ends, contour.step);
 }
 
 fn gather(contours: &[Contour], positions: &[Vec3], batches: &mut Vec<Batch<3>>) {

@@ -10,6 +10,9 @@ use obvhs::{Boundable, BvhBuildParams};
 use relight_format::Scene;
 use relight_shading::occluders::{Node, Occluders};
 
+/// What a node costs a walk, over what a triangle does.
+const NODE_COST: f32 = 1.0;
+
 /// A triangle's bounds, padded so that rounding in the box test loses no hit.
 struct Padded {
     corners: [Vec3A; 3],
@@ -85,7 +88,7 @@ fn tree(padded: &[Padded]) -> Bvh2 {
     collapse(
         &mut tree,
         parameters.max_prims_per_leaf.clamp(1, 255),
-        parameters.collapse_traversal_cost,
+        NODE_COST,
     );
     let ratio = ratio * parameters.post_collapse_reinsertion_batch_ratio_multiplier;
     optimizer.run(&mut tree, ratio, None);

@@ -15,6 +15,9 @@ const LEAST_COMPONENT: f32 = 1e-20;
 /// leaves barycentric coordinates uncertain by a twentieth.
 const UNCERTAIN: f32 = 5e-6;
 
+/// Least length that is divided by.
+const LEAST_LENGTH: f32 = 1e-20;
+
 /// Least sine of a cone's half angle that a radius is divided by.
 const LEAST_SINE: f32 = 1e-4;
 
@@ -173,14 +176,14 @@ impl Occluders {
         let mut place = from;
         while let Some(node) = self.nodes.get(place as usize) {
             let (low, high) = (Vec3::from(node.low), Vec3::from(node.high));
-            let middle = 0.5 * (low + high) - origin;
-            let around = 0.5 * (high - low).length();
+            let (middle, half) = (0.5 * (low + high) - origin, 0.5 * (high - low));
             let along = axis.dot(middle);
-            let across = (middle.length_squared() - along * along).max(0.0).sqrt();
-            // From the side of the cone.
-            let outside = (across - radius) * cosine - along * sine;
-            let highest = face.dot(middle) + 0.5 * face.abs().dot(high - low);
-            if outside > around || along < -around || highest <= 0.0 {
+            let aside = middle - along * axis;
+            // Away from the side of the cone that is nearest to the middle.
+            let away = aside * (cosine / aside.length().max(LEAST_LENGTH)) - axis * sine;
+            let outside = away.dot(middle) - radius * cosine - away.abs().dot(half);
+            let highest = face.dot(middle) + face.abs().dot(half);
+            if outside > 0.0 || along < -axis.abs().dot(half) || highest <= 0.0 {
                 place = node.next;
                 continue;
             }
@@ -268,6 +271,7 @@ pub fn wgsl_constants() -> String {
     format!(
         "const OCCLUDERS_LEAST_COMPONENT: f32 = {LEAST_COMPONENT:e};\n\
          const OCCLUDERS_UNCERTAIN: f32 = {UNCERTAIN:e};\n\
+         const OCCLUDERS_LEAST_LENGTH: f32 = {LEAST_LENGTH:e};\n\
          const OCCLUDERS_LEAST_SINE: f32 = {LEAST_SINE:e};\n\
          const OCCLUDERS_NONE: u32 = 0xffffffffu;\n\
          const OCCLUDERS_COUNT_BITS: u32 = {}u;\n\

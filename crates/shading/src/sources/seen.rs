@@ -193,7 +193,7 @@ impl Look<'_> {
             let mut asked = tried(common, turn) | (any & !common) | tried(all & !any, turn);
             let mut met = Some(from);
             if common == all {
-                met = self.meet(1 + group, from).and(met);
+                met = self.meet(1 + group, from);
                 let is_clear = met.is_none() && self.is_cone_above(1 + group);
                 asked = if is_clear {
                     0
@@ -225,7 +225,7 @@ impl Look<'_> {
             if let Some(from) = from
                 && probed & (1 << group) != 0
             {
-                met = self.meet(1 + group, from).and(Some(from));
+                met = self.meet(1 + group, from);
             }
             if met.is_none() && self.is_cone_above(1 + group) {
                 seen.whole |= 1 << group;

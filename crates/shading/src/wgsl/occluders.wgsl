@@ -131,12 +131,14 @@ fn occluders_cone_step(
     }
     let node = occluder_nodes[walk.node];
     let middle = 0.5 * (node.low + node.high) - origin;
-    let around = 0.5 * length(node.high - node.low);
+    let half = 0.5 * (node.high - node.low);
     let along = dot(axis, middle);
-    let across = sqrt(max(dot(middle, middle) - along * along, 0.0));
-    let outside = (across - radius) * cosine - along * occluders_sine(cosine);
-    let highest = dot(face, middle) + 0.5 * dot(abs(face), node.high - node.low);
-    if outside > around || along < -around || highest <= 0.0 {
+    let aside = middle - along * axis;
+    // Away from the side of the cone that is nearest to the middle.
+    let away = aside * (cosine / max(length(aside), OCCLUDERS_LEAST_LENGTH)) - axis * occluders_sine(cosine);
+    let outside = dot(away, middle) - radius * cosine - dot(abs(away), half);
+    let highest = dot(face, middle) + dot(abs(face), half);
+    if outside > 0.0 || along < -dot(abs(axis), half) || highest <= 0.0 {
         return OccludersWalk(node.next, 0u, 0u, false);
     }
     return occluders_enter(walk.node, node.triangles);

@@ -265,8 +265,7 @@ fn sources_steps(entry: u32, asks: bool) {
             if is_clear {
                 asked = 0u;
             }
-            let node = select(OCCLUDERS_NONE, first, met != OCCLUDERS_NONE);
-            let found = sources_rays(entry, step, group, asked, node);
+            let found = sources_rays(entry, step, group, asked, met);
             if step == SOURCES_PROBE {
                 probed = found.x;
                 if probed == 0u {

@@ -17,6 +17,7 @@ use crate::monitor::Interrupted;
 use crate::ssdf;
 use crate::transfer::compress::{Compressed, compress};
 use crate::transfer::gather::Receiver;
+use crate::transfer::smooth::smoothed;
 
 /// Bounced light of a chunk.
 pub(super) struct ChunkLight {
@@ -62,23 +63,22 @@ impl Prepared<'_> {
         // Where all places are sampled: what others stand for is no surer than what it is interpolated between.
         let sampled = self.options.sample_spacing == 0.0;
         let centres = self.weighting.directions();
+        let receiver = |&vertex: &u32| Receiver {
+            origin: self.origins[self.places[vertex as usize] as usize],
+            normal: (self.mesh.vertices[vertex as usize].normal).normalize_or(Vec3::Y),
+        };
         let gather = |vertex: u32| {
             let start = Instant::now();
-            let normal = self.mesh.vertices[vertex as usize].normal;
             let place = self.places[vertex as usize];
-            let receiver = Receiver {
-                origin: self.origins[place as usize],
-                normal: normal.normalize_or(Vec3::Y),
-            };
             let ssdf = (places.binary_search(&place).ok())
                 .filter(|_| sampled)
                 .map(|index| column(ssdfs, index));
             let is_clear = |direction| {
                 ssdf.is_some_and(|distances| ssdf::is_clear(distances, centres, direction))
             };
-            let (gathered, cast) = radiosity.gather(caster, &receiver, rays, !mirror, is_clear);
+            let gathered = radiosity.gather(caster, &receiver(&vertex), rays, !mirror, is_clear);
             add_time(&self.counters.bounce_nanoseconds, start);
-            (self.counters.bounce_rays).fetch_add(cast, Ordering::Relaxed);
+            (self.counters.bounce_rays).fetch_add(gathered.cast, Ordering::Relaxed);
             gathered
         };
         let stand: Vec<Vec<(u32, f32)>> = (vertices.iter())
@@ -98,20 +98,32 @@ impl Prepared<'_> {
             Ok(gathered)
         };
         let gathered: Result<Vec<_>, Interrupted> = sources.par_iter().map(known).collect();
-        let mut gathered = gathered?;
+        let gathered = gathered?;
         let start = Instant::now();
+        let receivers: Vec<Receiver> = sources.iter().map(receiver).collect();
+        // What is emitted nearby changes as fast as its shadows.
+        let columns = radiosity.columns();
+        let smooth = columns - usize::from(radiosity.emits());
+        let mut outputs = smoothed(&receivers, &gathered, (smooth, columns));
         if sources != vertices {
             let mixed = |stand: &Vec<(u32, f32)>| {
-                let mut sum = vec![0.0; gathered[0].len()];
+                let mut sum = vec![0.0; outputs[0].len()];
                 for &(source, weight) in stand {
                     let source = sources.partition_point(|&other| other < source);
-                    (sum.iter_mut().zip(&gathered[source])).for_each(|(sum, x)| *sum += weight * x);
+                    (sum.iter_mut().zip(&outputs[source])).for_each(|(sum, x)| *sum += weight * x);
                 }
                 sum
             };
-            gathered = stand.iter().map(mixed).collect();
+            outputs = stand.iter().map(mixed).collect();
         }
-        let light = compress(&gathered, if mirror { 7 } else { 3 });
+        let normals: Vec<Vec3> = vertices
+            .iter()
+            .map(|vertex| receiver(vertex).normal)
+            .collect();
+        let shared: Vec<bool> = (vertices.iter())
+            .map(|&vertex| self.shared[self.places[vertex as usize] as usize])
+            .collect();
+        let light = compress(&outputs, &normals, &shared, if mirror { 7 } else { 3 });
         add_time(&self.counters.bounce_nanoseconds, start);
         Ok(Some(ChunkLight { vertices, light }))
     }

@@ -15,6 +15,7 @@ use crate::compress::{Normal, Samples, Weighting};
 use crate::mesh::{Mesh, cluster};
 use crate::monitor::{Interrupted, Monitor};
 use crate::ssdf::{Sampled, Sampler};
+use crate::transfer::gather::Gathered;
 use crate::transfer::radiosity::Radiosity;
 use crate::visibility::contour::ContourMesh;
 use crate::visibility::places::{Divided, Places};
@@ -171,6 +172,8 @@ pub(super) struct Prepared<'a> {
     pub(super) sparse_light: Sparse,
     /// Triangles that are sampled and compressed together.
     pub(super) chunks: Vec<Vec<u32>>,
+    /// Whether several chunks have a place.
+    pub(super) shared: Vec<bool>,
     /// Where visibility is sampled, one point per place.
     pub(super) origins: Vec<Vec3>,
     pub(super) contours: ContourMesh,
@@ -178,7 +181,7 @@ pub(super) struct Prepared<'a> {
     pub(super) ray_offset: f32,
     /// Where light is not gathered at every vertex, what is gathered at those that stand for others: irradiance, and
     /// with radiance.
-    pub(super) gathered: [Vec<OnceLock<Vec<f32>>>; 2],
+    pub(super) gathered: [Vec<OnceLock<Gathered>>; 2],
     /// Light after its bounces, if it is to bounce.
     pub(super) radiosity: Option<Radiosity>,
     /// Whether each material shows what is about it.
@@ -188,6 +191,23 @@ pub(super) struct Prepared<'a> {
     /// Whether every point is also sampled by one ray per texel.
     pub(super) verify: bool,
     pub(super) counters: Counters,
+}
+
+/// Whether several chunks have each place.
+fn shared(placed: &Placed, chunks: &[Vec<u32>]) -> Vec<bool> {
+    let mut first = vec![usize::MAX; placed.origins.len()];
+    let mut shared = vec![false; placed.origins.len()];
+    for (chunk, triangles) in chunks.iter().enumerate() {
+        for &place in triangles
+            .iter()
+            .flat_map(|&triangle| &placed.triangles[triangle as usize])
+        {
+            let place = place as usize;
+            shared[place] |= first[place] != usize::MAX && first[place] != chunk;
+            first[place] = chunk;
+        }
+    }
+    shared
 }
 
 impl<'a> Prepared<'a> {
@@ -213,6 +233,7 @@ impl<'a> Prepared<'a> {
             0
         };
         Self {
+            shared: shared(&placed, &chunks),
             counts: placed.counts,
             options: options.clone(),
             monitor,

@@ -1,8 +1,10 @@
 //! Bounced light of a chunk of vertices as a mean, a few components and weights.
 //!
 //! Principal components by subspace iteration (Halko, Martinsson & Tropp 2011, algorithm 4.4):
-//! what is left after a dozen of them is noise of the rays, which neighbours do not share.
+//! what is left after a dozen of them is small, or noise of the rays where vertices have few neighbours alike. Vertices on
+//! the edge of a chunk, which its neighbours have too, count for more, and so does irradiance along the chunk's normals.
 
+use glam::{Mat3, Vec3};
 use nalgebra::DMatrix;
 use relight_format::MAX_TRANSFER_RANK;
 
@@ -10,20 +12,24 @@ use super::radiosity::hash;
 use crate::simd::product;
 
 /// A component is stored where it carries at least this part of the bounced light, and of what
-/// an open sky gives; both root mean squares over vertices. What is left is little, and noise. The
+/// an open sky gives; both root mean squares over vertices. What is left is little, or noise. The
 /// first is larger where radiance is stored too, which has more of both.
-const RELATIVE_GAIN: f64 = 0.03;
-const RELATIVE_GAIN_OF_RADIANCE: f64 = 0.05;
-const SKY_GAIN: f64 = 0.002;
+const RELATIVE_GAIN: f64 = 0.01;
+const RELATIVE_GAIN_OF_RADIANCE: f64 = 0.02;
+const SKY_GAIN: f64 = 0.0005;
 /// A vertex's squared light counts as at most so many times that of the chunk's middle one.
 const BRIGHTEST: f64 = 16.0;
 /// Steps of weights are not finer than this part of what an open sky gives, and of the basis
 /// than that.
-const WEIGHT_STEP: f32 = 0.005;
-const BASIS_STEP: f32 = 0.0012;
+const WEIGHT_STEP: f32 = 0.001;
+const BASIS_STEP: f32 = 0.0003;
 /// Sum over channels of the squared norm of an open sky's irradiance over π: ∫ cos² over a
 /// hemisphere, over π².
 const SKY_SQUARED: f64 = 3.0 * 2.0 / (3.0 * std::f64::consts::PI);
+/// How much an error at right angles to a normal counts, over one along it: normals in textures differ from those of vertices.
+const ASIDE: f32 = 0.1;
+/// How much an error counts at a vertex that several chunks have.
+const SHARED: f32 = 2.0;
 /// Columns that are iterated besides those wanted, and times.
 const EXCESS: usize = 4;
 const ITERATIONS: usize = 2;
@@ -41,9 +47,9 @@ pub struct Group {
     pub scales: Vec<f32>,
     /// As [`relight_format::Transfer::basis`].
     pub basis: Vec<i8>,
-    /// Sum over vertices of the squared error of what is stored.
+    /// Sum over vertices of the squared error of what is stored, by [`Metric`].
     pub(crate) squared_error: f64,
-    /// Sum over vertices of the squared bounced light.
+    /// Sum over vertices of the squared bounced light, by the same.
     pub squared: f64,
 }
 
@@ -73,8 +79,14 @@ pub struct ClusterTransfer {
     pub weights: Vec<i8>,
 }
 
-/// Compresses the outputs of vertices, each of `outputs` blocks of equal length.
-pub(crate) fn compress(vertices: &[Vec<f32>], outputs: usize) -> Compressed {
+/// Compresses the outputs of vertices with such normals, each of `outputs` blocks of equal length. Errors of those that
+/// other chunks have as well count for more: they are seen as edges.
+pub(crate) fn compress(
+    vertices: &[Vec<f32>],
+    normals: &[Vec3],
+    shared: &[bool],
+    outputs: usize,
+) -> Compressed {
     let length = vertices.first().map_or(0, Vec::len);
     let block = length / outputs.max(1);
     let factor = |row: usize| {
@@ -87,13 +99,25 @@ pub(crate) fn compress(vertices: &[Vec<f32>], outputs: usize) -> Compressed {
     let mut samples = DMatrix::from_fn(length, vertices.len(), |row, column| {
         vertices[column][row] * factor(row)
     });
+    let metric = Metric::new(normals);
+    let along = IRRADIANCE_OUTPUTS * block;
+    (samples.column_iter_mut()).for_each(|mut column| {
+        Metric::apply(&metric.root, &mut column.as_mut_slice()[..along]);
+    });
     let squared = squares(&samples);
     let counted = counted(&samples);
     let mean = samples.column_mean();
     for mut column in samples.column_iter_mut() {
         column -= &mean;
     }
-    let (components, coefficients) = principal(&samples);
+    let mut weighed = samples.clone();
+    for (mut column, shared) in weighed.column_iter_mut().zip(shared) {
+        if *shared {
+            column *= SHARED;
+        }
+    }
+    let components = principal(&weighed);
+    let coefficients = product(&components.transpose(), &samples);
     let sky = SKY_SQUARED.sqrt() as f32;
     let gain = if outputs > IRRADIANCE_OUTPUTS {
         RELATIVE_GAIN_OF_RADIANCE
@@ -102,7 +126,11 @@ pub(crate) fn compress(vertices: &[Vec<f32>], outputs: usize) -> Compressed {
     };
     let least =
         (gain.powi(2) * counted).max(SKY_GAIN.powi(2) * SKY_SQUARED * vertices.len() as f64);
-    let mut rows = vec![mean.as_slice().to_vec()];
+    let stored = |mut row: Vec<f32>| {
+        Metric::apply(&metric.inverse, &mut row[..along]);
+        row
+    };
+    let mut rows = vec![stored(mean.as_slice().to_vec())];
     let mut weights: Vec<Vec<i8>> = Vec::new();
     let finest = 127.0 * WEIGHT_STEP * sky;
     let energy = |values: &[f32]| -> f64 { values.iter().map(|x| f64::from(x * x)).sum() };
@@ -118,7 +146,7 @@ pub(crate) fn compress(vertices: &[Vec<f32>], outputs: usize) -> Compressed {
             is_coarse = brightest > finest;
             let largest = brightest.max(finest);
             let component = components.column(index);
-            rows.push(component.iter().map(|x| x * largest).collect());
+            rows.push(stored(component.iter().map(|x| x * largest).collect()));
             let quantised = left.iter_mut().map(|x| {
                 let weight = (*x / largest * 127.0).round();
                 *x -= weight * largest / 127.0;
@@ -134,25 +162,9 @@ pub(crate) fn compress(vertices: &[Vec<f32>], outputs: usize) -> Compressed {
         squared,
         ..Group::default()
     };
-    let mut decoded: Vec<Vec<f32>> = Vec::new();
-    for row in &rows {
-        let mut exact = Vec::with_capacity(length);
-        for (output, values) in row.chunks_exact(block.max(1)).enumerate() {
-            let scale = values.iter().fold(0f32, |most, x| most.max(x.abs()));
-            let scale = if scale > 0.0 {
-                scale.max(127.0 * BASIS_STEP * sky)
-            } else {
-                0.0
-            };
-            let step = if scale > 0.0 { scale / 127.0 } else { 1.0 };
-            group.scales.push(scale / factor(output * block));
-            for value in values {
-                let stored = (value / step).round() as i8;
-                group.basis.push(stored);
-                exact.push(f32::from(stored) * step);
-            }
-        }
-        decoded.push(exact);
+    let mut decoded = store(&mut group, &rows, block, factor);
+    for row in &mut decoded {
+        Metric::apply(&metric.root, &mut row[..along]);
     }
     for (column, sample) in samples.column_iter().enumerate() {
         let share: Vec<f32> = (weights.iter())
@@ -172,13 +184,80 @@ pub(crate) fn compress(vertices: &[Vec<f32>], outputs: usize) -> Compressed {
     Compressed { group, weights }
 }
 
-/// Principal components of the columns, as columns, and the coefficients, as rows; strongest
-/// first.
-fn principal(samples: &DMatrix<f32>) -> (DMatrix<f32>, DMatrix<f32>) {
+/// Puts rows into a group, whose outputs are times a factor by their first number; returns what is stored of them.
+fn store(
+    group: &mut Group,
+    rows: &[Vec<f32>],
+    block: usize,
+    factor: impl Fn(usize) -> f32,
+) -> Vec<Vec<f32>> {
+    let least = 127.0 * BASIS_STEP * SKY_SQUARED.sqrt() as f32;
+    let store = |row: &Vec<f32>| {
+        let mut exact = Vec::with_capacity(row.len());
+        for (output, values) in row.chunks_exact(block.max(1)).enumerate() {
+            let scale = values.iter().fold(0f32, |most, x| most.max(x.abs()));
+            let scale = if scale > 0.0 { scale.max(least) } else { 0.0 };
+            let step = if scale > 0.0 { scale / 127.0 } else { 1.0 };
+            group.scales.push(scale / factor(output * block));
+            for value in values {
+                let stored = (value / step).round() as i8;
+                group.basis.push(stored);
+                exact.push(f32::from(stored) * step);
+            }
+        }
+        exact
+    };
+    rows.iter().map(store).collect()
+}
+
+/// How much errors of the vector irradiance matter, by their direction: what is shown is along normals.
+struct Metric {
+    /// An error e counts as eᵀ A e: the square root of A, and its inverse.
+    root: Mat3,
+    inverse: Mat3,
+}
+
+impl Metric {
+    fn new(normals: &[Vec3]) -> Self {
+        let squares: DMatrix<f32> = normals.iter().fold(DMatrix::zeros(3, 3), |sum, normal| {
+            let normal = nalgebra::DVector::from_column_slice(&normal.to_array());
+            sum + &normal * normal.transpose()
+        });
+        let matrix = squares * ((1.0 - ASIDE) / normals.len().max(1) as f32)
+            + DMatrix::identity(3, 3) * ASIDE;
+        let eigen = matrix.symmetric_eigen();
+        let power = |exponent: i32| {
+            let values = eigen
+                .eigenvalues
+                .map(|value| value.max(ASIDE).sqrt().powi(exponent));
+            let root = &eigen.eigenvectors
+                * DMatrix::from_diagonal(&values)
+                * eigen.eigenvectors.transpose();
+            Mat3::from_cols_slice(root.as_slice())
+        };
+        Self {
+            root: power(1),
+            inverse: power(-1),
+        }
+    }
+
+    /// Multiplies the vectors whose x, y and z are the thirds of `values`.
+    fn apply(matrix: &Mat3, values: &mut [f32]) {
+        let block = values.len() / 3;
+        for index in 0..block {
+            let at = |axis: usize| axis * block + index;
+            let vector = *matrix * Vec3::new(values[at(0)], values[at(1)], values[at(2)]);
+            (0..3).for_each(|axis| values[at(axis)] = vector[axis]);
+        }
+    }
+}
+
+/// Principal components of the columns, as columns; strongest first.
+fn principal(samples: &DMatrix<f32>) -> DMatrix<f32> {
     let (length, count) = samples.shape();
     let width = (MAX_TRANSFER_RANK as usize + EXCESS).min(length).min(count);
     if width == 0 {
-        return (DMatrix::zeros(length, 0), DMatrix::zeros(0, count));
+        return DMatrix::zeros(length, 0);
     }
     let chance = DMatrix::from_fn(count, width, |i, j| {
         if hash(i as u32, j as u32) & 1 == 0 {
@@ -198,10 +277,7 @@ fn principal(samples: &DMatrix<f32>) -> (DMatrix<f32>, DMatrix<f32>) {
     let mut order: Vec<usize> = (0..width).collect();
     order.sort_by(|&a, &b| eigen.eigenvalues[b].total_cmp(&eigen.eigenvalues[a]));
     let turn = DMatrix::from_fn(width, width, |i, j| eigen.eigenvectors[(i, order[j])]);
-    (
-        product(&range, &turn),
-        product(&turn.transpose(), &projected),
-    )
+    product(&range, &turn)
 }
 
 /// Sum of the squares of the columns, each as if it were at most [`BRIGHTEST`] times that of the middle
@@ -241,7 +317,7 @@ mod tests {
                 .collect()
         };
         let vertices: Vec<_> = (0..200).map(vertex).collect();
-        let compressed = compress(&vertices, 3);
+        let compressed = compress(&vertices, &[Vec3::Y; 200], &[false; 200], 3);
         let Group {
             rank,
             squared_error,
@@ -257,7 +333,7 @@ mod tests {
 
     #[test]
     fn darkness_takes_no_components() {
-        let compressed = compress(&vec![vec![0.0; 12]; 5], 3);
+        let compressed = compress(&vec![vec![0.0; 12]; 5], &[Vec3::Y; 5], &[false; 5], 3);
         assert_eq!(compressed.group.rank, 0);
         assert_eq!(compressed.group.scales, [0.0; 3]);
         assert_eq!(compressed.group.squared_error, 0.0);

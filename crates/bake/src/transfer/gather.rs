@@ -22,11 +22,21 @@ pub(crate) struct Receiver {
     pub normal: Vec3,
 }
 
+/// What arrives at a vertex.
+#[derive(Clone, Debug)]
+pub(crate) struct Gathered {
+    /// As [`relight_format::Transfer`] has them, one after the other: per output and channel `columns` numbers;
+    /// without radiance if there is to be irradiance alone.
+    pub outputs: Vec<f32>,
+    /// Mean of 1 over the distance to what rays meet, 1/metres, weighted by the cosine; 0 for those that meet nothing.
+    pub nearness: f32,
+    /// Rays that were cast.
+    pub cast: u64,
+}
+
 impl Radiosity {
-    /// The outputs of a vertex as [`relight_format::Transfer`] has them, one after the other: per
-    /// output and channel `columns` numbers; without radiance if there is to be `irradiance`
-    /// alone. Of so many rays those are cast for which `is_clear` does not know that they meet nothing; also
-    /// returns how many.
+    /// What arrives at a vertex, with radiance unless there is to be `irradiance` alone. Of so many rays those are cast for
+    /// which `is_clear` does not know that they meet nothing.
     pub(crate) fn gather(
         &self,
         caster: &RayCaster,
@@ -34,11 +44,11 @@ impl Radiosity {
         rays: u32,
         irradiance: bool,
         is_clear: impl Fn(Vec3) -> bool,
-    ) -> (Vec<f32>, u64) {
+    ) -> Gathered {
         let block = 3 * self.columns();
         let outputs = if irradiance { 3 } else { 7 };
         let mut sums = vec![0.0; outputs * block];
-        let mut cast = 0;
+        let (mut cast, mut nearness) = (0, 0.0);
         let mut values = vec![0.0; block];
         // Of directions that are blocked: sums of w, w ω and w ω ωᵀ.
         let mut moments = Mat4::ZERO;
@@ -59,6 +69,8 @@ impl Radiosity {
             let Some(met) = self.meet(caster, receiver.origin, ray.direction) else {
                 continue;
             };
+            let distance = met.position.distance(receiver.origin);
+            nearness += 2.0 * ray.cosine / rays as f32 / distance.max(f32::MIN_POSITIVE);
             emitted += lamps.met(&met, ray.direction);
             let sender = self.sender(caster, &met, 1.0, ray.number);
             let row = ray.direction.extend(1.0);
@@ -121,7 +133,11 @@ impl Radiosity {
                 fit_radiance(&mut sums[3 * block..], block, moments);
             }
         }
-        (sums, cast)
+        Gathered {
+            outputs: sums,
+            nearness,
+            cast,
+        }
     }
 }
 

@@ -4,7 +4,8 @@
 //! Light reflected many times is smooth, so its bounces are followed between a few thousand
 //! points that lie evenly on the surface ([`points`], [`radiosity`]), which depend on the scene and
 //! the options alone: every shard has the same. Vertices then gather once more, by rays of their
-//! own ([`gather`]), chunk by chunk, and chunks are compressed ([`compress`]). What emits, and what sends
+//! own ([`gather`]), chunk by chunk, take what their neighbours' rays tell as well ([`smooth`]), and chunks are compressed
+//! ([`compress`]). What emits, and what sends
 //! much of that on, is drawn from besides ([`emitters`]): rays at random seldom meet it.
 //!
 //! Surfaces send on light evenly in all directions, as much as their albedo is, mirrors' among
@@ -16,6 +17,7 @@ pub(crate) mod gather;
 mod lamps;
 pub(crate) mod points;
 pub(crate) mod radiosity;
+pub(crate) mod smooth;
 pub(crate) mod surfaces;
 
 /// How to gather bounced light. Every field has its default in [`Options::standard`].
@@ -52,7 +54,7 @@ impl Options {
             order: 6,
             points: 4096,
             point_rays: 256,
-            vertex_rays: 128,
+            vertex_rays: 64,
         }
     }
 
@@ -60,7 +62,7 @@ impl Options {
     pub fn high() -> Self {
         Self {
             points: 8192,
-            vertex_rays: 256,
+            vertex_rays: 128,
             ..Self::standard()
         }
     }

@@ -478,6 +478,11 @@ impl Radiosity {
         self.columns
     }
 
+    /// Whether the last column is what surfaces emit.
+    pub(crate) fn emits(&self) -> bool {
+        self.surfaces.emit()
+    }
+
     /// Of the asset, before any chunk is in it.
     pub(crate) fn head(&self, order: u32) -> relight_format::Transfer {
         relight_format::Transfer {
@@ -658,11 +663,11 @@ pub(super) mod tests {
                 origin: Vec3::new(0.1 + 0.02 * i as f32, 1e-4, 0.4),
                 normal: y,
             };
-            let (gathered, _) = solved.gather(&caster, &receiver, 128, true, |_| false);
+            let gathered = solved.gather(&caster, &receiver, 128, true, |_| false);
             let block = 3 * solved.columns;
-            mean += gathered[block + solved.columns - 1] / count as f32;
+            mean += gathered.outputs[block + solved.columns - 1] / count as f32;
             // No light from outside.
-            assert!(gathered[block].abs() < 1e-6);
+            assert!(gathered.outputs[block].abs() < 1e-6);
         }
         // A few per cent of what 32 rays to emitters miss, over 40 places.
         assert!((mean / (2.0 * PI) - 1.0).abs() < 0.03, "{mean}");
@@ -701,8 +706,8 @@ pub(super) mod tests {
                 origin: place,
                 normal: Vec3::Y,
             };
-            let (gathered, _) = solved.gather(&caster, &receiver, 128, true, |_| false);
-            let found = gathered[block + solved.columns - 1];
+            let gathered = solved.gather(&caster, &receiver, 128, true, |_| false);
+            let found = gathered.outputs[block + solved.columns - 1];
             // Lambert's formula, over the edges of the faces that look at the place.
             let face = |corners: [Vec3; 4]| -> f32 {
                 let directions = corners.map(|at| (at - place).normalize());
@@ -755,8 +760,8 @@ pub(super) mod tests {
             normal: Vec3::Y,
         };
         let block = 3 * solved.columns;
-        let (inside, _) = solved.gather(&caster, &receiver, 128, true, |_| false);
-        let inside = inside[block];
+        let inside = solved.gather(&caster, &receiver, 128, true, |_| false);
+        let inside = inside.outputs[block];
         // What the open floor gets of the sky in the first harmonic, which is constant.
         let outside = PI * (0.25 / PI).sqrt();
         assert!(inside < 0.1 * outside, "{inside} of {outside}");
@@ -783,7 +788,7 @@ pub(super) mod tests {
             let gathered =
                 receivers.map(|receiver| solved.gather(&caster, &receiver, 128, true, |_| false));
             let found: Vec<f32> = gathered
-                .map(|(sums, _)| sums[block + solved.columns - 1])
+                .map(|gathered| gathered.outputs[block + solved.columns - 1])
                 .collect();
             found.iter().sum::<f32>() / count as f32
         });

@@ -5,7 +5,7 @@
 //! the edge of a chunk, which its neighbours have too, count for more, and so does irradiance along the chunk's normals.
 
 use glam::{Mat3, Vec3};
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, Matrix3};
 use relight_format::MAX_TRANSFER_RANK;
 
 use super::radiosity::hash;
@@ -26,7 +26,8 @@ const BASIS_STEP: f32 = 0.0003;
 /// Sum over channels of the squared norm of an open sky's irradiance over π: ∫ cos² over a
 /// hemisphere, over π².
 const SKY_SQUARED: f64 = 3.0 * 2.0 / (3.0 * std::f64::consts::PI);
-/// How much an error at right angles to a normal counts, over one along it: normals in textures differ from those of vertices.
+/// How much an error at right angles to a normal counts, over one along it: normals in textures differ from those of
+/// vertices.
 const ASIDE: f32 = 0.1;
 /// How much an error counts at a vertex that several chunks have.
 const SHARED: f32 = 2.0;
@@ -219,20 +220,16 @@ struct Metric {
 
 impl Metric {
     fn new(normals: &[Vec3]) -> Self {
-        let squares: DMatrix<f32> = normals.iter().fold(DMatrix::zeros(3, 3), |sum, normal| {
-            let normal = nalgebra::DVector::from_column_slice(&normal.to_array());
-            sum + &normal * normal.transpose()
-        });
+        let squares: Mat3 = (normals.iter())
+            .map(|&normal| Mat3::from_cols(normal * normal.x, normal * normal.y, normal * normal.z))
+            .sum();
         let matrix = squares * ((1.0 - ASIDE) / normals.len().max(1) as f32)
-            + DMatrix::identity(3, 3) * ASIDE;
-        let eigen = matrix.symmetric_eigen();
+            + Mat3::from_diagonal(Vec3::splat(ASIDE));
+        let eigen = Matrix3::from_column_slice(&matrix.to_cols_array()).symmetric_eigen();
         let power = |exponent: i32| {
-            let values = eigen
-                .eigenvalues
-                .map(|value| value.max(ASIDE).sqrt().powi(exponent));
-            let root = &eigen.eigenvectors
-                * DMatrix::from_diagonal(&values)
-                * eigen.eigenvectors.transpose();
+            let of_value = |value: f32| value.max(ASIDE).sqrt().powi(exponent);
+            let values = Matrix3::from_diagonal(&eigen.eigenvalues.map(of_value));
+            let root = eigen.eigenvectors * values * eigen.eigenvectors.transpose();
             Mat3::from_cols_slice(root.as_slice())
         };
         Self {

@@ -2,11 +2,11 @@
 //!
 //! Bounced light changes slowly, the slower the farther away is what sends it (Ward, Rubinstein & Clear 1988, "A Ray
 //! Tracing Solution for Diffuse Interreflection", section 3.2). So a vertex takes the plane that is nearest to what was
-//! gathered at itself and at those of its neighbours that stand as it does, least squares: the noise of the rays, which neighbours
-//! do not share, is less, and where all neighbours lie on one side, as at the edge of a chunk, nothing is shifted.
+//! gathered at itself and at those of its neighbours that stand as it does, least squares: the noise of the rays, which
+//! neighbours do not share, is less, and where all neighbours lie on one side, as at the edge of a chunk, nothing is
+//! shifted.
 
 use glam::{Mat3, Vec3};
-use rayon::prelude::*;
 
 use super::gather::{Gathered, Receiver};
 use crate::simd;
@@ -34,7 +34,6 @@ pub(crate) fn smoothed(
     (smooth, columns): (usize, usize),
 ) -> Vec<Vec<f32>> {
     (0..receivers.len())
-        .into_par_iter()
         .map(|index| {
             let own = &gathered[index].outputs;
             // Of nothing that is seen there is no noise.
@@ -89,8 +88,8 @@ fn parts(receivers: &[Receiver], gathered: &[Gathered], index: usize) -> Vec<(us
     let farthest = (near.iter())
         .map(|&(_, other)| receivers[other].origin.distance(own.origin))
         .fold(f32::MIN_POSITIVE, f32::max);
-    // The farthest of those that are taken counts for nothing, so that none comes or goes all at once; where all are alike,
-    // they count alike.
+    // The farthest of those that are taken counts for nothing, so that none comes or goes all at once; where all are
+    // alike, they count alike.
     let limit = match near.get(MOST - 1) {
         Some((farthest, _)) => farthest.max(ALIKE),
         None => FARTHEST,
@@ -114,14 +113,14 @@ fn parts(receivers: &[Receiver], gathered: &[Gathered], index: usize) -> Vec<(us
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::transfer::radiosity::hash;
+    use crate::transfer::radiosity::{hash, unit};
 
     /// Vertices a tenth apart on a floor of 16 by 16, with what `value` says, and noise.
     fn floor(nearness: f32, value: impl Fn(Vec3) -> f32) -> (Vec<Receiver>, Vec<Gathered>) {
         (0..256)
             .map(|index| {
                 let origin = Vec3::new(0.1 * (index % 16) as f32, 0.0, 0.1 * (index / 16) as f32);
-                let noise = (hash(index, 7) >> 8) as f32 / 16_777_216.0 - 0.5;
+                let noise = unit(hash(index, 7)) - 0.5;
                 let receiver = Receiver {
                     origin,
                     normal: Vec3::Y,

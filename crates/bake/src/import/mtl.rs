@@ -14,6 +14,8 @@ pub(super) struct MtlMaterial {
     pub diffuse: Option<[f32; 3]>,
     /// `Ks`.
     pub specular: Option<[f32; 3]>,
+    /// `Ke`, radiance.
+    pub emission: Option<[f32; 3]>,
     /// `Ns`.
     pub exponent: Option<f32>,
     /// `Pr`.
@@ -24,6 +26,8 @@ pub(super) struct MtlMaterial {
     pub(crate) illumination: Option<u32>,
     /// `map_Kd`.
     pub(crate) diffuse_map: Option<Map>,
+    /// `map_Ke`.
+    pub(crate) emission_map: Option<Map>,
     /// `norm`.
     pub(crate) normal_map: Option<Map>,
     /// `map_bump` or `bump`: a height map, or often a normal map.
@@ -96,6 +100,7 @@ pub(super) fn parse(file: &Path, text: &str) -> Result<BTreeMap<String, MtlMater
         match key {
             "Kd" => material.diffuse = color()?,
             "Ks" => material.specular = color()?,
+            "Ke" => material.emission = color()?,
             "Ns" => material.exponent = Some(number()?),
             "Pr" => material.roughness = Some(number()?),
             "Pm" => material.metallic = Some(number()?),
@@ -109,12 +114,13 @@ pub(super) fn parse(file: &Path, text: &str) -> Result<BTreeMap<String, MtlMater
             "Tr" => material.opacity = Some(1.0 - number()?),
             "map_d" => material.opacity_map = map(rest),
             "map_Kd" => material.diffuse_map = map(rest),
+            "map_Ke" => material.emission_map = map(rest),
             "norm" => material.normal_map = map(rest),
             "map_bump" | "map_Bump" | "bump" => material.bump_map = map(rest),
             _ if key.starts_with("map_") || key == "disp" || key == "decal" || key == "refl" => {
                 material.ignored_maps.push(key.to_owned());
             }
-            // Colours of emission, transmission and sheen, index of refraction.
+            // Colours of transmission and sheen, index of refraction.
             _ => {}
         }
     }

@@ -804,7 +804,10 @@ fn material_libraries_are_read() {
         std::fs::write(folder.path().join(name), text).expect("a writable folder");
     };
     let mut z = 0;
-    let faces = ["matte", "shiny", "metal", "absent", "textured"].map(|name| {
+    let faces = [
+        "matte", "shiny", "metal", "absent", "textured", "lamp", "screen",
+    ]
+    .map(|name| {
         z += 1;
         format!("v 0 0 {z}\nv 1 0 {z}\nv 1 1 {z}\nusemtl {name}\nf -3/1 -2/2 -1/3\n")
     });
@@ -819,7 +822,8 @@ fn material_libraries_are_read() {
         "a b.mtl",
         "Kd 9 9\nnewmtl matte\nKd 0.25\nKs 1 1 1\nillum 1\nnewmtl shiny\nKd 0.1 0.2 0.3\n\
          Ks 0.5 0.5 0.5\nNs 40\nnewmtl metal\n Kd 1 2 0\n Pr 0.4\n Pm 1\nnewmtl textured\n\
-         Kd 0 0 0\nmap_Kd -s 2 4 1 -o 0.5 0.25 -clamp on red dot.png\nbump -bm 2 none.png\n",
+         Kd 0 0 0\nmap_Kd -s 2 4 1 -o 0.5 0.25 -clamp on red dot.png\nbump -bm 2 none.png\n\
+         newmtl lamp\nKe 12 10 -7\nnewmtl screen\nmap_Ke red dot.png\n",
     );
     let red = image::RgbImage::from_pixel(1, 1, image::Rgb([255, 0, 0]));
     red.save(folder.path().join("red dot.png"))
@@ -864,9 +868,23 @@ fn material_libraries_are_read() {
         mesh.textures[slot.texture as usize].texels,
         [255, 0, 0, 255]
     );
+    let emission = |name: &str| {
+        let material = mesh.materials.iter().find(|material| material.name == name);
+        let material = material.expect(name);
+        (material.emission, material.emission_texture.is_some())
+    };
+    assert_eq!(emission("matte"), ([0.0; 3], false));
+    assert_eq!(emission("lamp"), ([12.0, 10.0, 0.0], false));
+    assert_eq!(emission("screen"), ([1.0; 3], true));
     // v up: 1 - ((1 - v) 4 + 0.25).
     assert_eq!(slot.transform, [[2.0, 0.0, 0.5], [0.0, 4.0, -3.25]]);
-    for expected in ["none.mtl", "absent", "clamped", "none.png"] {
+    for expected in [
+        "none.mtl",
+        "absent",
+        "clamped",
+        "none.png",
+        "negative emission",
+    ] {
         let found = mesh
             .warnings
             .iter()

@@ -11,6 +11,8 @@ use super::{Mesh, Triangle};
 
 /// Volume of an inside-out piece, in cubes of its diagonal, below which its sign may be rounding.
 const LEAST_VOLUME: f64 = 1e-9;
+/// Vertices so close together, in diagonals of the mesh, are one: programs compute the two sides of a seam each by itself.
+const SAME_PLACE: f64 = 1e-6;
 /// The part of a piece's triangles that must wind against their own normals for the winding to be
 /// what is wrong.
 const SURELY: f64 = 0.9;
@@ -152,10 +154,11 @@ pub(crate) fn winds_against_normals(mesh: &Mesh, triangle: &Triangle) -> bool {
 /// The piece of every triangle, and the pieces.
 fn pieces(mesh: &Mesh) -> (Vec<usize>, Vec<Piece>) {
     let mut numbers = HashMap::with_capacity(mesh.vertices.len());
+    let place = (SAME_PLACE * f64::from(mesh.diagonal())).max(f64::MIN_POSITIVE);
     let welded: Vec<u32> = (mesh.vertices.iter())
         .map(|vertex| {
-            // Adding zero turns −0 into +0.
-            let key = (vertex.position + Vec3::ZERO).to_array().map(f32::to_bits);
+            let position = vertex.position.as_dvec3().to_array();
+            let key = position.map(|x| (x / place).round() as i64);
             let next = numbers.len() as u32;
             *numbers.entry(key).or_insert(next)
         })
@@ -172,6 +175,10 @@ fn pieces(mesh: &Mesh) -> (Vec<usize>, Vec<Piece>) {
     let mut edges: HashMap<[u32; 2], [i32; 2]> = HashMap::with_capacity(mesh.triangles.len() * 2);
     for triangle in &mesh.triangles {
         let corners = triangle.vertices.map(|vertex| welded[vertex as usize]);
+        let [a, b, c] = corners;
+        if a == b || b == c || c == a {
+            continue;
+        }
         for k in 0..3 {
             let [a, b] = [corners[k], corners[(k + 1) % 3]];
             let entry = edges.entry([a.min(b), a.max(b)]).or_default();
@@ -291,6 +298,26 @@ mod tests {
                 let found = faces_outwards(&mesh, range, Vec3::splat(middle));
                 assert_eq!(found, [true; 2], "{normals} {winding}");
             }
+        }
+    }
+
+    #[test]
+    fn corners_that_meet_but_for_rounding_close_a_piece() {
+        for (off, closes) in [(1e-17, true), (1e-7, true), (1e-3, false)] {
+            let mut mesh = Mesh::default();
+            add_box(&mut mesh, 0.0, 1.0, [false, false]);
+            // The last two faces get vertices of their own.
+            let vertices = mesh.vertices.clone();
+            let moved = |vertex: Vertex| Vertex {
+                position: vertex.position - Vec3::splat(off),
+                ..vertex
+            };
+            mesh.vertices.extend(vertices.into_iter().map(moved));
+            for triangle in &mut mesh.triangles[8..] {
+                triangle.vertices = triangle.vertices.map(|vertex| vertex + 8);
+            }
+            let turned = !mend(&mut mesh).is_empty();
+            assert_eq!(turned, closes, "{off}");
         }
     }
 

@@ -101,10 +101,10 @@ impl Prepared<'_> {
         let gathered = gathered?;
         let start = Instant::now();
         let receivers: Vec<Receiver> = sources.iter().map(receiver).collect();
-        // What is emitted nearby changes as fast as its shadows.
-        let columns = radiosity.columns();
-        let smooth = columns - usize::from(radiosity.emits());
-        let mut outputs = smoothed(&receivers, &gathered, (smooth, columns));
+        let mut outputs = smoothed(&receivers, &gathered);
+        for (outputs, gathered) in outputs.iter_mut().zip(&gathered) {
+            radiosity.add_lamps(outputs, &gathered.lamps);
+        }
         if sources != vertices {
             let mixed = |stand: &Vec<(u32, f32)>| {
                 let mut sum = vec![0.0; outputs[0].len()];

@@ -13,6 +13,9 @@ use crate::visibility::ray::RayCaster;
 /// meet anything its slope is unknown.
 const SLOPE_PULL: f32 = 0.05;
 
+/// Seed of the points of what emits: neighbours that are given the same ones err alike, not each in its own way.
+const SAME_FOR_ALL: u32 = 0;
+
 /// A vertex to gather for.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Receiver {
@@ -28,6 +31,8 @@ pub(crate) struct Gathered {
     /// As [`relight_format::Transfer`] has them, one after the other: per output and channel `columns` numbers;
     /// without radiance if there is to be irradiance alone.
     pub outputs: Vec<f32>,
+    /// What comes straight from surfaces that emit, which `outputs` lack: it changes as fast as its shadows.
+    pub lamps: Emitted,
     /// Mean of 1 over the distance to what rays meet, 1/metres, weighted by the cosine; 0 for those that meet nothing.
     pub nearness: f32,
     /// Rays that were cast.
@@ -59,7 +64,7 @@ impl Radiosity {
             .fold(0, |seed, x| hash(seed, x.to_bits()));
         let area = 2.0 * PI / rays as f32;
         let lamps = self.lamps(receiver.origin, receiver.normal, rays);
-        let mut emitted = Emitted::default();
+        let mut straight = Emitted::default();
         let (mut beyond, mut beyond_factors) = (Vec::new(), Vec::new());
         for ray in self.hemisphere(receiver.normal, rays, seed) {
             if is_clear(ray.direction) {
@@ -71,7 +76,7 @@ impl Radiosity {
             };
             let distance = met.position.distance(receiver.origin);
             nearness += 2.0 * ray.cosine / rays as f32 / distance.max(f32::MIN_POSITIVE);
-            emitted += lamps.met(&met, ray.direction);
+            straight += lamps.met(&met, ray.direction);
             let sender = self.sender(caster, &met, 1.0, ray.number);
             let row = ray.direction.extend(1.0);
             let weight = ray.cosine * area;
@@ -111,15 +116,14 @@ impl Radiosity {
             }
             moments += Mat4::from_cols(row * row.x, row * row.y, row * row.z, row) * weight;
         }
-        emitted += lamps.drawn(caster, seed);
-        emitted += lamps.sent_on(caster, seed);
-        for (sums, color) in sums.chunks_exact_mut(block).zip(emitted.0) {
+        straight += lamps.drawn(caster, SAME_FOR_ALL);
+        for (sums, color) in (sums.chunks_exact_mut(block)).zip(lamps.sent_on(caster, seed).0) {
             self.add_emitted(sums, color);
         }
         if !beyond.is_empty() {
             let along =
                 |axis: usize| receiver.normal[axis] * self.emitted_of(&sums[axis * block..]);
-            let rest: Vec3 = (0..3).map(along).sum();
+            let rest = straight.dot_normal(receiver.normal) + (0..3).map(along).sum::<Vec3>();
             limit(&mut beyond, rest.element_sum().max(0.0));
             for ((radiance, _), factors) in beyond.into_iter().zip(beyond_factors) {
                 for (sums, factor) in sums.chunks_exact_mut(block).zip(factors) {
@@ -135,6 +139,7 @@ impl Radiosity {
         }
         Gathered {
             outputs: sums,
+            lamps: straight,
             nearness,
             cast,
         }

@@ -139,18 +139,21 @@ impl Lamps<'_> {
     }
 }
 
-/// Three uniform numbers per ray, the first of them in turn from all of [0, 1).
+/// Three numbers per ray, evenly from all of [0, 1) (the R2 sequence of Roberts, "The Unreasonable Effectiveness of
+/// Quasirandom Sequences", 2018, beside equal steps), shifted by what the seed says.
 fn numbers(seed: u32) -> impl Iterator<Item = [f32; 3]> {
+    let shifts = [1001, 2002, 3003].map(|salt| unit(hash(seed, salt)));
     (0..EMITTER_RAYS).map(move |i| {
-        let unit_at = |salt: u32| unit(hash(seed, salt + 3 * i));
-        let which = (i as f32 + unit_at(1001)) / EMITTER_RAYS as f32;
-        [which, unit_at(2002), unit_at(3003)]
+        let i = i as f32;
+        let which = (i + shifts[0]) / EMITTER_RAYS as f32;
+        let [u, v] = [0.754_877_7 * i + shifts[1], 0.569_840_3 * i + shifts[2]];
+        [which, u.fract(), v.fract()]
     })
 }
 
 /// Vector irradiance, x, y and z, of a colour.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Emitted(pub [Vec3; 3]);
+pub(crate) struct Emitted(pub [Vec3; 3]);
 
 impl Emitted {
     pub(super) fn new(color: Vec3, direction: Vec3) -> Self {

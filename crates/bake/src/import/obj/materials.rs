@@ -128,6 +128,18 @@ fn convert(
         builder.warn(format!("material {name:?}: {maps} left out"));
     }
     let mut material = plain_material(name, surface);
+    let emission = mtl.emission.unwrap_or(if mtl.emission_map.is_some() {
+        [1.0; 3]
+    } else {
+        [0.0; 3]
+    });
+    material.emission = emission.map(|x| x.max(0.0));
+    if material.emission != emission {
+        builder.warn(format!("material {name:?}: negative emission is left out"));
+    }
+    if let Some(map) = (mtl.emission_map.as_ref()).filter(|_| material.emission != [0.0; 3]) {
+        material.emission_texture = textures.slot(map, TextureEncoding::Srgb, builder)?;
+    }
     if let Some(map) = &mtl.diffuse_map {
         material.base_color_texture = textures.slot(map, TextureEncoding::Srgb, builder)?;
     }

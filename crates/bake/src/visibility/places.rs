@@ -541,6 +541,30 @@ mod tests {
     }
 
     #[test]
+    fn a_tip_tells_of_corners_deep_within_solids_that_touch() {
+        let tip = [0.1, 0.0, 0.0];
+        let (mut positions, mut triangles) = squares(
+            &[
+                cuboid([-5.0, -1.0, -3.0], [0.0, 1.0, 0.5]),
+                cuboid([-5.0, -1.0, 0.5], [0.0, 1.0, 3.0]),
+            ]
+            .concat(),
+        );
+        positions.extend([tip, [-2.0, 0.0, -1.0], [-2.0, 0.0, 1.0]]);
+        let first = positions.len() as u32 - 3;
+        triangles.push([first, first + 1, first + 2]);
+        let places = places(&positions, &triangles);
+        let corners = places.corners.last().expect("a triangle");
+        let origins = corners.map(|place| places.origins[place as usize]);
+        let moved = origins[0] - Vec3::from(tip);
+        assert!((moved - OFFSET * Vec3::Y).length() < 1e-6, "{moved}");
+        for origin in &origins[1..] {
+            assert!(origin.x > 0.0 && origin.x < 0.1, "{origin}");
+            assert!((origin.y - OFFSET).abs() < 1e-6, "{origin}");
+        }
+    }
+
+    #[test]
     fn what_a_pole_goes_through_stays_where_it_is() {
         let mut faces = vec![FLOOR];
         faces.extend(cuboid([0.5, -1.0, 0.5], [0.6, 2.0, 0.6]));

@@ -38,6 +38,22 @@ pub(super) fn sees(caster: &RayCaster, origin: Vec3, normal: Vec3) -> bool {
     open_rays(caster, origin, normal).next().is_some()
 }
 
+/// What lies on the way from a point of a triangle to one of its corners.
+#[derive(Clone, Copy)]
+struct Way {
+    /// Where the triangle emerges, if the corner is behind something.
+    end: Option<Vec3>,
+    /// How far the last crossing is, as a part of the way, if there are any.
+    last: Option<f32>,
+}
+
+impl Way {
+    const CLEAR: Self = Self {
+        end: None,
+        last: None,
+    };
+}
+
 /// A triangle that may be partly behind others.
 pub(super) struct Emerging<'a> {
     pub(super) caster: &'a RayCaster,
@@ -59,27 +75,35 @@ impl Emerging<'_> {
         }
         let from = |weights: [f32; 3]| {
             let centre = self.at(weights);
-            [0, 1, 2].map(|k| self.end(centre, self.corners[k], || around(k)))
+            [0, 1, 2].map(|k| self.way(centre, self.corners[k], || around(k)))
         };
-        let ends = from(CENTRES[0]);
-        if ends == [None; 3] {
-            return ends;
+        let ways = from(CENTRES[0]);
+        if ways.iter().all(|way| way.last.is_none()) {
+            return [None; 3];
         }
         // What people see of the triangle may be near one of its corners alone.
         let exposure =
             |weights: [f32; 3]| open_rays(self.caster, self.above(weights), self.normal).count();
-        let mut best = (0, exposure(CENTRES[0]));
-        for (index, weights) in CENTRES.into_iter().enumerate().skip(1) {
+        // Halfway to the corner from where the centre's way to it comes out of something.
+        let tips = ways.into_iter().enumerate().filter_map(|(k, way)| {
+            let along = 0.5 + 0.5 * way.last?;
+            let mut weights = CENTRES[0].map(|weight| (1.0 - along) * weight);
+            weights[k] += along;
+            way.end.is_none().then_some(weights)
+        });
+        let mut best = (CENTRES[0], exposure(CENTRES[0]));
+        for weights in CENTRES.into_iter().skip(1).chain(tips) {
             let open = exposure(weights);
             if open > 2 * best.1 {
-                best = (index, open);
+                best = (weights, open);
             }
         }
-        if best.0 == 0 {
-            ends
+        let ways = if best.0 == CENTRES[0] {
+            ways
         } else {
-            from(CENTRES[best.0])
-        }
+            from(best.0)
+        };
+        ways.map(|way| way.end)
     }
 
     /// For every corner, a point of the triangle near by that sees something, or else its centre, if that does: where
@@ -103,13 +127,13 @@ impl Emerging<'_> {
         a * weights[0] + b * weights[1] + c * weights[2]
     }
 
-    /// Where the triangle emerges on the way from a point of it to a corner, if it does.
-    fn end<I: Iterator<Item = Vec3>>(
+    /// What lies between a point of the triangle and a corner.
+    fn way<I: Iterator<Item = Vec3>>(
         &self,
         centre: Vec3,
         corner: Vec3,
         around: impl Fn() -> I,
-    ) -> Option<Vec3> {
+    ) -> Way {
         let start = centre + self.offset * self.normal;
         let way = corner - centre;
         let length = way.length();
@@ -121,7 +145,7 @@ impl Emerging<'_> {
             !(near && self.goes_on(crossing, corner, around()))
         });
         if crossings.is_empty() || direction == Vec3::ZERO {
-            return None;
+            return Way::CLEAR;
         }
         crossings.sort_by(|a, b| {
             let slope = |crossing: &Crossing| crossing.normal.dot(direction);
@@ -134,8 +158,11 @@ impl Emerging<'_> {
         };
         let touching = crossings.partition_point(|crossing| crossing.distance <= length - reach);
         let (crossed, touching) = crossings.split_at(touching);
-        // How many solids the way has entered, and where it entered the first.
-        let (mut depth, mut entered) = (0, None);
+        let last = crossings
+            .last()
+            .map(|crossing| (crossing.distance / length).min(1.0));
+        // How many solids the way has entered, where it entered the first, and whether through a sheet.
+        let (mut depth, mut entered, mut by_sheet) = (0, None, false);
         let same = |a: &Crossing, b: &Crossing| b.distance - a.distance < SHEET * self.offset;
         for sheets in crossed.chunk_by(same) {
             let fronts = sheets
@@ -143,23 +170,29 @@ impl Emerging<'_> {
                 .filter(|sheet| sheet.normal.dot(direction) < 0.0);
             let fronts = fronts.count() as i32;
             let backs = sheets.len() as i32 - fronts;
-            // Where both sides of a sheet face outwards, every other one leads inside.
-            let step = match (fronts, backs) {
-                (1.., 1..) if depth > 0 => -1,
-                (1.., 1..) => 1,
+            // Where both sides of a sheet face outwards, every other one leads inside; from within a solid into one that
+            // touches it leads further.
+            let is_sheet = fronts > 0 && backs > 0;
+            let step = match (is_sheet, depth) {
+                (true, 0) => 1,
+                (true, 1..) if by_sheet => -1,
+                (true, _) => 0,
                 _ => (fronts - backs).signum(),
             };
             if depth == 0 && step > 0 {
-                entered = Some(before(&sheets[0]));
+                (entered, by_sheet) = (Some(before(&sheets[0])), is_sheet);
             }
             depth += step;
         }
         let end = if depth > 0 {
-            entered?
+            entered
         } else {
-            touching.iter().map(before).min_by(f32::total_cmp)?
+            touching.iter().map(before).min_by(f32::total_cmp)
         };
-        Some(start + end * direction)
+        Way {
+            end: end.map(|end| start + end * direction),
+            last,
+        }
     }
 
     /// Whether what is crossed is the surface itself, which goes on at the corner.

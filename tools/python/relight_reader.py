@@ -270,7 +270,7 @@ def _transfer(data, clusters):
     _require(24 + 16 * count <= len(data), "transfer ends early")
     groups = np.frombuffer(data[24:24 + 16 * count], "<u4").reshape(count, 4).astype(np.int64)
     starts = np.append(groups[:, 0], len(clusters))
-    _require((np.diff(starts) > 0).all() and (groups[:, 1] <= 12).all(), "groups of transfer")
+    _require((np.diff(starts) > 0).all() and (groups[:, 1] <= 24).all(), "groups of transfer")
     edges = np.append(0, np.cumsum(clusters["vertices"], dtype=np.int64))[starts]
     rows = (groups[:, 1] + 1) * groups[:, 2]
     sizes = [4 * int(rows.sum()), int(rows.sum()) * 3 * ((order + 1) ** 2 + emitted),

@@ -9,7 +9,7 @@ use crate::{Cluster, Error, Issue};
 /// Largest order of the spherical harmonics that light is given in.
 pub const MAX_TRANSFER_ORDER: u32 = 9;
 /// Most components of a group besides its mean.
-pub const MAX_TRANSFER_RANK: u32 = 12;
+pub const MAX_TRANSFER_RANK: u32 = 24;
 /// Outputs of a group that stores irradiance alone, and of one that stores what is reflected by
 /// rough mirrors as well.
 pub const TRANSFER_OUTPUTS: [u32; 2] = [3, 7];

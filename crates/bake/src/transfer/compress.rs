@@ -1,7 +1,7 @@
 //! Bounced light of a chunk of vertices as a mean, a few components and weights.
 //!
 //! Principal components by subspace iteration (Halko, Martinsson & Tropp 2011, algorithm 4.4):
-//! what is left after a dozen of them is small, or noise of the rays where vertices have few neighbours alike. Vertices on
+//! what is left after two dozen of them is small, or noise of the rays where vertices have few neighbours alike. Vertices on
 //! the edge of a chunk, which its neighbours have too, count for more, and so does irradiance along the chunk's normals.
 
 use glam::{Mat3, Vec3};

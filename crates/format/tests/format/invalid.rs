@@ -534,7 +534,7 @@ fn bounced_light() {
     reject(range, |transfer| transfer.last_bounce = f32::NAN);
     reject(range, |transfer| transfer.error = -1.0);
     reject(range, |transfer| transfer.groups[0].first_cluster = 1);
-    reject(range, |transfer| transfer.groups[0].rank = 13);
+    reject(range, |transfer| transfer.groups[0].rank = 25);
     reject(range, |transfer| transfer.groups[0].outputs = 4);
     reject(range, |transfer| transfer.groups[0].reserved = 1);
     reject(range, |transfer| {

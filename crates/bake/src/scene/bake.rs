@@ -16,6 +16,7 @@ use super::fingerprint::Dependencies;
 use super::highlights;
 use super::load::SceneInput;
 use super::options::Options;
+use super::overlaps;
 use super::queue::Queue;
 use super::sample::{CHUNK_VERTICES, Placed, Prepared};
 use super::statistics::{Statistics, add_time, load};
@@ -115,8 +116,8 @@ impl<'a> Bake<'a> {
         let (name, camera) = (input.name.clone(), input.camera);
         let object_diagonal = input.object_diagonal;
         let mut warnings = input.warnings.clone();
-        warnings.extend(far_off);
-        warnings.extend(highlights::warnings(&input.mesh));
+        warnings.extend(far_off.into_iter().chain(highlights::warnings(&input.mesh)));
+        warnings.extend(overlaps::warning(&input.mesh, contours.caster()));
         let mut mesh = refined(input, options, &contours, ray_offset, monitor)?;
         for warning in mesh.warnings.drain(..) {
             if !warnings.contains(&warning) {

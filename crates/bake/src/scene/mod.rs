@@ -16,6 +16,7 @@ mod layout;
 pub mod load;
 mod material;
 mod options;
+mod overlaps;
 pub mod parts;
 mod plan;
 mod queue;

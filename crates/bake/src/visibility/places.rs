@@ -20,7 +20,8 @@ use rayon::prelude::*;
 mod emerging;
 
 use super::ray::RayCaster;
-use emerging::{Emerging, sees};
+use emerging::Emerging;
+pub(crate) use emerging::sees;
 
 /// Triangles whose fronts enclose more than this, radians, are two sides of a thin thing.
 const THIN: f64 = 330.0 / 180.0 * std::f64::consts::PI;

@@ -49,6 +49,8 @@ pub(crate) struct Crossing {
     pub normal: Vec3,
     /// A vertex of the triangle.
     pub vertex: Vec3,
+    /// Its number in the slice given to [`RayCaster::new`].
+    pub triangle: usize,
 }
 
 /// A triangle's bounds, padded so that rounding in the box test loses no hit.
@@ -151,6 +153,7 @@ impl RayCaster {
                     distance,
                     normal: (b - a).cross(c - a).normalize_or_zero().into(),
                     vertex: a.into(),
+                    triangle: self.bvh.primitive_indices[index] as usize,
                 });
             }
         });

@@ -34,7 +34,7 @@ fn open_rays(caster: &RayCaster, origin: Vec3, normal: Vec3) -> impl Iterator<It
 }
 
 /// Whether something is seen in a few directions over the hemisphere about a normal.
-pub(super) fn sees(caster: &RayCaster, origin: Vec3, normal: Vec3) -> bool {
+pub(crate) fn sees(caster: &RayCaster, origin: Vec3, normal: Vec3) -> bool {
     open_rays(caster, origin, normal).next().is_some()
 }
 

@@ -566,6 +566,28 @@ mod tests {
     }
 
     #[test]
+    fn what_lies_in_the_open_behind_a_sheet_stays_where_it_is() {
+        let wall = [
+            [0.0, -1.0, -3.0],
+            [0.0, 1.0, -3.0],
+            [0.0, 1.0, 3.0],
+            [0.0, -1.0, 3.0],
+        ];
+        let (mut positions, mut triangles) = squares(&[wall]);
+        let corners = [[0.1, 0.0, 0.0], [-2.0, 0.0, -1.0], [-2.0, 0.0, 1.0]];
+        positions.extend(corners);
+        triangles.push([4, 5, 6]);
+        let places = places(&positions, &triangles);
+        for (corner, place) in corners.into_iter().zip(places.corners[2]) {
+            let moved = places.origins[place as usize] - Vec3::from(corner);
+            assert!(
+                (moved - OFFSET * Vec3::Y).length() < 1e-6,
+                "{corner:?}: {moved}"
+            );
+        }
+    }
+
+    #[test]
     fn what_a_pole_goes_through_stays_where_it_is() {
         let mut faces = vec![FLOOR];
         faces.extend(cuboid([0.5, -1.0, 0.5], [0.6, 2.0, 0.6]));

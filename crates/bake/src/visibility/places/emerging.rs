@@ -84,6 +84,11 @@ impl Emerging<'_> {
         // What people see of the triangle may be near one of its corners alone.
         let exposure =
             |weights: [f32; 3]| open_rays(self.caster, self.above(weights), self.normal).count();
+        // With nothing in its way a middle that sees something tells of the triangle, however dim it is there.
+        let open = exposure(CENTRES[0]);
+        if open > 0 && ways.iter().all(|way| way.end.is_none()) {
+            return [None; 3];
+        }
         // Halfway to the corner from where the centre's way to it comes out of something.
         let tips = ways.into_iter().enumerate().filter_map(|(k, way)| {
             let along = 0.5 + 0.5 * way.last?;
@@ -91,7 +96,7 @@ impl Emerging<'_> {
             weights[k] += along;
             way.end.is_none().then_some(weights)
         });
-        let mut best = (CENTRES[0], exposure(CENTRES[0]));
+        let mut best = (CENTRES[0], open);
         for weights in CENTRES.into_iter().skip(1).chain(tips) {
             let open = exposure(weights);
             if open > 2 * best.1 {

@@ -4,14 +4,16 @@
 //! never lit. A closed piece whose fronts all look inwards is a room, or was exported inside out.
 
 use std::collections::HashMap;
+use std::hash::Hash;
 
-use glam::{DVec3, Vec3};
+use glam::{DVec3, I64Vec3, Vec3};
 
-use super::{Mesh, Triangle};
+use super::{Mesh, Triangle, Vertex};
 
 /// Volume of an inside-out piece, in cubes of its diagonal, below which its sign may be rounding.
 const LEAST_VOLUME: f64 = 1e-9;
-/// Vertices so close together, in diagonals of the mesh, are one: programs compute the two sides of a seam each by itself.
+/// Vertices on open edges that are so close together, in diagonals of what they belong to, are one: programs compute the
+/// two sides of a seam each by itself.
 const SAME_PLACE: f64 = 1e-6;
 /// The part of a piece's triangles that must wind against their own normals for the winding to be
 /// what is wrong.
@@ -151,19 +153,65 @@ pub(crate) fn winds_against_normals(mesh: &Mesh, triangle: &Triangle) -> bool {
     triangle.vertices.into_iter().all(away)
 }
 
-/// The piece of every triangle, and the pieces.
-fn pieces(mesh: &Mesh) -> (Vec<usize>, Vec<Piece>) {
-    let mut numbers = HashMap::with_capacity(mesh.vertices.len());
-    let place = (SAME_PLACE * f64::from(mesh.diagonal())).max(f64::MIN_POSITIVE);
-    let welded: Vec<u32> = (mesh.vertices.iter())
-        .map(|vertex| {
-            let position = vertex.position.as_dvec3().to_array();
-            let key = position.map(|x| (x / place).round() as i64);
-            let next = numbers.len() as u32;
-            *numbers.entry(key).or_insert(next)
-        })
-        .collect();
-    let mut parents: Vec<u32> = (0..numbers.len() as u32).collect();
+/// A number for every key, the same for the same.
+fn numbered<K: Eq + Hash>(keys: impl ExactSizeIterator<Item = K>) -> Vec<u32> {
+    let mut numbers = HashMap::with_capacity(keys.len());
+    keys.map(|key| {
+        let next = numbers.len() as u32;
+        *numbers.entry(key).or_insert(next)
+    })
+    .collect()
+}
+
+/// Where a vertex is: by its number, or by the size of cells and which of them it lies in.
+#[derive(PartialEq, Eq, Hash)]
+enum Key {
+    Exact(u32),
+    Near(u64, I64Vec3),
+}
+
+/// A number for every vertex, the same for the same position and, where edges are open, for nearly the same.
+fn weld(mesh: &Mesh) -> Vec<u32> {
+    // Adding zero turns −0 into +0.
+    let exact = |vertex: &Vertex| (vertex.position + Vec3::ZERO).to_array().map(f32::to_bits);
+    let welded = numbered(mesh.vertices.iter().map(exact));
+    let mut open = vec![false; welded.len()];
+    for (ends, counts) in edges(mesh, &welded) {
+        if counts != CLOSED {
+            for end in ends {
+                open[end as usize] = true;
+            }
+        }
+    }
+    if !open.contains(&true) {
+        return welded;
+    }
+    let roots = roots(mesh, &welded);
+    let mut boxes = vec![[Vec3::INFINITY, Vec3::NEG_INFINITY]; welded.len()];
+    for (vertex, root) in mesh.vertices.iter().zip(&roots) {
+        let [low, high] = &mut boxes[*root as usize];
+        (*low, *high) = (low.min(vertex.position), high.max(vertex.position));
+    }
+    // A power of two, so that pieces of about the same size meet.
+    let cell = |root: u32| {
+        let [low, high] = boxes[root as usize];
+        let size = (SAME_PLACE * f64::from(low.distance(high))).max(f64::MIN_POSITIVE);
+        f64::from_bits(size.to_bits() >> 52 << 52)
+    };
+    let vertices = mesh.vertices.iter().zip(&welded).zip(roots);
+    numbered(vertices.map(|((vertex, &number), root)| {
+        if !open[number as usize] {
+            return Key::Exact(number);
+        }
+        let cell = cell(root);
+        let place = (vertex.position.as_dvec3() / cell).round();
+        Key::Near(cell.to_bits(), place.as_i64vec3())
+    }))
+}
+
+/// Of every vertex the least number of those that triangles connect it with.
+fn roots(mesh: &Mesh, welded: &[u32]) -> Vec<u32> {
+    let mut parents: Vec<u32> = (0..welded.len() as u32).collect();
     let find = |mut at: u32, parents: &mut Vec<u32>| {
         while parents[at as usize] != at {
             parents[at as usize] = parents[parents[at as usize] as usize];
@@ -171,42 +219,68 @@ fn pieces(mesh: &Mesh) -> (Vec<usize>, Vec<Piece>) {
         }
         at
     };
-    // How many triangles run along an edge, and how many more one way than the other.
-    let mut edges: HashMap<[u32; 2], [i32; 2]> = HashMap::with_capacity(mesh.triangles.len() * 2);
     for triangle in &mesh.triangles {
-        let corners = triangle.vertices.map(|vertex| welded[vertex as usize]);
-        let [a, b, c] = corners;
-        if a == b || b == c || c == a {
-            continue;
-        }
-        for k in 0..3 {
-            let [a, b] = [corners[k], corners[(k + 1) % 3]];
-            let entry = edges.entry([a.min(b), a.max(b)]).or_default();
-            entry[0] += 1;
-            entry[1] += if a < b { 1 } else { -1 };
-            let [a, b] = [a, b].map(|end| find(end, &mut parents));
+        let [a, b, c] = triangle.vertices.map(|vertex| welded[vertex as usize]);
+        for other in [b, c] {
+            let [a, b] = [a, other].map(|end| find(end, &mut parents));
             parents[a.max(b) as usize] = a.min(b);
         }
     }
+    (welded.iter())
+        .map(|number| find(*number, &mut parents))
+        .collect()
+}
+
+/// Of an edge that joins two triangles that wind alike.
+const CLOSED: [i32; 2] = [2, 0];
+
+/// How many triangles run along every edge, and how many more one way than the other. Those of which a side has no length
+/// are left out.
+fn edges(mesh: &Mesh, welded: &[u32]) -> HashMap<[u32; 2], [i32; 2]> {
+    let mut edges: HashMap<_, [i32; 2]> = HashMap::with_capacity(mesh.triangles.len() * 2);
+    for triangle in &mesh.triangles {
+        let [a, b, c] = triangle.vertices.map(|vertex| welded[vertex as usize]);
+        let sides = [[a, b], [b, c], [c, a]];
+        if sides.iter().any(|[from, to]| from == to) {
+            continue;
+        }
+        for [from, to] in sides {
+            let counts = edges.entry([from.min(to), from.max(to)]).or_default();
+            counts[0] += 1;
+            counts[1] += if from < to { 1 } else { -1 };
+        }
+    }
+    edges
+}
+
+/// The piece of every triangle, and the pieces.
+fn pieces(mesh: &Mesh) -> (Vec<usize>, Vec<Piece>) {
+    let welded = weld(mesh);
+    let edges = edges(mesh, &welded);
+    let roots = roots(mesh, &welded);
+    let mut of_number = vec![0; welded.len()];
     let mut names = HashMap::new();
     let mut pieces: Vec<Piece> = Vec::new();
     let mut of = Vec::with_capacity(mesh.triangles.len());
     for triangle in &mesh.triangles {
         let corners = mesh.corners(triangle);
-        let root = find(welded[triangle.vertices[0] as usize], &mut parents);
-        let piece = *names.entry(root).or_insert_with(|| {
+        let first = triangle.vertices[0] as usize;
+        let piece = *names.entry(roots[first]).or_insert_with(|| {
             pieces.push(Piece {
                 origin: corners[0],
                 low: corners[0],
                 high: corners[0],
                 volume: 0.0,
-                closed: true,
+                closed: false,
                 triangles: 0,
                 against: 0,
             });
             pieces.len() - 1
         });
         of.push(piece);
+        for vertex in triangle.vertices {
+            of_number[welded[vertex as usize] as usize] = piece;
+        }
         let piece = &mut pieces[piece];
         // From a corner of its own, so that far-off pieces keep their digits.
         let [a, b, c]: [DVec3; 3] = corners.map(|corner| (corner - piece.origin).as_dvec3());
@@ -218,10 +292,12 @@ fn pieces(mesh: &Mesh) -> (Vec<usize>, Vec<Piece>) {
         piece.triangles += 1;
         piece.against += usize::from(winds_against_normals(mesh, triangle));
     }
-    for ([a, _], counts) in &edges {
-        if *counts != [2, 0] {
-            let piece = names[&find(*a, &mut parents)];
-            pieces[piece].closed = false;
+    // What is so thin that no edge is left is not closed.
+    for closed in [true, false] {
+        for ([a, _], counts) in &edges {
+            if (*counts == CLOSED) == closed {
+                pieces[of_number[*a as usize]].closed = closed;
+            }
         }
     }
     (of, pieces)
@@ -230,7 +306,7 @@ fn pieces(mesh: &Mesh) -> (Vec<usize>, Vec<Piece>) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mesh::{Vertex, tangent};
+    use crate::mesh::tangent;
 
     /// A box, its normals outwards or not, its triangles as its normals or not.
     fn add_box(mesh: &mut Mesh, low: f32, high: f32, [normals, winding]: [bool; 2]) {
@@ -318,6 +394,24 @@ mod tests {
             }
             let turned = !mend(&mut mesh).is_empty();
             assert_eq!(turned, closes, "{off}");
+        }
+    }
+
+    #[test]
+    fn what_is_small_in_a_large_scene_is_told_as_any_other() {
+        // Below a millionth of the diagonal: a closed box inside out, and one with a hole.
+        for (hole, turns) in [(false, true), (true, false)] {
+            let mut mesh = Mesh::default();
+            add_box(&mut mesh, 0.0, 0.5, [false, false]);
+            if hole {
+                mesh.triangles.pop();
+            }
+            let small = mesh.triangles.len();
+            add_box(&mut mesh, 4e6, 5e6, [true, true]);
+            let turned = !mend(&mut mesh).is_empty();
+            assert_eq!(turned, turns, "{hole}");
+            let found = faces_outwards(&mesh, 0..small, Vec3::splat(0.25));
+            assert_eq!(found, [turns; 2], "{hole}");
         }
     }
 

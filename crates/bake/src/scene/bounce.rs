@@ -103,7 +103,7 @@ impl Prepared<'_> {
         let receivers: Vec<Receiver> = sources.iter().map(receiver).collect();
         let mut outputs = smoothed(&receivers, &gathered);
         for (outputs, gathered) in outputs.iter_mut().zip(&gathered) {
-            radiosity.add_lamps(outputs, &gathered.lamps);
+            radiosity.add_irradiance(outputs, &gathered.lamps);
         }
         if sources != vertices {
             let mixed = |stand: &Vec<(u32, f32)>| {

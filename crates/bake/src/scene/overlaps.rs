@@ -19,28 +19,26 @@ const VISIBLE: f64 = 0.001;
 pub(super) fn warning(mesh: &Mesh, caster: &RayCaster) -> Option<String> {
     let height = SAME_HEIGHT * mesh.diagonal();
     let step = mesh.triangles.len().div_ceil(PROBES).max(1);
-    let probed: Vec<(f64, bool)> = (0..mesh.triangles.len().div_ceil(step))
-        .into_par_iter()
-        .map(|probe| {
-            let triangle = &mesh.triangles[probe * step];
+    let probed: Vec<(f64, bool)> = (mesh.triangles.par_iter().step_by(step))
+        .map(|triangle| {
             let [a, b, c] = mesh.corners(triangle);
             let across = (b - a).cross(c - a);
             let normal = across.normalize_or_zero();
             let above = (a + b + c) / 3.0 + height * normal;
             let crossings = caster.crossings(above, -normal, 2.0 * height);
-            let is_same = |material: u16| material == triangle.material;
-            let others = |same: bool, side: f32| {
+            // Of the same material or not, facing the same way or the other.
+            let there_is = |same: bool, side: f32| {
                 crossings.iter().any(|crossing| {
-                    is_same(mesh.triangles[crossing.triangle].material) == same
+                    let material = mesh.triangles[crossing.triangle].material;
+                    (material == triangle.material) == same
                         && side * crossing.normal.dot(normal) > SAME_PLANE
                 })
             };
             // Of what stands on a floor the bottom is never seen from within, and seldom from below.
             let sees_both_ways = || {
-                (sees(caster, above, normal))
-                    && sees(caster, above - 2.0 * height * normal, -normal)
+                sees(caster, above, normal) && sees(caster, above - 2.0 * height * normal, -normal)
             };
-            let overlaps = others(false, 1.0) && (!others(true, -1.0) || sees_both_ways());
+            let overlaps = there_is(false, 1.0) && (!there_is(true, -1.0) || sees_both_ways());
             (f64::from(across.length()), overlaps)
         })
         .collect();

@@ -117,9 +117,7 @@ impl Radiosity {
             moments += Mat4::from_cols(row * row.x, row * row.y, row * row.z, row) * weight;
         }
         straight += lamps.drawn(caster, SAME_FOR_ALL);
-        for (sums, color) in (sums.chunks_exact_mut(block)).zip(lamps.sent_on(caster, seed).0) {
-            self.add_emitted(sums, color);
-        }
+        self.add_irradiance(&mut sums, &lamps.sent_on(caster, seed));
         if !beyond.is_empty() {
             let along =
                 |axis: usize| receiver.normal[axis] * self.emitted_of(&sums[axis * block..]);

@@ -340,9 +340,9 @@ impl Radiosity {
         }
     }
 
-    /// Adds what comes straight from surfaces that emit to all that a vertex gathered.
-    pub(crate) fn add_lamps(&self, outputs: &mut [f32], lamps: &Emitted) {
-        for (values, color) in (outputs.chunks_exact_mut(3 * self.columns)).zip(lamps.0) {
+    /// Adds what comes of what surfaces emit to the irradiance that a vertex gathered.
+    pub(crate) fn add_irradiance(&self, outputs: &mut [f32], emitted: &Emitted) {
+        for (values, color) in (outputs.chunks_exact_mut(3 * self.columns)).zip(emitted.0) {
             self.add_emitted(values, color);
         }
     }
@@ -647,7 +647,7 @@ pub(super) mod tests {
     /// All that arrives at a place.
     fn gathered_at(solved: &Radiosity, caster: &RayCaster, receiver: &Receiver) -> Vec<f32> {
         let mut gathered = solved.gather(caster, receiver, 128, true, |_| false);
-        solved.add_lamps(&mut gathered.outputs, &gathered.lamps);
+        solved.add_irradiance(&mut gathered.outputs, &gathered.lamps);
         gathered.outputs
     }
 
@@ -715,6 +715,9 @@ pub(super) mod tests {
                 origin: place,
                 normal: Vec3::Y,
             };
+            // All of it comes straight from the box, and is kept apart from what is smoothed.
+            let others = solved.gather(&caster, &receiver, 128, true, |_| false);
+            assert_eq!(others.outputs[block + solved.columns - 1], 0.0);
             let gathered = gathered_at(&solved, &caster, &receiver);
             let found = gathered[block + solved.columns - 1];
             // Lambert's formula, over the edges of the faces that look at the place.

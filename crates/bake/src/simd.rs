@@ -56,7 +56,7 @@ impl Number for f64 {}
 ///
 /// If the columns of the first are not as many as the rows of the second.
 pub(crate) fn product<T: Number>(a: &DMatrix<T>, b: &DMatrix<T>) -> DMatrix<T> {
-    product_by(arch(), Rows::Of(a), b)
+    whole(&Of(a), b)
 }
 
 /// The product of a matrix's transpose and another matrix, the same as of that transpose by [`product`].
@@ -65,83 +65,116 @@ pub(crate) fn product<T: Number>(a: &DMatrix<T>, b: &DMatrix<T>) -> DMatrix<T> {
 ///
 /// If the rows of the first are not as many as those of the second.
 pub(crate) fn transposed_product<T: Number>(a: &DMatrix<T>, b: &DMatrix<T>) -> DMatrix<T> {
-    product_by(arch(), Rows::OfTranspose(a), b)
+    whole(&OfTranspose(a), b)
+}
+
+fn whole<T: Number>(a: &impl Rows<T>, b: &DMatrix<T>) -> DMatrix<T> {
+    let mut product = Vec::new();
+    add_product(a, b, &mut product);
+    DMatrix::from_vec(a.shape().0, b.ncols(), product)
+}
+
+/// Appends the product of two matrices to `product`, column after column.
+///
+/// # Panics
+///
+/// If the columns of the first are not as many as the rows of the second.
+pub(crate) fn add_product<T: Number>(a: &impl Rows<T>, b: &DMatrix<T>, product: &mut Vec<T>) {
+    add_product_by(arch(), a, b, product);
 }
 
 /// Products that are summed before they are added to those before.
 const INNER: usize = 256;
 /// Rows of a transposed matrix's columns that are put side by side at a time.
 const PACKED: usize = 64;
+/// Columns that are put side by side at a time.
+const BESIDE: usize = 8;
 /// Columns of the second matrix that are multiplied at a time.
 const COLUMNS: usize = 6;
 /// Vectors of rows that are multiplied at a time: with [`COLUMNS`], as many sums as registers hold.
 const VECTORS: usize = 2;
 
 /// The first factor of a product.
-#[derive(Clone, Copy)]
-enum Rows<'a, T> {
-    Of(&'a DMatrix<T>),
-    OfTranspose(&'a DMatrix<T>),
+pub(crate) trait Rows<T: Number> {
+    /// Rows and columns.
+    fn shape(&self) -> (usize, usize);
+
+    /// Puts so many rows from `first` on, [`num::Number::PANEL`] or fewer, side by side, column after column. What
+    /// `panel` has beyond them in each column is not looked at.
+    fn pack(&self, first: usize, count: usize, panel: &mut [T]);
 }
 
-impl<T: Number> Rows<'_, T> {
-    fn shape(self) -> (usize, usize) {
-        match self {
-            Self::Of(matrix) => matrix.shape(),
-            Self::OfTranspose(matrix) => (matrix.ncols(), matrix.nrows()),
-        }
+/// A matrix.
+pub(crate) struct Of<'a, T>(pub &'a DMatrix<T>);
+/// A matrix's transpose.
+pub(crate) struct OfTranspose<'a, T>(pub &'a DMatrix<T>);
+
+impl<T: Number> Rows<T> for Of<'_, T> {
+    fn shape(&self) -> (usize, usize) {
+        self.0.shape()
     }
 
-    /// Puts rows from `first` on side by side, as many as a panel has; those beyond the last are zero.
-    fn pack(self, first: usize, panel: &mut [T]) {
-        let (rows, inner) = self.shape();
-        let count = T::PANEL.min(rows - first);
-        match self {
-            Self::Of(matrix) => {
-                let panel = panel.chunks_exact_mut(T::PANEL);
-                for (packed, column) in panel.zip(matrix.as_slice().chunks_exact(rows)) {
-                    packed[..count].copy_from_slice(&column[first..first + count]);
-                    packed[count..].fill(T::ZERO);
-                }
-            }
-            Self::OfTranspose(matrix) => {
-                // A few rows of the columns at a time: those of the panel stay in the cache.
-                for block in (0..inner).step_by(PACKED) {
-                    let rows = block..inner.min(block + PACKED);
-                    let panel = &mut panel[rows.start * T::PANEL..rows.end * T::PANEL];
-                    panel.fill(T::ZERO);
-                    for i in 0..count {
-                        let column = &matrix.as_slice()[(first + i) * inner..][rows.clone()];
-                        let packed = panel.iter_mut().skip(i).step_by(T::PANEL);
-                        (packed.zip(column)).for_each(|(packed, value)| *packed = *value);
-                    }
-                }
-            }
+    fn pack(&self, first: usize, count: usize, panel: &mut [T]) {
+        let panel = panel.chunks_exact_mut(T::PANEL);
+        for (packed, column) in panel.zip(self.0.as_slice().chunks_exact(self.0.nrows())) {
+            packed[..count].copy_from_slice(&column[first..first + count]);
         }
     }
 }
 
-fn product_by<T: Number>(arch: Arch, a: Rows<T>, b: &DMatrix<T>) -> DMatrix<T> {
+impl<T: Number> Rows<T> for OfTranspose<'_, T> {
+    fn shape(&self) -> (usize, usize) {
+        (self.0.ncols(), self.0.nrows())
+    }
+
+    fn pack(&self, first: usize, count: usize, panel: &mut [T]) {
+        let inner = self.0.nrows();
+        // A few rows of the columns at a time: those of the panel stay in the cache.
+        for block in (0..inner).step_by(PACKED) {
+            let rows = block..inner.min(block + PACKED);
+            let panel = &mut panel[rows.start * T::PANEL..rows.end * T::PANEL];
+            for beside in (0..count).step_by(BESIDE) {
+                let columns = std::array::from_fn(|i| {
+                    let column = first + (beside + i).min(count - 1);
+                    &self.0.as_slice()[column * inner..][rows.clone()]
+                });
+                put_beside(&columns, beside, panel);
+            }
+        }
+    }
+}
+
+/// Puts columns into a panel, side by side from column `first` of it on.
+fn put_beside<T: Number>(columns: &[&[T]; BESIDE], first: usize, panel: &mut [T]) {
+    let columns = columns.map(|column| &column[..panel.len() / T::PANEL]);
+    for (row, packed) in panel.chunks_exact_mut(T::PANEL).enumerate() {
+        let values: [T; BESIDE] = std::array::from_fn(|i| columns[i][row]);
+        packed[first..first + BESIDE].copy_from_slice(&values);
+    }
+}
+
+fn add_product_by<T: Number>(arch: Arch, a: &impl Rows<T>, b: &DMatrix<T>, product: &mut Vec<T>) {
     let (rows, inner) = a.shape();
     assert_eq!(inner, b.nrows(), "factors that do not fit");
-    let zeros = vec![T::ZERO; rows * b.ncols()];
-    let mut product = DMatrix::from_vec(rows, b.ncols(), zeros);
+    let begin = product.len();
+    product.reserve_exact(rows * b.ncols());
+    product.resize(begin + rows * b.ncols(), T::ZERO);
     let mut panel = vec![T::ZERO; inner * T::PANEL];
     let factors = side_by_side(b);
     for first in (0..rows).step_by(T::PANEL) {
-        a.pack(first, &mut panel);
+        let count = T::PANEL.min(rows - first);
+        a.pack(first, count, &mut panel);
         arch.dispatch(Panel {
             values: &panel,
             factors: &factors,
             columns: b.ncols(),
             inner,
             first,
-            count: T::PANEL.min(rows - first),
+            count,
             rows,
-            product: product.as_mut_slice(),
+            product: &mut product[begin..],
         });
     }
-    product
 }
 
 /// Rows of every [`COLUMNS`] columns of a matrix, as they are read: one row after another, then those of the
@@ -312,6 +345,12 @@ mod tests {
         })
     }
 
+    fn product_by<T: Number>(arch: Arch, a: &impl Rows<T>, b: &DMatrix<T>) -> DMatrix<T> {
+        let mut product = Vec::new();
+        add_product_by(arch, a, b, &mut product);
+        DMatrix::from_vec(a.shape().0, b.ncols(), product)
+    }
+
     fn archs() -> Vec<Arch> {
         let names = ["plain", "avx2", "avx512"];
         names.into_iter().filter_map(by_name).collect()
@@ -336,8 +375,8 @@ mod tests {
             let (x, y) = (a.clone().cast::<f32>(), b.clone().cast::<f32>());
             let exact = &a * &b;
             let expected = (
-                product_by(Arch::Scalar, Rows::Of(&a), &b),
-                product_by(Arch::Scalar, Rows::Of(&x), &y),
+                product_by(Arch::Scalar, &Of(&a), &b),
+                product_by(Arch::Scalar, &Of(&x), &y),
             );
             // Sums of so many products of numbers up to 1.
             let tolerance = 1e-12 * (inner + 1) as f64;
@@ -346,12 +385,11 @@ mod tests {
             assert!(rounded.iter().all(|d| d.abs() <= 1e-6 * (inner + 1) as f64));
             let transposes = (a.transpose(), x.transpose());
             for arch in archs() {
-                for a in [Rows::Of(&a), Rows::OfTranspose(&transposes.0)] {
-                    assert!(product_by(arch, a, &b) == expected.0, "{arch:?}");
-                }
-                for x in [Rows::Of(&x), Rows::OfTranspose(&transposes.1)] {
-                    assert!(product_by(arch, x, &y) == expected.1, "{arch:?}");
-                }
+                assert!(product_by(arch, &Of(&a), &b) == expected.0, "{arch:?}");
+                assert!(product_by(arch, &Of(&x), &y) == expected.1, "{arch:?}");
+                let (a, x) = (OfTranspose(&transposes.0), OfTranspose(&transposes.1));
+                assert!(product_by(arch, &a, &b) == expected.0, "{arch:?}");
+                assert!(product_by(arch, &x, &y) == expected.1, "{arch:?}");
             }
         }
     }

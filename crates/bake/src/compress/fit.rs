@@ -6,7 +6,8 @@
 use nalgebra::DMatrix;
 
 use super::samples::{Fitted, column};
-use crate::simd::{self, product, transposed_product};
+use crate::memory;
+use crate::simd::{self, Of, OfTranspose, Rows, add_product, product, transposed_product};
 
 /// Subspace iterations; two separate the spectrum of SSDFs to well below quantisation.
 const ITERATIONS: usize = 2;
@@ -49,7 +50,7 @@ pub fn analyse(fitted: &Fitted, rank: usize) -> FittedBasis {
     for mean in &mut mean {
         *mean /= vertices as f32;
     }
-    let mut centred = Vec::with_capacity(texels * vertices);
+    let mut centred = memory::room(texels * vertices);
     for [ssdf, _] in fitted.columns() {
         centred.extend(
             ssdf.iter()
@@ -75,6 +76,7 @@ pub fn analyse(fitted: &Fitted, rank: usize) -> FittedBasis {
     let orthonormal = range.qr().q();
     // Rotate the subspace to principal axes: eigenvectors of a small symmetric matrix.
     let coordinates = transposed_product(&centred, &orthonormal).transpose();
+    memory::keep(centred);
     let covariance = product(&coordinates, &coordinates.transpose()).cast::<f64>();
     let (axes, lengths) = principal_axes(covariance);
     let rank = rank.min(axes.ncols());
@@ -194,11 +196,10 @@ impl Fitted<'_> {
 
     /// The same of images at the fitted texels alone.
     fn systems_of(&self, images: &DMatrix<f32>) -> DMatrix<f32> {
-        let [matrices, right] = [&self.weights, &self.weighted];
         normal_equations(
             images,
-            |factors| transposed_product(matrices, factors),
-            |factors| transposed_product(right, factors),
+            &OfTranspose(&self.weights),
+            &OfTranspose(&self.weighted),
         )
     }
 
@@ -209,11 +210,8 @@ impl Fitted<'_> {
 
     /// Normal equations of every fitted texel for its value in each image.
     fn systems_of_texels(&self, coefficients: &DMatrix<f32>) -> DMatrix<f32> {
-        normal_equations(
-            &coefficients.transpose(),
-            |factors| product(&self.weights, factors),
-            |factors| product(&self.weighted, factors),
-        )
+        let factors = coefficients.transpose();
+        normal_equations(&factors, &Of(&self.weights), &Of(&self.weighted))
     }
 
     /// Fits the texels left out to coefficients, without weights.
@@ -226,12 +224,13 @@ impl Fitted<'_> {
         let mut normal = product(coefficients, &transposed).cast::<f64>();
         let ridge = 1e-7 * normal.trace() / channels as f64 + f64::MIN_POSITIVE;
         normal += DMatrix::identity(channels, channels) * ridge;
-        let mut values = Vec::with_capacity(rest.len() * self.vertices.len());
+        let mut values = memory::room(rest.len() * self.vertices.len());
         for [ssdf, _] in self.columns() {
             values.extend(rest.iter().map(|&texel| ssdf[texel]));
         }
         let values = DMatrix::from_vec(rest.len(), self.vertices.len(), values);
         let right = product(&values, &transposed).transpose();
+        memory::keep(values);
         if let Some(factor) = normal.cholesky() {
             let found = factor.solve(&right.cast::<f64>()).cast::<f32>();
             for (texel, image) in rest.into_iter().zip(found.column_iter()) {
@@ -293,13 +292,13 @@ pub(super) fn triangle(channels: usize) -> usize {
     channels * (channels + 1) / 2
 }
 
-/// Normal equations for factors of `factors`, one row per equation. `matrices` and `right` multiply by the weights
-/// and the right sides of the equations, which have one row per system. One row per system: the upper triangle of its
+/// Normal equations for factors of `factors`, one row per equation. `matrices` are the weights and `right` the right
+/// sides of the equations, which have one row per system. One row per system: the upper triangle of its
 /// matrix by columns, then its right side.
 fn normal_equations(
     factors: &DMatrix<f32>,
-    matrices: impl Fn(&DMatrix<f32>) -> DMatrix<f32>,
-    right: impl Fn(&DMatrix<f32>) -> DMatrix<f32>,
+    matrices: &impl Rows<f32>,
+    right: &impl Rows<f32>,
 ) -> DMatrix<f32> {
     let (equations, channels) = factors.shape();
     let pairs = triangle(channels);
@@ -311,11 +310,11 @@ fn normal_equations(
             products.extend(factor(i).iter().zip(factor(j)).map(|(a, b)| a * b));
         }
     }
-    let matrices = matrices(&DMatrix::from_vec(equations, pairs, products));
-    let right = right(factors);
-    let rows = matrices.nrows();
-    let mut systems = Vec::from(matrices.data);
-    systems.extend_from_slice(right.as_slice());
+    let rows = matrices.shape().0;
+    let mut systems = Vec::with_capacity(rows * (pairs + channels));
+    let products = DMatrix::from_vec(equations, pairs, products);
+    add_product(matrices, &products, &mut systems);
+    add_product(right, factors, &mut systems);
     DMatrix::from_vec(rows, pairs + channels, systems)
 }
 

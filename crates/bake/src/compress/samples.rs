@@ -5,6 +5,7 @@ use std::ops::Range;
 use nalgebra::DMatrix;
 
 use super::error::{Normal, Weighting};
+use crate::memory;
 
 /// Texels whose weight at every vertex is below this part of the largest are told by the
 /// [`SKIPPED`]th of them.
@@ -37,7 +38,7 @@ pub struct Fitted<'a> {
 impl Samples {
     /// One normal per column of `ssdfs`.
     pub fn new(ssdfs: DMatrix<f32>, normals: &[Normal], weighting: &Weighting) -> Self {
-        let mut weights = DMatrix::zeros(ssdfs.nrows(), ssdfs.ncols());
+        let mut weights = memory::zeros(ssdfs.nrows(), ssdfs.ncols());
         let texels = ssdfs.nrows();
         let columns = ssdfs.as_slice().chunks_exact(texels);
         let weighted = weights.as_mut_slice().chunks_exact_mut(texels);
@@ -68,7 +69,7 @@ impl Samples {
         let scale = (side * side) as f32 / texels.len() as f32;
         let thinned = |matrix: &DMatrix<f32>, scale: f32| {
             let columns = matrix.as_slice().chunks_exact(side * side);
-            let mut values = Vec::with_capacity(texels.len() * matrix.ncols());
+            let mut values = memory::room(texels.len() * matrix.ncols());
             for column in columns {
                 values.extend(texels.iter().map(|&texel| scale * column[texel]));
             }
@@ -120,8 +121,7 @@ impl Samples {
             idle += usize::from(!busy);
         }
         let texels: Vec<usize> = runs.iter().flat_map(|(run, _)| run.clone()).collect();
-        let mut weights = Vec::with_capacity(texels.len() * vertices.len());
-        let mut weighted = Vec::with_capacity(texels.len() * vertices.len());
+        let [mut weights, mut weighted] = [(); 2].map(|()| memory::room(texels.len() * vertices.len()));
         for &vertex in &vertices {
             let [ssdf, costs] = [&self.ssdfs, &self.weights].map(|all| column(all, vertex));
             for (run, factor) in &runs {
@@ -163,6 +163,20 @@ impl Fitted<'_> {
     pub(super) fn columns(&self) -> impl Iterator<Item = [&[f32]; 2]> {
         let both = [&self.samples.ssdfs, &self.samples.weights];
         (self.vertices.iter()).map(move |&vertex| both.map(|all| column(all, vertex)))
+    }
+}
+
+impl Drop for Samples {
+    fn drop(&mut self) {
+        memory::keep_of(&mut self.ssdfs);
+        memory::keep_of(&mut self.weights);
+    }
+}
+
+impl Drop for Fitted<'_> {
+    fn drop(&mut self) {
+        memory::keep_of(&mut self.weighted);
+        memory::keep_of(&mut self.weights);
     }
 }
 

@@ -25,6 +25,7 @@ use crate::monitor::Monitor;
 use crate::transfer::radiosity::Radiosity;
 use crate::transfer::surfaces::Surfaces;
 use crate::visibility::contour::ContourMesh;
+use crate::memory;
 use crate::visibility::ray;
 
 /// Edges up to this part of the object's diagonal are not cut for their error: shadows of
@@ -278,6 +279,7 @@ impl<'a> Bake<'a> {
             verify,
             ..
         } = &self.prepared;
+        memory::forget();
         let mut stages = self.stages;
         let mut rays = sampler.rays();
         let [visibility, ssdf] = sampler.times();

@@ -11,6 +11,7 @@ use super::layout;
 use super::sample::Prepared;
 use super::surface::{ErrorSums, Probe};
 use crate::compress::{self, Compressed, Fit, Fits, Samples};
+use crate::memory;
 use crate::monitor::Interrupted;
 use crate::transfer::compress::ClusterTransfer;
 
@@ -20,10 +21,10 @@ const BYTES_PER_ERROR: f32 = 17.5;
 const BASIS_BYTES: f32 = 0.19;
 const COEFFICIENT_BYTES: f32 = 0.8;
 /// Part of a cluster's squared error that a split is taken to take away at most.
-const SPLIT_GAIN: f32 = 0.75;
+const SPLIT_GAIN: f32 = 0.5;
 /// A cluster of fewer vertices is not split further: its basis would outweigh it.
 const MIN_CLUSTER_VERTICES: usize = 96;
-/// Further rounds of fitting images and coefficients to each other, once a cluster is planned by thinned samples.
+/// Further rounds of fitting images and coefficients to each other, by thinned samples, once a cluster is planned.
 const ROUNDS: usize = 1;
 /// Part of the error aimed at that rounding adds.
 const ROUNDING: f32 = 0.38;
@@ -39,8 +40,8 @@ impl Prepared<'_> {
     ) -> Result<Vec<Cluster>, Interrupted> {
         let mut plan = Vec::new();
         let tiles = self.options.max_tiles;
-        let chunk = (vertices, &samples.thinned());
-        self.plan(triangles, chunk, (aim, tiles), &mut plan)?;
+        let thinned = samples.thinned();
+        self.plan(triangles, (vertices, &thinned), (aim, tiles), &mut plan)?;
         let compress = |planned| {
             let Planned {
                 triangles,
@@ -50,8 +51,9 @@ impl Prepared<'_> {
             self.report()?;
             let members = self.vertices_of(&triangles);
             let columns = columns(&members, vertices);
+            let coefficients =
+                compress::alternate(&thinned.fitted_of(columns.clone()), coefficients, ROUNDS);
             let fitted = samples.fitted_of(columns.clone());
-            let coefficients = compress::alternate(&fitted, coefficients, ROUNDS);
             let (images, _) = compress::images(&fitted, &coefficients);
             let compressed = compress::encode(&fitted, &images, error.max(aim));
             drop(fitted);
@@ -178,6 +180,7 @@ impl Prepared<'_> {
                 errors.add_probe(probe, ssdfs, &self.weighting);
             }
         }
+        memory::keep(stored);
         let used = self.mesh_vertices_of(triangles);
         let local = |vertex: u32| used.partition_point(|&other| other < vertex) as u32;
         let triangle = |&index: &u32| {

@@ -12,6 +12,7 @@ use super::bounce::mirrors;
 use super::options::Options;
 use super::statistics::{Counters, add_time, load};
 use crate::compress::{Normal, Samples, Weighting};
+use crate::memory;
 use crate::mesh::{Mesh, cluster};
 use crate::monitor::{Interrupted, Monitor};
 use crate::ssdf::{Sampled, Sampler};
@@ -385,7 +386,7 @@ impl<'a> Prepared<'a> {
     pub(super) fn ssdfs(&self, places: &[u32]) -> Result<DMatrix<f32>, Interrupted> {
         let texels = (self.options.basis_resolution as usize).pow(2);
         let sources = self.sparse.sources_of(places.iter().copied());
-        let mut sampled = DMatrix::zeros(texels, sources.len());
+        let mut sampled = memory::zeros(texels, sources.len());
         let columns = sampled.as_mut_slice().chunks_exact_mut(texels);
         let origins = sources.iter().map(|&place| self.origins[place as usize]);
         let done = AtomicUsize::new(0);
@@ -401,13 +402,14 @@ impl<'a> Prepared<'a> {
         if sources == places {
             return Ok(sampled);
         }
-        let mut ssdfs = DMatrix::zeros(texels, places.len());
+        let mut ssdfs = memory::zeros(texels, places.len());
         for (mut column, &place) in ssdfs.column_iter_mut().zip(places) {
             for &(source, weight) in self.sparse.sources(place) {
                 let source = sources.partition_point(|&other| other < source);
                 column.axpy(weight, &sampled.column(source), 1.0);
             }
         }
+        memory::keep(sampled);
         Ok(ssdfs)
     }
 

@@ -55,9 +55,7 @@ pub(crate) fn keep_of(matrix: &mut DMatrix<f32>) {
 
 /// Gives all that is kept back to the system.
 pub(crate) fn forget() {
-    KEPT.lock()
-        .unwrap_or_else(PoisonError::into_inner)
-        .clear();
+    KEPT.lock().unwrap_or_else(PoisonError::into_inner).clear();
 }
 
 #[cfg(test)]

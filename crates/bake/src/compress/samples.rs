@@ -121,7 +121,8 @@ impl Samples {
             idle += usize::from(!busy);
         }
         let texels: Vec<usize> = runs.iter().flat_map(|(run, _)| run.clone()).collect();
-        let [mut weights, mut weighted] = [(); 2].map(|()| memory::room(texels.len() * vertices.len()));
+        let [mut weights, mut weighted] =
+            [(); 2].map(|()| memory::room(texels.len() * vertices.len()));
         for &vertex in &vertices {
             let [ssdf, costs] = [&self.ssdfs, &self.weights].map(|all| column(all, vertex));
             for (run, factor) in &runs {

@@ -20,12 +20,12 @@ use super::overlaps;
 use super::queue::Queue;
 use super::sample::{CHUNK_VERTICES, Placed, Prepared};
 use super::statistics::{Statistics, add_time, load};
+use crate::memory;
 use crate::mesh::{Mesh, cluster, refine};
 use crate::monitor::Monitor;
 use crate::transfer::radiosity::Radiosity;
 use crate::transfer::surfaces::Surfaces;
 use crate::visibility::contour::ContourMesh;
-use crate::memory;
 use crate::visibility::ray;
 
 /// Edges up to this part of the object's diagonal are not cut for their error: shadows of

@@ -22,6 +22,9 @@ const BASIS_BYTES: f32 = 0.19;
 const COEFFICIENT_BYTES: f32 = 0.8;
 /// Part of a cluster's squared error that a split is taken to take away at most.
 const SPLIT_GAIN: f32 = 0.5;
+/// Fewer tiles are tried only where what is left of the error is worth less than so many: the last of them takes away
+/// at least as much as others would.
+const FEWER_WORTH: f32 = 3.0;
 /// A cluster of fewer vertices is not split further: its basis would outweigh it.
 const MIN_CLUSTER_VERTICES: usize = 96;
 /// Further rounds of fitting images and coefficients to each other, by thinned samples, once a cluster is planned.
@@ -106,7 +109,7 @@ impl Prepared<'_> {
             }
         };
         let most = (basis.images.values.ncols().div_ceil(CHANNELS_PER_TILE) as u32).max(1);
-        let whole = cheapest(tiles.min(most), most, with_tiles);
+        let whole = cheapest(tiles.min(most), most, FEWER_WORTH * tile_bytes, with_tiles);
         let cost = whole.cost();
         let begun = plan.len();
         plan.push(Planned {
@@ -254,8 +257,9 @@ impl Tried {
 }
 
 /// The number of tiles in `1..=most` at which costs stop falling, on the way from `start`;
-/// each costs a fit. Costs rise on both sides of the least, but for noise.
-fn cheapest(start: u32, most: u32, with_tiles: impl Fn(u32) -> Tried) -> Tried {
+/// each costs a fit. Costs rise on both sides of the least, but for noise. Fewer are tried where the error
+/// that is left is worth less than `fewer_worth`.
+fn cheapest(start: u32, most: u32, fewer_worth: f32, with_tiles: impl Fn(u32) -> Tried) -> Tried {
     let first = with_tiles(start);
     let walk = |tiles: &mut dyn Iterator<Item = u32>| {
         let mut best: Option<Tried> = None;
@@ -268,7 +272,8 @@ fn cheapest(start: u32, most: u32, with_tiles: impl Fn(u32) -> Tried) -> Tried {
         }
         best
     };
-    let fewer = walk(&mut (1..start).rev());
+    let least = if first.worth < fewer_worth { 1 } else { start };
+    let fewer = walk(&mut (least..start).rev());
     let best = fewer.or_else(|| walk(&mut (start + 1..=most)));
     best.unwrap_or(first)
 }

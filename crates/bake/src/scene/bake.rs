@@ -22,11 +22,11 @@ use super::sample::{CHUNK_VERTICES, Placed, Prepared};
 use super::statistics::{Statistics, add_time, load};
 use crate::memory;
 use crate::mesh::{Mesh, cluster, refine};
-use crate::monitor::Monitor;
+use crate::monitor::{Interrupted, Monitor};
 use crate::transfer::radiosity::Radiosity;
 use crate::transfer::surfaces::Surfaces;
 use crate::visibility::contour::ContourMesh;
-use crate::visibility::ray;
+use crate::visibility::ray::{self, RayCaster};
 
 /// Edges up to this part of the object's diagonal are not cut for their error: shadows of
 /// contacts have no finest scale.
@@ -94,17 +94,14 @@ impl<'a> Bake<'a> {
         stages.push(("build bvh", clock.elapsed()));
 
         let (ray_offset, far_off) = ray_offset(&input.mesh);
-        monitor.step("bounces", 0.0)?;
-        let radiosity = Radiosity::new(
-            Surfaces::new(&input.mesh),
+        let (radiosity, reflections) = bounces(
+            &input.mesh,
             contours.caster(),
-            &options.transfer,
+            options,
             ray_offset,
             monitor,
+            &mut stages,
         )?;
-        if let Some(radiosity) = &radiosity {
-            stages.push(("bounces", radiosity.time()));
-        }
 
         let clock = Instant::now();
         monitor.step("refine", 0.0)?;
@@ -119,6 +116,7 @@ impl<'a> Bake<'a> {
         let mut warnings = input.warnings.clone();
         warnings.extend(far_off.into_iter().chain(highlights::warnings(&input.mesh)));
         warnings.extend(overlaps::warning(&input.mesh, contours.caster()));
+        warnings.extend(reflections);
         let mut mesh = refined(input, options, &contours, ray_offset, monitor)?;
         for warning in mesh.warnings.drain(..) {
             if !warnings.contains(&warning) {
@@ -307,6 +305,29 @@ impl<'a> Bake<'a> {
         };
         (self.head, statistics)
     }
+}
+
+/// Light after its bounces, if it is to bounce, and warnings of what reflections lack of it.
+fn bounces(
+    mesh: &Mesh,
+    caster: &RayCaster,
+    options: &Options,
+    ray_offset: f32,
+    monitor: Monitor,
+    stages: &mut Vec<(&'static str, Duration)>,
+) -> Result<(Option<Radiosity>, Vec<String>), Interrupted> {
+    monitor.step("bounces", 0.0)?;
+    let surfaces = Surfaces::new(mesh);
+    let Some(radiosity) = Radiosity::new(surfaces, caster, &options.transfer, ray_offset, monitor)?
+    else {
+        return Ok((None, Vec::new()));
+    };
+    stages.push(("bounces", radiosity.time()));
+    let clock = Instant::now();
+    let error = |material| radiosity.reflection_error(caster, material, monitor);
+    let warnings = highlights::of_surfaces(mesh, error)?;
+    stages.push(("reflections", clock.elapsed()));
+    Ok((Some(radiosity), warnings))
 }
 
 /// Distance of samples from their surface, metres, and a warning if coordinates are so large that

@@ -1,4 +1,5 @@
-//! Whether spherical Gaussians can follow a material's highlights: a bad picture is announced.
+//! Whether spherical Gaussians can follow a material's highlights, and vertices what it shows of other surfaces: a bad
+//! picture is announced.
 
 use glam::{Vec2, Vec3};
 use relight_format::{Material, Surface, Texture, TextureSlot, math};
@@ -8,7 +9,9 @@ use relight_shading::surface::{
 };
 use relight_shading::textures::sample_point;
 
+use super::bounce::mirrors;
 use crate::mesh::Mesh;
+use crate::transfer::reflections::ReflectionError;
 
 /// Ratio of two roughnesses up to which lobes are near every model: a streak's Gaussians overlap.
 const NEAR_RATIO: f32 = 4.0;
@@ -53,6 +56,55 @@ pub(super) fn warnings(mesh: &Mesh) -> Vec<String> {
         }
     }
     warnings
+}
+
+/// Errors of reflections from which warnings tell of them, in a surface's light: by the sky and by lamps, which are seldom all
+/// of the light.
+const VISIBLE_SKY: f32 = 0.08;
+const VISIBLE_LAMPS: f32 = 0.25;
+
+/// Warnings of materials whose reflections of other surfaces are far off, `error` by the number of a material.
+pub(super) fn of_surfaces<E>(
+    mesh: &Mesh,
+    error: impl Fn(usize) -> Result<Option<ReflectionError>, E>,
+) -> Result<Vec<String>, E> {
+    let (mut by_lamps, mut by_sky) = (Vec::new(), Vec::new());
+    for (number, material) in mesh.materials.iter().enumerate() {
+        if mirrors(material) {
+            let error = error(number)?.unwrap_or_default();
+            by_lamps.push((error.lamps, &material.name[..]));
+            by_sky.push((error.sky, &material.name[..]));
+        }
+    }
+    let lamps = told(&by_lamps, VISIBLE_LAMPS).map(|(materials, error)| {
+        format!(
+            "{materials}: reflections of what emits light are off by {error:.0} % of the light that this gives it: they \
+             are spread, however smooth the surface is; lights of a scene file have sharp ones"
+        )
+    });
+    let sky = told(&by_sky, VISIBLE_SKY).map(|(materials, error)| {
+        format!(
+            "{materials}: reflections of other surfaces may be off by {error:.0} % of its light: edges in them are \
+             spread, and mirrors are shown as if they were matt; compare with `lab truth --kind full`"
+        )
+    });
+    Ok(lamps.into_iter().chain(sky).collect())
+}
+
+/// The worst of some materials with the number of others whose errors are visible, and its error, per cent.
+fn told(errors: &[(f32, &str)], visible: f32) -> Option<(String, f32)> {
+    let others = errors
+        .iter()
+        .filter(|(error, _)| *error > visible)
+        .count()
+        .checked_sub(1)?;
+    let &(error, name) = errors.iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
+    let others = match others {
+        0 => String::new(),
+        1 => ", and less in another".to_owned(),
+        others => format!(", and less in {others} others"),
+    };
+    Some((format!("material {name:?}{others}"), 100.0 * error))
 }
 
 /// What the worst of a material's reflections misplaces and its roughnesses; where textures tell of roughness, those
@@ -169,6 +221,39 @@ mod tests {
             panic!("one warning of {thin:?}");
         };
         assert!(warning.starts_with("material \"brushed\": roughnesses of 0.02 and 0.8"));
+    }
+
+    #[test]
+    fn reflections_are_announced_by_the_worst_of_them() {
+        let mut materials = vec![brushed([0.1; 2]); 4];
+        for (material, name) in materials.iter_mut().zip(["one", "two", "three", "four"]) {
+            material.name = name.to_owned();
+        }
+        materials[3].surface = Surface::DiffuseSpecular {
+            diffuse: [0.5; 3],
+            specular: Specular::None,
+        };
+        let mesh = mesh(&materials, &[]);
+        let with = |sky: [f32; 3], lamps: f32| {
+            let error = |number: usize| {
+                let sky = sky[number];
+                Ok::<_, ()>(Some(ReflectionError { sky, lamps }))
+            };
+            of_surfaces(&mesh, error).unwrap()
+        };
+        assert_eq!(with([0.05, 0.07, 0.02], 0.2), [""; 0]);
+        let [warning] = &with([0.05, 0.3, 0.1], 0.2)[..] else {
+            panic!("one warning");
+        };
+        assert!(warning.starts_with("material \"two\", and less in another: reflections of other"));
+        assert!(warning.contains("off by 30 %"), "{warning}");
+        let [warning, _] = &with([0.05, 0.07, 0.1], 1.5)[..] else {
+            panic!("two warnings");
+        };
+        assert!(
+            warning
+                .contains("and less in 2 others: reflections of what emits light are off by 150 %")
+        );
     }
 
     #[test]

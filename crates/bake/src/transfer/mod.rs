@@ -17,6 +17,7 @@ pub(crate) mod gather;
 mod lamps;
 pub(crate) mod points;
 pub(crate) mod radiosity;
+pub(crate) mod reflections;
 pub(crate) mod smooth;
 pub(crate) mod surfaces;
 

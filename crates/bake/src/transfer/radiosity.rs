@@ -559,7 +559,7 @@ pub(super) fn unit(bits: u32) -> f32 {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::import::plain_material;
     use crate::mesh::{Mesh, Triangle, Vertex};
@@ -600,19 +600,19 @@ pub(super) mod tests {
     }
 
     /// Adds a mesh with its material.
-    fn join(mesh: &mut Mesh, other: Mesh) {
+    pub(crate) fn join(mesh: &mut Mesh, other: Mesh) {
         let base = mesh.vertices.len() as u32;
         let material = mesh.materials.len() as u16;
         mesh.vertices.extend(other.vertices);
         let triangles = other.triangles.iter().map(|triangle| Triangle {
             vertices: triangle.vertices.map(|vertex| base + vertex),
-            material,
+            material: material + triangle.material,
         });
         mesh.triangles.extend(triangles);
         mesh.materials.extend(other.materials);
     }
 
-    fn solve(mesh: &Mesh, bounces: Option<u32>) -> (Radiosity, RayCaster) {
+    pub(crate) fn solve(mesh: &Mesh, bounces: Option<u32>) -> (Radiosity, RayCaster) {
         let caster = RayCaster::new(&mesh.soup());
         let options = Options {
             bounces,

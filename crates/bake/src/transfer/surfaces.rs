@@ -33,6 +33,17 @@ pub(crate) struct Met {
     pub behind: bool,
 }
 
+/// A place on a surface.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Place {
+    /// Of the mesh.
+    pub triangle: usize,
+    /// Of the triangle.
+    pub barycentrics: Vec3,
+    /// World space, metres.
+    pub position: Vec3,
+}
+
 impl Surfaces {
     /// Copies what shading reads.
     pub(crate) fn new(mesh: &Mesh) -> Self {
@@ -88,6 +99,43 @@ impl Surfaces {
     /// Triangles.
     pub(crate) fn triangle_count(&self) -> usize {
         self.scene.triangles.len()
+    }
+
+    /// What shading reads.
+    pub(crate) fn scene(&self) -> &format::Scene {
+        &self.scene
+    }
+
+    /// So many places of a material, evenly over its surface; none where it has no surface.
+    pub(crate) fn spread_over(&self, material: usize, count: usize) -> Vec<Place> {
+        let mut whole = 0.0;
+        let triangles: Vec<(usize, f64)> = (self.scene.triangles.iter().enumerate())
+            .filter(|(_, triangle)| usize::from(triangle.material) == material)
+            .map(|(index, _)| {
+                let [a, b, c] = self.corners(index);
+                whole += f64::from((b - a).cross(c - a).length());
+                (index, whole)
+            })
+            .collect();
+        let place = |number: usize| {
+            let wanted = (number as f64 + 0.5) / count as f64 * whole;
+            let found = triangles.partition_point(|(_, sum)| *sum <= wanted);
+            let (triangle, _) = *triangles.get(found)?;
+            // Evenly, one half of a parallelogram turned onto the other (Roberts 2018).
+            let [mut u, mut v] =
+                [0.754_877_7f32, 0.569_840_3].map(|step| (number as f32 * step).fract());
+            if u + v > 1.0 {
+                (u, v) = (1.0 - u, 1.0 - v);
+            }
+            let barycentrics = Vec3::new(1.0 - u - v, u, v);
+            let [a, b, c] = self.corners(triangle);
+            Some(Place {
+                triangle,
+                barycentrics,
+                position: a * barycentrics.x + b * barycentrics.y + c * barycentrics.z,
+            })
+        };
+        (0..count).filter_map(place).collect()
     }
 
     /// Corners of a triangle.

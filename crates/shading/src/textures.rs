@@ -13,7 +13,7 @@
 
 use std::sync::OnceLock;
 
-use glam::{Vec2, Vec3, Vec4, Vec4Swizzles as _};
+use glam::{Vec2, Vec3, Vec4};
 use relight_format::math;
 use relight_format::{Scene, Texture, TextureEncoding, TextureShape, TextureSlot, Vertex};
 
@@ -368,13 +368,13 @@ pub fn decode_rgbe([r, g, b, exponent]: [u8; 4]) -> Vec3 {
 fn texel(texture: &Texture, x: u32, y: u32) -> Vec4 {
     let start = (y as usize * texture.width as usize + x as usize) * 4;
     let bytes: [u8; 4] = std::array::from_fn(|channel| texture.texels[start + channel]);
-    let value = Vec4::from(bytes.map(f32::from)) / 255.0;
     match texture.encoding {
-        TextureEncoding::Linear => value,
+        TextureEncoding::Linear => Vec4::from(bytes.map(f32::from)) / 255.0,
         TextureEncoding::Rgbe => decode_rgbe(bytes).extend(1.0),
         TextureEncoding::Srgb => {
-            let [r, g, b] = value.xyz().to_array().map(decode_srgb);
-            Vec3::new(r, g, b).extend(value.w)
+            let [red, green, blue, alpha] = bytes.map(usize::from);
+            let light = light_of();
+            Vec4::new(light[red], light[green], light[blue], alpha as f32 / 255.0)
         }
     }
 }

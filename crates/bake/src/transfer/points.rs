@@ -20,6 +20,8 @@ pub(crate) struct Point {
 /// Normals a quarter turn apart are as far from each other as points at this many times √2 the
 /// distance between neighbours.
 const NORMAL_DISTANCE: f32 = 2.0;
+/// Squared distances are compared with this much to spare.
+const ROUNDING: f32 = 1.001;
 
 /// Hashes per point, about.
 const HASHES: usize = 16;
@@ -174,6 +176,27 @@ impl Points {
     /// The point nearest to a position on a side with the given normal; `None` only where
     /// there are no points.
     pub(crate) fn nearest(&self, position: Vec3, normal: Vec3) -> Option<usize> {
+        let any = (!self.all.is_empty()).then_some(0);
+        // Distances that overflow are alike.
+        self.nearest_within(position, normal, f32::INFINITY).or(any)
+    }
+
+    /// The same, where it is at most `reach` spacings away and its normal has a cosine of `alike` at least to the given
+    /// one; where it is not, it may be found all the same, or nothing.
+    pub(crate) fn nearest_alike(
+        &self,
+        position: Vec3,
+        normal: Vec3,
+        reach: f32,
+        alike: f32,
+    ) -> Option<usize> {
+        let squared = reach * reach + NORMAL_DISTANCE * NORMAL_DISTANCE * 2.0 * (1.0 - alike);
+        let squared = ROUNDING * squared * self.spacing * self.spacing;
+        self.nearest_within(position, normal, squared)
+    }
+
+    /// The nearest, if it is nearer than a squared distance.
+    fn nearest_within(&self, position: Vec3, normal: Vec3, squared: f32) -> Option<usize> {
         let scaled = normal * (NORMAL_DISTANCE * self.spacing);
         let key = [
             position.x, position.y, position.z, scaled.x, scaled.y, scaled.z,
@@ -199,12 +222,10 @@ impl Points {
                 u64::from(distance.to_bits()) << 32 | u64::from(index)
             })
             .fold(u64::MAX, u64::min);
-        let mut best = (f32::INFINITY, None);
-        if packed != u64::MAX {
-            best = (
-                f32::from_bits((packed >> 32) as u32),
-                Some(packed as u32 as usize),
-            );
+        let mut best = (squared, None);
+        let distance = f32::from_bits((packed >> 32) as u32);
+        if packed != u64::MAX && distance < squared {
+            best = (distance, Some(packed as u32 as usize));
         }
         // What lies in no neighbouring cube is farther than this.
         if best.0 > self.spacing * self.spacing {

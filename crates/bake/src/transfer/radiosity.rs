@@ -394,7 +394,8 @@ impl Radiosity {
         let radius = BLUR * self.points.spacing() * unit(hash(number, 1)).sqrt();
         let aside = radius * self.aside(met.normal, hash(number, 2));
         [1.0, -0.5, 0.0].into_iter().find_map(|part| {
-            let index = (self.points).nearest(met.position + part * aside, met.normal)?;
+            let place = met.position + part * aside;
+            let index = (self.points).nearest_alike(place, met.normal, REACH + BLUR, ALIKE)?;
             let point = &self.points.as_slice()[index];
             let distance = point.position.distance(met.position);
             let near = distance < REACH * self.points.spacing()

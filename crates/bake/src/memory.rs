@@ -12,19 +12,40 @@ const LEAST: usize = 1 << 16;
 /// Numbers kept at most.
 const MOST: usize = 1 << 25;
 
-static KEPT: Mutex<Vec<Vec<f32>>> = Mutex::new(Vec::new());
+static KEPT: Kept = Kept(Mutex::new(Vec::new()));
+
+/// Empty vectors.
+struct Kept(Mutex<Vec<Vec<f32>>>);
+
+impl Kept {
+    fn take(&self, count: usize) -> Option<Vec<f32>> {
+        if count < LEAST {
+            return None;
+        }
+        let mut kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let fits = |values: &Vec<f32>| (count..=2 * count).contains(&values.capacity());
+        let all = (0..kept.len()).filter(|&i| fits(&kept[i]));
+        let smallest = all.min_by_key(|&i| kept[i].capacity())?;
+        Some(kept.swap_remove(smallest))
+    }
+
+    fn put(&self, mut values: Vec<f32>) {
+        if values.capacity() < LEAST {
+            return;
+        }
+        values.clear();
+        let mut kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let held: usize = kept.iter().map(Vec::capacity).sum();
+        if held + values.capacity() <= MOST {
+            kept.push(values);
+        }
+    }
+}
 
 /// An empty vector with room for so many numbers.
 pub(crate) fn room(count: usize) -> Vec<f32> {
-    if count >= LEAST {
-        let mut kept = KEPT.lock().unwrap_or_else(PoisonError::into_inner);
-        let fits = |values: &Vec<f32>| (count..=2 * count).contains(&values.capacity());
-        let smallest = (0..kept.len()).filter(|&i| fits(&kept[i]));
-        if let Some(index) = smallest.min_by_key(|&i| kept[i].capacity()) {
-            return kept.swap_remove(index);
-        }
-    }
-    Vec::with_capacity(count)
+    KEPT.take(count)
+        .unwrap_or_else(|| Vec::with_capacity(count))
 }
 
 /// A matrix of zeros.
@@ -36,16 +57,7 @@ pub(crate) fn zeros(rows: usize, columns: usize) -> DMatrix<f32> {
 
 /// Keeps a matrix's memory.
 pub(crate) fn keep(matrix: DMatrix<f32>) {
-    let mut values = Vec::from(matrix.data);
-    if values.capacity() < LEAST {
-        return;
-    }
-    values.clear();
-    let mut kept = KEPT.lock().unwrap_or_else(PoisonError::into_inner);
-    let held: usize = kept.iter().map(Vec::capacity).sum();
-    if held + values.capacity() <= MOST {
-        kept.push(values);
-    }
+    KEPT.put(matrix.data.into());
 }
 
 /// Keeps the memory of a matrix that is not used any more.
@@ -55,7 +67,10 @@ pub(crate) fn keep_of(matrix: &mut DMatrix<f32>) {
 
 /// Gives all that is kept back to the system.
 pub(crate) fn forget() {
-    KEPT.lock().unwrap_or_else(PoisonError::into_inner).clear();
+    KEPT.0
+        .lock()
+        .unwrap_or_else(PoisonError::into_inner)
+        .clear();
 }
 
 #[cfg(test)]
@@ -64,17 +79,17 @@ mod tests {
 
     #[test]
     fn memory_is_used_again_and_holds_nothing_of_before() {
-        // A size that no other test asks for.
-        let (rows, columns) = (1009, 2003);
-        let mut first = zeros(rows, columns);
-        first.fill(1.0);
+        let kept = Kept(Mutex::default());
+        let first = vec![1.0; 2 * LEAST];
         let place = first.as_ptr();
-        keep(first);
-        let second = zeros(rows, columns - 1);
-        assert_eq!(second.as_ptr(), place);
-        assert!(second.iter().all(|value| *value == 0.0));
-        // Too little is not kept, too much not given.
-        keep(second);
-        assert!(room(LEAST).capacity() < rows * columns);
+        kept.put(first);
+        assert!(kept.take(LEAST - 1).is_none(), "too little");
+        assert!(kept.take(2 * LEAST + 1).is_none(), "too much");
+        let second = kept.take(2 * LEAST - 1).expect("it fits");
+        assert_eq!((second.as_ptr(), second.len()), (place, 0));
+        assert!(kept.take(2 * LEAST).is_none(), "it is taken");
+        // No more than there may be.
+        (0..2).for_each(|_| kept.put(Vec::with_capacity(MOST / 2 + 1)));
+        assert!(kept.take(MOST / 2).is_some() && kept.take(MOST / 2).is_none());
     }
 }

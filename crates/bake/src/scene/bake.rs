@@ -20,7 +20,6 @@ use super::overlaps;
 use super::queue::Queue;
 use super::sample::{CHUNK_VERTICES, Placed, Prepared};
 use super::statistics::{Statistics, add_time, load};
-use crate::memory;
 use crate::mesh::{Mesh, cluster, refine};
 use crate::monitor::{Interrupted, Monitor};
 use crate::transfer::radiosity::Radiosity;
@@ -277,7 +276,6 @@ impl<'a> Bake<'a> {
             verify,
             ..
         } = &self.prepared;
-        memory::forget();
         let mut stages = self.stages;
         let mut rays = sampler.rays();
         let [visibility, ssdf] = sampler.times();

@@ -194,6 +194,12 @@ pub(super) struct Prepared<'a> {
     pub(super) counters: Counters,
 }
 
+impl Drop for Prepared<'_> {
+    fn drop(&mut self) {
+        memory::forget();
+    }
+}
+
 /// Whether several chunks have each place.
 fn shared(placed: &Placed, chunks: &[Vec<u32>]) -> Vec<bool> {
     let mut first = vec![usize::MAX; placed.origins.len()];

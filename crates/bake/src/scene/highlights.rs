@@ -62,6 +62,8 @@ pub(super) fn warnings(mesh: &Mesh) -> Vec<String> {
 /// of the light.
 const VISIBLE_SKY: f32 = 0.08;
 const VISIBLE_LAMPS: f32 = 0.25;
+/// Materials that are looked at for it.
+const MIRRORS: usize = 64;
 
 /// Warnings of materials whose reflections of other surfaces are far off, `error` by the number of a material.
 pub(super) fn of_surfaces<E>(
@@ -69,12 +71,11 @@ pub(super) fn of_surfaces<E>(
     error: impl Fn(usize) -> Result<Option<ReflectionError>, E>,
 ) -> Result<Vec<String>, E> {
     let (mut by_lamps, mut by_sky) = (Vec::new(), Vec::new());
-    for (number, material) in mesh.materials.iter().enumerate() {
-        if mirrors(material) {
-            let error = error(number)?.unwrap_or_default();
-            by_lamps.push((error.lamps, &material.name[..]));
-            by_sky.push((error.sky, &material.name[..]));
-        }
+    for number in largest_mirrors(mesh) {
+        let error = error(number)?.unwrap_or_default();
+        let name = &mesh.materials[number].name[..];
+        by_lamps.push((error.lamps, name));
+        by_sky.push((error.sky, name));
     }
     let lamps = told(&by_lamps, VISIBLE_LAMPS).map(|(materials, error)| {
         format!(
@@ -89,6 +90,20 @@ pub(super) fn of_surfaces<E>(
         )
     });
     Ok(lamps.into_iter().chain(sky).collect())
+}
+
+/// The materials that show what is about them, those with the most surface where there are many.
+fn largest_mirrors(mesh: &Mesh) -> Vec<usize> {
+    let mut areas = vec![0.0; mesh.materials.len()];
+    for triangle in &mesh.triangles {
+        let [a, b, c] = mesh.corners(triangle);
+        areas[usize::from(triangle.material)] += f64::from((b - a).cross(c - a).length());
+    }
+    let all = 0..mesh.materials.len();
+    let mut mirrors: Vec<usize> = all.filter(|&i| mirrors(&mesh.materials[i])).collect();
+    mirrors.sort_by(|&a, &b| areas[b].total_cmp(&areas[a]));
+    mirrors.truncate(MIRRORS);
+    mirrors
 }
 
 /// The worst of some materials with the number of others whose errors are visible, and its error, per cent.

@@ -9,8 +9,8 @@ use super::samples::{Fitted, column};
 use crate::memory;
 use crate::simd::{self, Of, OfTranspose, Rows, add_product, product, transposed_product};
 
-/// Subspace iterations: after rounds of weighted fits a second one is not seen in errors or sizes.
-const ITERATIONS: usize = 1;
+/// Subspace iterations; two separate the spectrum of SSDFs to well below quantisation.
+const ITERATIONS: usize = 2;
 /// Lengths of principal axes, in that of the longest, that come from rounding.
 const NOISE: f64 = 1e-4;
 /// Extra vectors in the subspace iteration, to converge the last ones kept.

@@ -18,6 +18,7 @@ pub mod import;
 #[cfg(not(target_family = "wasm"))]
 pub mod internals;
 pub mod measured;
+#[cfg(not(target_family = "wasm"))]
 mod memory;
 #[cfg(not(target_family = "wasm"))]
 pub mod mesh;

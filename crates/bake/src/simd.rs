@@ -56,7 +56,7 @@ impl Number for f64 {}
 ///
 /// If the columns of the first are not as many as the rows of the second.
 pub(crate) fn product<T: Number>(a: &DMatrix<T>, b: &DMatrix<T>) -> DMatrix<T> {
-    whole(&Of(a), b)
+    product_by(arch(), &Of(a), b)
 }
 
 /// The product of a matrix's transpose and another matrix, the same as of that transpose by [`product`].
@@ -65,12 +65,12 @@ pub(crate) fn product<T: Number>(a: &DMatrix<T>, b: &DMatrix<T>) -> DMatrix<T> {
 ///
 /// If the rows of the first are not as many as those of the second.
 pub(crate) fn transposed_product<T: Number>(a: &DMatrix<T>, b: &DMatrix<T>) -> DMatrix<T> {
-    whole(&OfTranspose(a), b)
+    product_by(arch(), &OfTranspose(a), b)
 }
 
-fn whole<T: Number>(a: &impl Rows<T>, b: &DMatrix<T>) -> DMatrix<T> {
+fn product_by<T: Number>(arch: Arch, a: &impl Rows<T>, b: &DMatrix<T>) -> DMatrix<T> {
     let mut product = Vec::new();
-    add_product(a, b, &mut product);
+    add_product_by(arch, a, b, &mut product);
     DMatrix::from_vec(a.shape().0, b.ncols(), product)
 }
 
@@ -343,12 +343,6 @@ mod tests {
             seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
             T::from((seed >> 8) as f32 / (1 << 23) as f32 - 1.0)
         })
-    }
-
-    fn product_by<T: Number>(arch: Arch, a: &impl Rows<T>, b: &DMatrix<T>) -> DMatrix<T> {
-        let mut product = Vec::new();
-        add_product_by(arch, a, b, &mut product);
-        DMatrix::from_vec(a.shape().0, b.ncols(), product)
     }
 
     fn archs() -> Vec<Arch> {

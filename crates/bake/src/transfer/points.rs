@@ -2,7 +2,7 @@
 
 use glam::{IVec3, Vec3};
 
-use super::surfaces::Surfaces;
+use super::surfaces::{Place, Surfaces};
 
 /// A point with a side.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -53,45 +53,36 @@ impl Points {
     /// are asked for.
     pub(crate) fn new(surfaces: &Surfaces, count: usize, both: bool) -> Self {
         let triangles: Vec<usize> = in_z_order(surfaces);
-        let areas: Vec<f64> = (triangles.iter())
-            .map(|&triangle| {
-                let [a, b, c] = surfaces.corners(triangle);
-                0.5 * f64::from((b - a).cross(c - a).length())
-            })
-            .collect();
-        let total: f64 = areas.iter().sum();
+        let total: f64 = triangles
+            .iter()
+            .map(|&triangle| surfaces.area(triangle))
+            .sum();
         let sides = if both { 2.0 } else { 1.0 };
-        let spacing = (total * sides / count.max(1) as f64).sqrt() as f32;
-        let mut points = Vec::new();
-        // Systematic sampling: every `step` of area, from half of it on.
         let step = total * sides / count.max(1) as f64;
-        let mut due = 0.5 * step;
-        for (&triangle, area) in triangles.iter().zip(areas) {
-            let mut number = 0u32;
-            while due < area && step > 0.0 {
-                let barycentrics = spread(number);
-                let [a, b, c] = surfaces.corners(triangle);
-                let position = a * barycentrics.x + b * barycentrics.y + c * barycentrics.z;
-                let geometric_normal = surfaces.geometric_normal(triangle);
-                let normal = surfaces.normal(triangle, barycentrics);
-                let front = Point {
-                    position,
-                    geometric_normal,
-                    normal,
-                    albedo: surfaces.albedo(triangle, barycentrics, position + normal),
-                };
-                points.push(front);
-                if both {
-                    points.push(Point {
-                        geometric_normal: -geometric_normal,
-                        normal: -normal,
-                        ..front
-                    });
-                }
-                number += 1;
-                due += step;
+        let spacing = step.sqrt() as f32;
+        let mut points = Vec::new();
+        for place in surfaces.spread(&triangles, step) {
+            let Place {
+                triangle,
+                barycentrics,
+                position,
+            } = place;
+            let geometric_normal = surfaces.geometric_normal(triangle);
+            let normal = surfaces.normal(triangle, barycentrics);
+            let front = Point {
+                position,
+                geometric_normal,
+                normal,
+                albedo: surfaces.albedo(triangle, barycentrics, position + normal),
+            };
+            points.push(front);
+            if both {
+                points.push(Point {
+                    geometric_normal: -geometric_normal,
+                    normal: -normal,
+                    ..front
+                });
             }
-            due -= area;
         }
         let scale = NORMAL_DISTANCE * spacing;
         let key = |point: &Point| {
@@ -307,25 +298,6 @@ fn in_z_order(surfaces: &Surfaces) -> Vec<usize> {
     let mut keyed: Vec<(u32, usize)> = (0..count).map(|i| (code(i), i)).collect();
     keyed.sort_unstable();
     keyed.into_iter().map(|(_, triangle)| triangle).collect()
-}
-
-/// Barycentrics of the points of one triangle, evenly spread (Roberts 2018, R2, folded).
-fn spread(number: u32) -> Vec3 {
-    let index = f64::from(number);
-    let u = (0.5 + index * 0.754_877_666_246_693) % 1.0;
-    let v = (0.5 + index * 0.569_840_290_998_053) % 1.0;
-    let (u, v) = if u + v > 1.0 {
-        (1.0 - u, 1.0 - v)
-    } else {
-        (u, v)
-    };
-    // Of a triangle's first point: its middle, not the middle of an edge.
-    let (u, v) = if number == 0 {
-        (1.0 / 3.0, 1.0 / 3.0)
-    } else {
-        (u, v)
-    };
-    Vec3::new((1.0 - u - v) as f32, u as f32, v as f32)
 }
 
 #[cfg(test)]

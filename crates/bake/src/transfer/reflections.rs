@@ -18,7 +18,7 @@ use super::surfaces::Place;
 use crate::monitor::{Interrupted, Monitor};
 use crate::visibility::ray::RayCaster;
 
-/// Points of a material that are looked at, and views of each about its normal, at this cosine.
+/// Points of a material that are looked at, about, and views of each about its normal, at this cosine.
 const POINTS: usize = 64;
 const VIEWS: u32 = 4;
 const VIEW_COSINE: f32 = 0.7;
@@ -53,7 +53,10 @@ impl Radiosity {
         monitor: Monitor,
     ) -> Result<Option<ReflectionError>, Interrupted> {
         monitor.step("bounces", 0.0)?;
-        let places = self.surfaces.spread_over(material, POINTS);
+        let triangles = self.surfaces.of_material(material);
+        let area = |&triangle: &usize| self.surfaces.area(triangle);
+        let step = triangles.iter().map(area).sum::<f64>() / POINTS as f64;
+        let places = self.surfaces.spread(&triangles, step);
         let views: Vec<Vec<View>> = (places.par_iter().enumerate())
             .map(|(index, place)| self.look_at(caster, place, index as u32))
             .collect();

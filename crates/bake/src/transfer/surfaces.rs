@@ -106,36 +106,46 @@ impl Surfaces {
         &self.scene
     }
 
-    /// So many places of a material, evenly over its surface; none where it has no surface.
-    pub(crate) fn spread_over(&self, material: usize, count: usize) -> Vec<Place> {
-        let mut whole = 0.0;
-        let triangles: Vec<(usize, f64)> = (self.scene.triangles.iter().enumerate())
-            .filter(|(_, triangle)| usize::from(triangle.material) == material)
-            .map(|(index, _)| {
-                let [a, b, c] = self.corners(index);
-                whole += f64::from((b - a).cross(c - a).length());
-                (index, whole)
-            })
-            .collect();
-        let place = |number: usize| {
-            let wanted = (number as f64 + 0.5) / count as f64 * whole;
-            let found = triangles.partition_point(|(_, sum)| *sum <= wanted);
-            let (triangle, _) = *triangles.get(found)?;
-            // Evenly, one half of a parallelogram turned onto the other (Roberts 2018).
-            let [mut u, mut v] =
-                [0.754_877_7f32, 0.569_840_3].map(|step| (number as f32 * step).fract());
-            if u + v > 1.0 {
-                (u, v) = (1.0 - u, 1.0 - v);
+    /// Places evenly over some triangles, one for every `step` of their area, square metres.
+    pub(crate) fn spread(&self, triangles: &[usize], step: f64) -> Vec<Place> {
+        let mut places = Vec::new();
+        // Systematic sampling: every `step` of area, from half of it on.
+        let mut due = 0.5 * step;
+        for &triangle in triangles {
+            let area = self.area(triangle);
+            let mut number = 0;
+            while due < area && step > 0.0 {
+                let barycentrics = spread(number);
+                places.push(Place {
+                    triangle,
+                    barycentrics,
+                    position: self.position(triangle, barycentrics),
+                });
+                number += 1;
+                due += step;
             }
-            let barycentrics = Vec3::new(1.0 - u - v, u, v);
-            let [a, b, c] = self.corners(triangle);
-            Some(Place {
-                triangle,
-                barycentrics,
-                position: a * barycentrics.x + b * barycentrics.y + c * barycentrics.z,
-            })
-        };
-        (0..count).filter_map(place).collect()
+            due -= area;
+        }
+        places
+    }
+
+    /// Area of a triangle, square metres.
+    pub(crate) fn area(&self, triangle: usize) -> f64 {
+        let [a, b, c] = self.corners(triangle);
+        0.5 * f64::from((b - a).cross(c - a).length())
+    }
+
+    /// Triangles of a material.
+    pub(crate) fn of_material(&self, material: usize) -> Vec<usize> {
+        (0..self.triangle_count())
+            .filter(|&triangle| usize::from(self.scene.triangles[triangle].material) == material)
+            .collect()
+    }
+
+    /// Where a triangle has some barycentrics.
+    fn position(&self, triangle: usize, barycentrics: Vec3) -> Vec3 {
+        let [a, b, c] = self.corners(triangle);
+        a * barycentrics.x + b * barycentrics.y + c * barycentrics.z
     }
 
     /// Corners of a triangle.
@@ -169,8 +179,7 @@ impl Surfaces {
 
     /// What a ray from `origin` meets at a point of a triangle.
     pub(crate) fn meet(&self, triangle: usize, barycentrics: Vec3, origin: Vec3) -> Met {
-        let [a, b, c] = self.corners(triangle);
-        let position = a * barycentrics.x + b * barycentrics.y + c * barycentrics.z;
+        let position = self.position(triangle, barycentrics);
         let normal = self.geometric_normal(triangle);
         let behind = normal.dot(origin - position) < 0.0;
         // What is emitted leaves the front alone, as it is drawn.
@@ -188,6 +197,25 @@ impl Surfaces {
             behind,
         }
     }
+}
+
+/// Barycentrics of the points of one triangle, evenly spread (Roberts 2018, R2, folded).
+fn spread(number: u32) -> Vec3 {
+    let index = f64::from(number);
+    let u = (0.5 + index * 0.754_877_666_246_693) % 1.0;
+    let v = (0.5 + index * 0.569_840_290_998_053) % 1.0;
+    let (u, v) = if u + v > 1.0 {
+        (1.0 - u, 1.0 - v)
+    } else {
+        (u, v)
+    };
+    // Of a triangle's first point: its middle, not the middle of an edge.
+    let (u, v) = if number == 0 {
+        (1.0 / 3.0, 1.0 / 3.0)
+    } else {
+        (u, v)
+    };
+    Vec3::new((1.0 - u - v) as f32, u as f32, v as f32)
 }
 
 /// Whether the albedo of a material is the same everywhere and from all sides.

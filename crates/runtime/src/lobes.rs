@@ -21,12 +21,12 @@ use crate::{Frame, GpuScene, Method, shadow_map};
 const WORKGROUP_PIXELS: u32 = WORKGROUP * WORKGROUP;
 
 /// Workgroups of an image that are shaded at a time, at most, of so many `rows` that are wanted: what their slots
-/// take of memory is all that the passes take.
-pub(crate) fn tiles_at_once([width, height]: [u32; 2], rows: u32) -> u32 {
+/// take of memory is all that the passes take. Buffers of slots have at most `most_bytes`.
+pub(crate) fn tiles_at_once([width, height]: [u32; 2], rows: u32, most_bytes: u64) -> u32 {
     let [columns, all, rows] = [width, height, rows].map(|side| side.div_ceil(WORKGROUP).max(1));
-    columns
-        .saturating_mul(all.min(rows))
-        .min(gpu::MAX_TILES_AT_ONCE)
+    let fitting = most_bytes / u64::from(WORKGROUP_PIXELS * slots::BYTES);
+    let most = fitting.clamp(1, u64::from(gpu::MAX_TILES_AT_ONCE)) as u32;
+    columns.saturating_mul(all.min(rows)).min(most)
 }
 
 /// Bindings of group 1 of kernels that know materials, and of those that know visibility.
@@ -379,11 +379,16 @@ mod tests {
 
     #[test]
     fn tiles_of_an_image() {
-        assert_eq!(tiles_at_once([320, 240], 128), 40 * 16);
-        assert_eq!(tiles_at_once([9, 9], 128), 4);
-        assert_eq!(tiles_at_once([9, 9], 0), 2);
+        let allowed = wgpu::Limits::default().max_storage_buffer_binding_size;
+        let tiles = |size, rows| tiles_at_once(size, rows, allowed);
+        assert_eq!(tiles([320, 240], 128), 40 * 16);
+        assert_eq!(tiles([9, 9], 128), 4);
+        assert_eq!(tiles([9, 9], 0), 2);
+        // As many as are listed in a uniform have as many slots as WebGPU's devices can bind.
         let most = gpu::MAX_TILES_AT_ONCE;
-        assert_eq!(tiles_at_once([3840, 2160], 128), most);
-        assert_eq!(tiles_at_once([u32::MAX; 2], u32::MAX), most);
+        assert_eq!(tiles([3840, 2160], u32::MAX), most);
+        assert_eq!(tiles([u32::MAX; 2], u32::MAX), most);
+        assert_eq!(tiles_at_once([3840, 2160], 128, allowed / 2), most / 2);
+        assert_eq!(tiles_at_once([9, 9], 128, 0), 1);
     }
 }

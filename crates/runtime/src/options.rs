@@ -23,8 +23,10 @@ pub struct Options {
     /// What is written. Default [`Output::Automatic`].
     pub output: Output,
     /// A dispatch shades as many pixels as so many rows of the picture have, rounded up to tiles of 8 × 8, and at most
-    /// 131,072: short dispatches keep slow devices responsive and clear of watchdogs. Default 128.
-    pub rows_per_dispatch: u32,
+    /// 524,288. Short dispatches keep slow devices responsive and clear of watchdogs; long ones fill fast devices, which
+    /// wait for each to end before they begin the next. A view takes 512 bytes for every pixel of a dispatch, and 48 more
+    /// for each of the environment's sources. `None`, the default: all rows on graphics cards, 128 on other devices.
+    pub rows_per_dispatch: Option<u32>,
 }
 
 impl Default for Options {
@@ -35,7 +37,7 @@ impl Default for Options {
             multisample: wgpu::MultisampleState::default(),
             blend: Some(wgpu::BlendState::PREMULTIPLIED_ALPHA_BLENDING),
             output: Output::Automatic,
-            rows_per_dispatch: 128,
+            rows_per_dispatch: None,
         }
     }
 }
@@ -83,7 +85,19 @@ impl Output {
     }
 }
 
+/// Rows of a dispatch on devices that are no graphics cards.
+const ROWS_PER_DISPATCH: u32 = 128;
+
 impl Options {
+    /// [`Self::rows_per_dispatch`] of a device.
+    pub(crate) fn rows_per_dispatch(&self, device: &wgpu::Device) -> u32 {
+        self.rows_per_dispatch
+            .unwrap_or_else(|| match device.adapter_info().device_type {
+                wgpu::DeviceType::DiscreteGpu => u32::MAX,
+                _ => ROWS_PER_DISPATCH,
+            })
+    }
+
     /// Refuses what no device with these features can draw into.
     pub(crate) fn check(&self, features: wgpu::Features) -> Result<(), Error> {
         let wrong = |format, expected| Err(Error::Format { format, expected });

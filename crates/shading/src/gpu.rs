@@ -88,7 +88,7 @@ pub struct Frame {
 /// Most instances of a scene that are shaded together: their [`Frame`]s are one uniform.
 pub const MAX_BATCH: u32 = 128;
 /// Most workgroups of 8 × 8 pixels of a dispatch: their [`tile`]s are one uniform.
-pub const MAX_TILES_AT_ONCE: u32 = 2048;
+pub const MAX_TILES_AT_ONCE: u32 = 8192;
 /// Bits of a [`tile`]'s column and row, which come first.
 const TILE_BITS: [u32; 2] = [12, 13];
 

@@ -18,8 +18,8 @@ use web_sys::HtmlCanvasElement;
 use crate::orbit::Orbit;
 use crate::plain_sky;
 
-/// Rows per dispatch: what a part of a picture is made of.
-const BAND: u32 = 16;
+/// Side of the view before the canvas has a size.
+const SIDE: u32 = 16;
 
 /// A canvas, a device, and what is shown.
 #[wasm_bindgen]
@@ -92,11 +92,10 @@ impl Stage {
             .ok_or_else(|| JsError::new("the canvas takes no pictures of this device"))?;
         let options = Options {
             target_format: format,
-            rows_per_dispatch: BAND,
             ..Options::default()
         };
         let renderer = Renderer::new(&device, &queue, options).map_err(failed)?;
-        let view = renderer.view([BAND, BAND]).map_err(failed)?;
+        let view = renderer.view([SIDE, SIDE]).map_err(failed)?;
         Ok(Stage {
             canvas,
             surface,

@@ -1096,7 +1096,7 @@ pub fn wrong_uses_are_errors(gpu: &mut Gpu) -> Outcome {
 pub fn parts_make_a_frame(gpu: &mut Gpu) -> Outcome {
     let lights = lights();
     let options = Options {
-        rows_per_dispatch: 16,
+        rows_per_dispatch: Some(16),
         ..Options::default()
     };
     with_options(gpu, options, |gpu| {
@@ -1129,9 +1129,9 @@ pub fn any_number_of_rows_is_dispatched(gpu: &mut Gpu) -> Outcome {
     let lights = lights();
     let frame = frame(&lights, Method::Ambient);
     let whole = render(gpu, &frame, 50, 41)?;
-    for rows_per_dispatch in [0, 1, u32::MAX - 3, u32::MAX] {
+    for rows in [0, 1, u32::MAX - 3, u32::MAX] {
         let options = Options {
-            rows_per_dispatch,
+            rows_per_dispatch: Some(rows),
             ..Options::default()
         };
         assert!(with_options(gpu, options, |gpu| render(gpu, &frame, 50, 41))? == whole);

@@ -64,12 +64,8 @@ impl Engine {
         queue: &wgpu::Queue,
         wake: impl Fn() + Send + Sync + 'static,
     ) -> Result<Self, relight_runtime::Error> {
-        let options = Options {
-            rows_per_dispatch: 2 * BAND,
-            ..Options::default()
-        };
         let state = State {
-            renderer: Renderer::new(device, queue, options)?,
+            renderer: Renderer::new(device, queue, Options::default())?,
             uploaded: None,
             preparations: 0,
             view: None,

@@ -176,7 +176,7 @@ impl Artist {
         // Programs on the processor gain nothing from long dispatches, and cannot be stopped in them.
         if let Some(gpu) = gpu.as_mut().filter(|gpu| gpu.is_software()) {
             let options = Options {
-                rows_per_dispatch: BAND,
+                rows_per_dispatch: Some(BAND),
                 ..gpu.renderer.options().clone()
             };
             if let Ok(renderer) = gpu.renderer.with_options(options) {

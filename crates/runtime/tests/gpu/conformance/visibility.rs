@@ -28,6 +28,8 @@ const INTEGRAL_TOLERANCE: f32 = 1e-3;
 /// Fraction of integrals that may differ by more: a boundary that a spoke just touches is
 /// seen by one and missed by the other.
 const GRAZING: f32 = 2e-3;
+/// The same on graphics cards, whose weights of texels have 8 bits: 2.5 % of noise on an H200.
+const GRAZING_ON_CARDS: f32 = 4e-2;
 const QUERIES: usize = 20_000;
 const SPOKES: u32 = 8;
 
@@ -83,9 +85,14 @@ pub fn ssdf_and_integrators_match_twins(gpu: &mut Gpu) -> Result<(), Failed> {
             worst <= DECODE_TOLERANCE * texel_range,
             "{name}: distance differs by {worst}"
         );
+        let grazing_part = if gpu.is_software() {
+            GRAZING
+        } else {
+            GRAZING_ON_CARDS
+        };
         for count in grazing {
             assert!(
-                count as f32 <= GRAZING * QUERIES as f32,
+                count as f32 <= grazing_part * QUERIES as f32,
                 "{name}: {grazing:?} differ"
             );
         }

@@ -20,12 +20,16 @@ use crate::{Frame, GpuScene, Method, shadow_map};
 /// Pixels of a workgroup.
 const WORKGROUP_PIXELS: u32 = WORKGROUP * WORKGROUP;
 
-/// Workgroups of an image that are shaded at a time, at most, of so many `rows` that are wanted: what their slots
-/// take of memory is all that the passes take. Buffers of slots have at most `most_bytes`.
-pub(crate) fn tiles_at_once([width, height]: [u32; 2], rows: u32, most_bytes: u64) -> u32 {
+/// Workgroups of an image that are shaded at a time: what their slots take of memory is all that the passes take.
+/// Those of so many rows are wanted, and `most` at most; buffers of slots have at most `most_bytes`.
+pub(crate) fn tiles_at_once(
+    [width, height]: [u32; 2],
+    [rows, most]: [u32; 2],
+    most_bytes: u64,
+) -> u32 {
     let [columns, all, rows] = [width, height, rows].map(|side| side.div_ceil(WORKGROUP).max(1));
     let fitting = most_bytes / u64::from(WORKGROUP_PIXELS * slots::BYTES);
-    let most = fitting.clamp(1, u64::from(gpu::MAX_TILES_AT_ONCE)) as u32;
+    let most = fitting.clamp(1, u64::from(most.min(gpu::MAX_TILES_AT_ONCE))) as u32;
     columns.saturating_mul(all.min(rows)).min(most)
 }
 
@@ -380,7 +384,7 @@ mod tests {
     #[test]
     fn tiles_of_an_image() {
         let allowed = wgpu::Limits::default().max_storage_buffer_binding_size;
-        let tiles = |size, rows| tiles_at_once(size, rows, allowed);
+        let tiles = |size, rows| tiles_at_once(size, [rows, u32::MAX], allowed);
         assert_eq!(tiles([320, 240], 128), 40 * 16);
         assert_eq!(tiles([9, 9], 128), 4);
         assert_eq!(tiles([9, 9], 0), 2);
@@ -388,7 +392,9 @@ mod tests {
         let most = gpu::MAX_TILES_AT_ONCE;
         assert_eq!(tiles([3840, 2160], u32::MAX), most);
         assert_eq!(tiles([u32::MAX; 2], u32::MAX), most);
-        assert_eq!(tiles_at_once([3840, 2160], 128, allowed / 2), most / 2);
-        assert_eq!(tiles_at_once([9, 9], 128, 0), 1);
+        let wanted = [u32::MAX, u32::MAX];
+        assert_eq!(tiles_at_once([3840, 2160], wanted, allowed / 2), most / 2);
+        assert_eq!(tiles_at_once([3840, 2160], [128, 2048], allowed), 2048);
+        assert_eq!(tiles_at_once([9, 9], wanted, 0), 1);
     }
 }

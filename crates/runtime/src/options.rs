@@ -1,5 +1,7 @@
 //! How a renderer is set up.
 
+use relight_shading::gpu::MAX_TILES_AT_ONCE;
+
 use crate::Error;
 
 /// What a renderer draws into, given once: the formats and the sample count of the render passes
@@ -24,8 +26,9 @@ pub struct Options {
     pub output: Output,
     /// A dispatch shades as many pixels as so many rows of the picture have, rounded up to tiles of 8 × 8, and at most
     /// 524,288. Short dispatches keep slow devices responsive and clear of watchdogs; long ones fill fast devices, which
-    /// wait for each to end before they begin the next. A view takes 512 bytes for every pixel of a dispatch, and 48 more
-    /// for each of the environment's sources. `None`, the default: all rows on graphics cards, 128 on other devices.
+    /// wait for each to end before they begin the next. A view takes 512 bytes for every pixel of a dispatch, and 60 more
+    /// for each of the environment's sources. `None`, the default: all rows on graphics cards; on other devices 128,
+    /// and at most 131,072 pixels.
     pub rows_per_dispatch: Option<u32>,
 }
 
@@ -85,17 +88,17 @@ impl Output {
     }
 }
 
-/// Rows of a dispatch on devices that are no graphics cards.
-const ROWS_PER_DISPATCH: u32 = 128;
+/// Rows of a dispatch, and tiles of 8 × 8 pixels at most, on devices that are no graphics cards.
+const SHORT_DISPATCH: [u32; 2] = [128, 2048];
 
 impl Options {
-    /// [`Self::rows_per_dispatch`] of a device.
-    pub(crate) fn rows_per_dispatch(&self, device: &wgpu::Device) -> u32 {
-        self.rows_per_dispatch
-            .unwrap_or_else(|| match device.adapter_info().device_type {
-                wgpu::DeviceType::DiscreteGpu => u32::MAX,
-                _ => ROWS_PER_DISPATCH,
-            })
+    /// Rows of a dispatch of a device, and tiles at most.
+    pub(crate) fn dispatch(&self, device: &wgpu::Device) -> [u32; 2] {
+        let card = device.adapter_info().device_type == wgpu::DeviceType::DiscreteGpu;
+        match self.rows_per_dispatch {
+            None if !card => SHORT_DISPATCH,
+            rows => [rows.unwrap_or(u32::MAX), MAX_TILES_AT_ONCE],
+        }
     }
 
     /// Refuses what no device with these features can draw into.

@@ -575,9 +575,9 @@ impl Renderer {
         let sources = frame.sources.as_ref();
         let sources = sources.map_or(0, |sources| sources.count() as u32);
         let shaded = shaded_size(view.size(), frame.antialias);
-        let rows = self.options.rows_per_dispatch(&self.device);
+        let wanted = self.options.dispatch(&self.device);
         let most_bytes = self.device.limits().max_storage_buffer_binding_size;
-        let slots = lobes::tiles_at_once(shaded, rows, most_bytes);
+        let slots = lobes::tiles_at_once(shaded, wanted, most_bytes);
         if view.images.as_ref().is_some_and(|images| {
             images.antialias() == frame.antialias
                 && images.source_count >= sources

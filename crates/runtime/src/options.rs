@@ -1,7 +1,5 @@
 //! How a renderer is set up.
 
-use relight_shading::gpu::MAX_TILES_AT_ONCE;
-
 use crate::Error;
 
 /// What a renderer draws into, given once: the formats and the sample count of the render passes
@@ -92,12 +90,12 @@ impl Output {
 const SHORT_DISPATCH: [u32; 2] = [128, 2048];
 
 impl Options {
-    /// Rows of a dispatch of a device, and tiles at most.
+    /// Rows of a dispatch of a device, and tiles that it is to have at most.
     pub(crate) fn dispatch(&self, device: &wgpu::Device) -> [u32; 2] {
         let card = device.adapter_info().device_type == wgpu::DeviceType::DiscreteGpu;
         match self.rows_per_dispatch {
             None if !card => SHORT_DISPATCH,
-            rows => [rows.unwrap_or(u32::MAX), MAX_TILES_AT_ONCE],
+            rows => [rows.unwrap_or(u32::MAX), u32::MAX],
         }
     }
 

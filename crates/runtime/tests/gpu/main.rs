@@ -43,6 +43,9 @@ const DISPLAY_CODES: u8 = 1;
 /// Relative RMSE of a frame over pixels covered in both. Software Vulkan stays below 1e-5;
 /// the rest is room for GPUs that interpolate the basis with 8-bit weights.
 const FRAME_RELATIVE_RMSE: f32 = 1e-3;
+/// The same by cells: where an error is close to its threshold, one divides a cell and the other
+/// does not.
+const CELLS_RELATIVE_RMSE: f32 = 5e-3;
 
 /// How much further a graphics card may be from its twin than software, in what depends on where visibility changes: it
 /// weighs the texels that it interpolates in 256ths. On an H200 the worst frame below is 1.1e-3 off, and by cells
@@ -50,9 +53,6 @@ const FRAME_RELATIVE_RMSE: f32 = 1e-3;
 fn looseness(gpu: &Gpu) -> f32 {
     if gpu.is_software() { 1.0 } else { 4.0 }
 }
-/// The same by cells: where an error is close to its threshold, one divides a cell and the other
-/// does not.
-const CELLS_RELATIVE_RMSE: f32 = 5e-3;
 
 /// A device at WebGPU's default limits, opened once.
 static GPU: Mutex<Option<Gpu>> = Mutex::new(None);

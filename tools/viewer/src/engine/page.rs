@@ -10,7 +10,7 @@ use relight_shading::catcher;
 use web_time::Instant;
 
 use super::uploaded::Uploaded;
-use super::{BAND, Event, Picture, Request, Shot, rows_of_group};
+use super::{Event, Picture, Request, Shot, rows_of_group};
 use crate::pace::{Level, Pace};
 use crate::state::Integrator;
 

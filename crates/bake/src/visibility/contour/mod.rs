@@ -46,7 +46,9 @@ const MOST_TOUCHED: usize = 32;
 /// rays.
 pub struct ContourMesh {
     caster: RayCaster,
-    /// Welded vertex positions.
+    /// See [`near`].
+    near: Vec3,
+    /// Welded vertex positions, from `near`.
     positions: Vec<Vec3>,
     facing: Facing,
     parts: Parts,
@@ -78,13 +80,14 @@ impl ContourMesh {
     /// Welds vertices of equal coordinates and collects edges. Triangles without area and
     /// repeated triangles are left out: neither changes what is visible.
     pub fn new(triangles: &[[Vec3; 3]]) -> Self {
+        let near = near(triangles);
         let mut ids = HashMap::new();
         let mut positions = Vec::new();
         let mut weld = |vertex: Vec3| {
             // Adding zero turns −0 into +0.
             *ids.entry((vertex + Vec3::ZERO).to_array().map(f32::to_bits))
                 .or_insert_with(|| {
-                    positions.push(vertex);
+                    positions.push(vertex - near);
                     positions.len() as u32 - 1
                 })
         };
@@ -112,6 +115,7 @@ impl ContourMesh {
             parts: Parts::new(&positions, &welded),
             vertices: all_vertices,
             repeated,
+            near,
             positions,
         }
     }
@@ -135,8 +139,9 @@ impl ContourMesh {
     /// Finds what the points between `origins` may see as contours. Points close together
     /// have most of it in common: sampling them is then several times faster.
     pub fn prepare(&self, origins: &[Vec3], scratch: &mut Scratch) {
+        let origins: Vec<Vec3> = origins.iter().map(|origin| *origin - self.near).collect();
         let candidates = &mut scratch.candidates;
-        candidates.prepare(&self.facing, &self.parts, &self.positions, origins);
+        candidates.prepare(&self.facing, &self.parts, &self.positions, &origins);
     }
 
     /// The same bitmap as [`crate::visibility::sample`], and the number of rays it took.
@@ -146,10 +151,11 @@ impl ContourMesh {
         directions: &Directions,
         scratch: &mut Scratch,
     ) -> (Bitmap, u32) {
-        if !scratch.candidates.covers(origin) {
+        let eye = origin - self.near;
+        if !scratch.candidates.covers(eye) {
             self.prepare(&[origin], scratch);
         }
-        (scratch.candidates).look(&self.facing, &self.positions, origin);
+        (scratch.candidates).look(&self.facing, &self.positions, eye);
         let found = self.count(origin, directions.as_slice(), scratch, false);
         let again = |vertices| self.repeated.get(&ascending(vertices)).map_or(0, Vec::len);
         let touched: usize = scratch.candidates.touched().map(|at| 1 + again(at)).sum();
@@ -160,7 +166,7 @@ impl ContourMesh {
                 (visibility::sample(&self.caster, origin, directions), rays)
             });
         if (1..=MOST_TOUCHED).contains(&touched) {
-            self.try_touched(origin, directions, scratch, &mut bitmap);
+            self.try_touched(eye, directions, scratch, &mut bitmap);
         }
         (bitmap, rays)
     }
@@ -168,7 +174,7 @@ impl ContourMesh {
     /// Takes from what is visible what the triangles hide that the point looked at last lies on.
     fn try_touched(
         &self,
-        origin: Vec3,
+        eye: Vec3,
         directions: &Directions,
         scratch: &mut Scratch,
         bitmap: &mut Bitmap,
@@ -180,12 +186,12 @@ impl ContourMesh {
             let again = self.repeated.get(&ascending(vertices));
             for vertices in [vertices].iter().chain(again.into_iter().flatten()) {
                 let triangle = vertices.map(|vertex| self.positions[vertex as usize]);
-                bitmap.retain(|texel| !ray::meets(triangle, origin, directions.as_slice()[texel]));
+                bitmap.retain(|texel| !ray::meets(triangle, eye, directions.as_slice()[texel]));
             }
         }
         // Where they end counts for `crossings`.
         let contours = candidates.contours_of_touched(&self.positions);
-        layers.count(origin, [contours].into_iter());
+        layers.count(eye, [contours].into_iter());
     }
 
     /// What contours tell of what the point looked at last sees past the triangles that it lies on, if
@@ -210,7 +216,7 @@ impl ContourMesh {
         loop {
             rounds.choose(candidates, chosen);
             candidates.find(&self.parts, &self.positions, chosen);
-            layers.count(origin, candidates.contours(chosen));
+            layers.count(origin - self.near, candidates.contours(chosen));
             let counted = |triangle: usize| {
                 let vertices = self.vertices[triangle];
                 let alike = |touched| ascending(touched) == ascending(vertices);
@@ -224,7 +230,7 @@ impl ContourMesh {
                 |texel| !self.caster.any_hit(origin, directions[texel]),
             );
             if let Some(open) = open {
-                rounds.cull(candidates, origin, &open, layers.resolution());
+                rounds.cull(candidates, origin - self.near, &open, layers.resolution());
                 before = Some(open);
             } else {
                 // Where contours lie is still asked for.
@@ -247,6 +253,26 @@ impl ContourMesh {
         crossings::locate(segments, visible, layers.resolution(), crossings);
         crossings
     }
+}
+
+/// What the coordinates of a mesh are counted from that lies far from zero, so that planes are as exact as its points: a
+/// corner of its box, on those axes on which differences to that are exact (Sterbenz 1974).
+fn near(triangles: &[[Vec3; 3]]) -> Vec3 {
+    let points = triangles.as_flattened().iter();
+    let (low, high) = points.fold(
+        (Vec3::INFINITY, Vec3::NEG_INFINITY),
+        |(low, high), point| (low.min(*point), high.max(*point)),
+    );
+    let of_axis = |low: f32, high: f32| match low <= high {
+        true if low > 0.0 && high <= 2.0 * low => low,
+        true if high < 0.0 && low >= 2.0 * high => high,
+        _ => 0.0,
+    };
+    Vec3::new(
+        of_axis(low.x, high.x),
+        of_axis(low.y, high.y),
+        of_axis(low.z, high.z),
+    )
 }
 
 /// Three numbers in order.
@@ -393,6 +419,28 @@ mod tests {
             .map(|[a, b, c]| (*a + *b + *c) / 3.0 * 1.0001)
             .collect();
         assert_same_bits(&triangles, &origins, 64);
+    }
+
+    #[test]
+    fn meshes_far_from_zero_take_no_more_rays() {
+        for far in [Vec3::new(1e4, 0.0, -2e4), Vec3::splat(3e5)] {
+            // Rounded to what coordinates there can be.
+            let ball = sphere(Vec3::ZERO, 1.0, 24);
+            let moved = ball
+                .iter()
+                .map(|triangle| triangle.map(|point| point + far));
+            let moved: Vec<_> = moved.collect();
+            let back: Vec<_> = (moved.iter())
+                .map(|triangle| triangle.map(|point| point - far))
+                .collect();
+            let origins: Vec<Vec3> = (ball.iter().step_by(31))
+                .map(|[a, b, c]| (*a + *b + *c) / 3.0 * 1.1 + far)
+                .collect();
+            let near: Vec<Vec3> = origins.iter().map(|origin| origin - far).collect();
+            let rays = [(back, near), (moved, origins)]
+                .map(|(triangles, origins)| assert_same_bits(&triangles, &origins, 64));
+            assert_eq!(rays[0], rays[1]);
+        }
     }
 
     #[test]

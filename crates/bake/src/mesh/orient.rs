@@ -4,9 +4,11 @@
 //! never lit. A closed piece whose fronts all look inwards is a room, or was exported inside out.
 
 use std::collections::HashMap;
+use std::f64::consts::TAU;
 use std::hash::Hash;
 
 use glam::{DVec3, I64Vec3, Vec3};
+use relight_format::math;
 
 use super::{Mesh, Triangle, Vertex};
 
@@ -18,6 +20,9 @@ const SAME_PLACE: f64 = 1e-6;
 /// The part of a piece's triangles that must wind against their own normals for the winding to be
 /// what is wrong.
 const SURELY: f64 = 0.9;
+/// Part of all directions in which the middle of an open piece must see its fronts for it to be taken for a closed one with
+/// a gap, such as a column without its ends.
+const SURROUNDED: f64 = 0.6;
 /// Fewest closed pieces inside out that tell that all of a file is.
 const LEAST_PIECES: usize = 4;
 /// Most pairs of pieces that are looked at, one of which may lie in the other.
@@ -36,11 +41,19 @@ struct Piece {
     triangles: usize,
     /// Those that wind against the normals of all their vertices.
     against: usize,
+    /// Of an open piece the part of all directions in which its middle sees backs, less that in which it sees fronts
+    /// (generalised winding number, Jacobson et al. 2013): of a closed one that faces inwards −1.
+    winding: f64,
 }
 
 impl Piece {
     fn is_inside_out(&self) -> bool {
         self.closed && self.volume < -LEAST_VOLUME * self.cube()
+    }
+
+    /// Whether it is open and faces inwards nearly all about its middle.
+    fn opens_inwards(&self) -> bool {
+        !self.closed && self.winding < -SURROUNDED
     }
 
     /// Of its diagonal, m³.
@@ -69,10 +82,14 @@ pub(crate) fn mend(mesh: &mut Mesh) -> Vec<String> {
     let mut inside_out: Vec<usize> = (0..pieces.len())
         .filter(|&piece| pieces[piece].is_inside_out() && !turn[piece])
         .collect();
-    if inside_out.len().saturating_mul(pieces.len()) > MAX_WORK {
+    let mut opening: Vec<usize> = (0..pieces.len())
+        .filter(|&piece| pieces[piece].opens_inwards() && !turn[piece])
+        .collect();
+    if (inside_out.len() + opening.len()).saturating_mul(pieces.len()) > MAX_WORK {
         inside_out.clear();
+        opening.clear();
     }
-    if against == 0 && inside_out.is_empty() {
+    if against == 0 && inside_out.is_empty() && opening.is_empty() {
         return Vec::new();
     }
     let hollow = |piece: &usize| {
@@ -86,6 +103,7 @@ pub(crate) fn mend(mesh: &mut Mesh) -> Vec<String> {
         };
         !pieces.iter().any(rules_out)
     };
+    opening.retain(hollow);
     let (turned, left): (Vec<usize>, Vec<usize>) = inside_out.into_iter().partition(hollow);
     for piece in &turned {
         turn[*piece] = true;
@@ -99,6 +117,7 @@ pub(crate) fn mend(mesh: &mut Mesh) -> Vec<String> {
         && !pieces.iter().any(outwards);
     if all {
         turn.fill(true);
+        opening.clear();
     }
     // Normals that disagree with their triangles are right already.
     let mut votes = vec![0i32; mesh.vertices.len()];
@@ -140,6 +159,13 @@ pub(crate) fn mend(mesh: &mut Mesh) -> Vec<String> {
             "closed pieces that face inwards, and that hold something or lie in something: {}; rooms, or \
              inside out, and black from outside",
             left.len()
+        ));
+    }
+    if !opening.is_empty() {
+        warnings.push(format!(
+            "open pieces that face inwards nearly all around, with nothing in them: {}; rooms, or inside out, and \
+             black from outside",
+            opening.len()
         ));
     }
     warnings
@@ -274,6 +300,7 @@ fn pieces(mesh: &Mesh) -> (Vec<usize>, Vec<Piece>) {
                 closed: false,
                 triangles: 0,
                 against: 0,
+                winding: 0.0,
             });
             pieces.len() - 1
         });
@@ -300,7 +327,23 @@ fn pieces(mesh: &Mesh) -> (Vec<usize>, Vec<Piece>) {
             }
         }
     }
+    for (triangle, piece) in mesh.triangles.iter().zip(&of) {
+        let piece = &mut pieces[*piece];
+        if !piece.closed {
+            let middle = piece.low.as_dvec3() * 0.5 + piece.high.as_dvec3() * 0.5;
+            let corners = mesh.corners(triangle);
+            piece.winding += part_of_sphere(corners.map(|corner| corner.as_dvec3() - middle));
+        }
+    }
     (of, pieces)
+}
+
+/// The part of all directions in which a triangle is seen from the origin, negative where that is its front
+/// (Van Oosterom & Strackee 1983).
+fn part_of_sphere([a, b, c]: [DVec3; 3]) -> f64 {
+    let [x, y, z] = [a, b, c].map(DVec3::length);
+    let below = x * y * z + a.dot(b) * z + b.dot(c) * x + c.dot(a) * y;
+    math::atan2(a.dot(b.cross(c)), below) / TAU
 }
 
 #[cfg(test)]
@@ -363,6 +406,13 @@ mod tests {
         [winds, points]
     }
 
+    /// Mends a mesh, and tells whether triangles were turned.
+    fn turns_any(mesh: &mut Mesh) -> bool {
+        let before = mesh.triangles.clone();
+        mend(mesh);
+        mesh.triangles != before
+    }
+
     #[test]
     fn an_inside_out_box_is_turned_whatever_its_normals() {
         for (normals, winding, warns) in [(true, true, 0), (false, false, 1), (true, false, 1)] {
@@ -392,7 +442,7 @@ mod tests {
             for triangle in &mut mesh.triangles[8..] {
                 triangle.vertices = triangle.vertices.map(|vertex| vertex + 8);
             }
-            let turned = !mend(&mut mesh).is_empty();
+            let turned = turns_any(&mut mesh);
             assert_eq!(turned, closes, "{off}");
         }
     }
@@ -408,8 +458,7 @@ mod tests {
             }
             let small = mesh.triangles.len();
             add_box(&mut mesh, 4e6, 5e6, [true, true]);
-            let turned = !mend(&mut mesh).is_empty();
-            assert_eq!(turned, turns, "{hole}");
+            assert_eq!(turns_any(&mut mesh), turns, "{hole}");
             let found = faces_outwards(&mesh, 0..small, Vec3::splat(0.25));
             assert_eq!(found, [turns; 2], "{hole}");
         }
@@ -432,7 +481,7 @@ mod tests {
     }
 
     #[test]
-    fn rooms_hollows_and_open_pieces_are_left() {
+    fn rooms_and_hollows_are_left() {
         // A room with something in it, and a hollow in something solid.
         for outer in [[false, false], [true, true]] {
             let mut mesh = Mesh::default();
@@ -443,9 +492,28 @@ mod tests {
             assert_eq!(mesh.triangles, before);
             assert_eq!(warnings.len(), 1);
         }
-        let mut mesh = Mesh::default();
-        add_box(&mut mesh, 0.0, 10.0, [false, false]);
-        mesh.triangles.pop();
-        assert!(mend(&mut mesh).is_empty());
+    }
+
+    #[test]
+    fn open_pieces_that_face_inwards_are_warned_of_unless_they_hold_something() {
+        // A box without a face, or with only one, inside out or not, and with something in it.
+        let cases = [
+            (10, false, false, 1),
+            (10, true, false, 0),
+            (2, false, false, 0),
+            (10, false, true, 0),
+        ];
+        for (triangles, outwards, holds, warns) in cases {
+            let mut mesh = Mesh::default();
+            add_box(&mut mesh, 0.0, 10.0, [outwards; 2]);
+            mesh.triangles.truncate(triangles);
+            if holds {
+                add_box(&mut mesh, 4.0, 5.0, [true; 2]);
+            }
+            let before = mesh.triangles.clone();
+            let warnings = mend(&mut mesh);
+            assert_eq!(mesh.triangles, before);
+            assert_eq!(warnings.len(), warns, "{triangles} {outwards} {holds}");
+        }
     }
 }

@@ -12,7 +12,7 @@ use relight_lab::image_file::{Image, read_exr, write_exr};
 use serde_json::Value;
 
 use crate::meshes::sphere_over_ground;
-use crate::support::{Outcome, binary, describe, with_browser, with_data};
+use crate::support::{Outcome, binary, describe, with_browser, with_data, with_gpu};
 
 /// Exit codes of `lab`, as its help lists them.
 const OK: i32 = 0;
@@ -25,6 +25,7 @@ pub fn trials() -> Vec<Trial> {
         Trial::test("lab::usage", usage),
         Trial::test("lab::compare", compare),
         Trial::test("lab::render_and_truth", render_and_truth),
+        with_gpu("lab::bench_times_frames_of_a_gpu", bench_on_a_gpu),
         Trial::test("lab::compression", compression),
         with_browser("lab::report_in_a_browser", report),
         with_data("lab::boundary", boundary),
@@ -115,10 +116,10 @@ const POLAR_ERROR: f64 = 0.02;
 /// The truth's noise must be small beside that.
 const TRUTH_NOISE: f64 = 0.01;
 
-fn render_and_truth() -> Outcome {
-    let folder = tempfile::tempdir()?;
-    let path = |name: &str| folder.path().join(name);
-    std::fs::write(path("scene.obj"), sphere_over_ground(24))?;
+/// Writes a scene and an environment of three lobes, baked, to a folder.
+fn write_baked(folder: &Path, steps: usize) -> Outcome {
+    let path = |name: &str| folder.join(name);
+    std::fs::write(path("scene.obj"), sphere_over_ground(steps))?;
     let options = scene::Options {
         sample_resolution: 64,
         basis_resolution: 32,
@@ -150,6 +151,13 @@ fn render_and_truth() -> Outcome {
         &path("environment.relight"),
         &relight_format::write_environment(&environment)?,
     )?;
+    Ok(())
+}
+
+fn render_and_truth() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let path = |name: &str| folder.path().join(name);
+    write_baked(folder.path(), 24)?;
 
     let run = |command: &str, output: &str, arguments: &[&str]| -> Result<Value, _> {
         let mut lab = binary("lab");
@@ -189,12 +197,37 @@ fn render_and_truth() -> Outcome {
     let number = |row: usize, key: &str| rows[row][key].as_f64().unwrap_or(f64::NAN);
     assert_eq!(rows.len(), 5);
     assert_eq!(rows[2]["method"], "polar standard");
+    assert!(rows[2]["turning_seconds"].is_null(), "{report}");
     assert!(number(2, "error_over_ambient") < 0.6, "{report}");
     assert!(number(2, "samples") > number(1, "samples"), "{report}");
     assert!(number(4, "fetches") >= number(4, "samples"), "{report}");
 
     run("render", "polar.png", &["--exposure", "-1"])?;
     assert!(std::fs::read(path("polar.png"))?.starts_with(b"\x89PNG"));
+    Ok(())
+}
+
+fn bench_on_a_gpu() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    write_baked(folder.path(), 8)?;
+    let mut bench = binary("lab");
+    bench.args(["bench", "--json", "--device", "gpu", "--size", "16x12"]);
+    bench.args(["--samples", "1", "--repetitions", "1"]);
+    bench.arg(folder.path().join("scene.relight"));
+    bench
+        .arg("--environment")
+        .arg(folder.path().join("environment.relight"));
+    let report: Value = serde_json::from_str(&expect(OK, &mut bench))?;
+    let rows = report["methods"].as_array().ok_or("no methods")?;
+    assert_eq!(rows.len(), 5);
+    for row in rows {
+        for key in ["turning_seconds", "still_seconds"] {
+            assert!(
+                row[key].as_f64().is_some_and(|seconds| seconds > 0.0),
+                "{row}"
+            );
+        }
+    }
     Ok(())
 }
 

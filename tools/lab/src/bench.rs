@@ -2,8 +2,12 @@
 
 use std::time::{Duration, Instant};
 
-use relight_format::Scene;
-use relight_runtime::{CellsOptions, Frame, Method, PassTimes, PolarOptions, twin};
+use glam::{Quat, Vec3};
+use relight_format::{Camera, Scene};
+use relight_runtime::offscreen::Gpu;
+use relight_runtime::{
+    CellsOptions, Frame, Method, PassTimes, PolarOptions, Viewpoint, twin, wgpu,
+};
 use serde::Serialize;
 
 use crate::compare::compare;
@@ -24,6 +28,11 @@ pub struct Row {
     pub time_over_ambient: f64,
     /// Seconds of all passes on a GPU that tells.
     pub frame_seconds: Option<f64>,
+    /// On a GPU the seconds of a frame among frames that are handed to it one after the other, as apps do: with the light
+    /// turned from one to the next.
+    pub turning_seconds: Option<f64>,
+    /// The same with the eye moved and the light still.
+    pub still_seconds: Option<f64>,
     /// Lobes, or with `cells` groups of them, integrated per covered pixel.
     pub integrals: f64,
     /// SSDF samples per covered pixel.
@@ -56,6 +65,11 @@ pub struct Settings {
     /// Frames per integrator after a first one, at least 1.
     pub repetitions: u32,
 }
+
+/// Frames that are handed to a GPU one after the other.
+const RUN: u32 = 8;
+/// By how much the light turns from one to the next, radians.
+const STEP: f32 = 0.01;
 
 /// The integrators in the order of the rows; `ambient` first.
 const METHODS: [(&str, Method); 5] = [
@@ -98,12 +112,18 @@ pub fn run(
         let pixels = work.pixels.max(1) as f64;
         let seconds = shading.as_secs_f64();
         let relative_rmse = found.noiseless();
+        let mut running = [None; 2];
+        if let Renderer::Gpu(gpu) = renderer {
+            running = running_seconds(gpu, scene, &frame, settings)?.map(Some);
+        }
         let first = rows.first();
         rows.push(Row {
             method: name,
             seconds,
             time_over_ambient: first.map_or(1.0, |first| seconds / first.seconds),
             frame_seconds: passes.map(|passes| passes.total().as_secs_f64()),
+            turning_seconds: running[0],
+            still_seconds: running[1],
             integrals: work.integrals as f64 / pixels,
             samples: work.samples as f64 / pixels,
             fetches: work.fetches as f64 / pixels,
@@ -117,6 +137,57 @@ pub fn run(
         });
     }
     Ok(rows)
+}
+
+/// Seconds of a frame among [`RUN`] that are handed over without waiting for any of them, the light turned from one to the
+/// next, and the eye moved; least of all repetitions. Software draws them one at a time anyway: there it is one.
+fn running_seconds(
+    gpu: &mut Gpu,
+    scene: &Scene,
+    frame: &Frame,
+    settings: &Settings,
+) -> anyhow::Result<[f64; 2]> {
+    let uploaded = gpu.upload(scene)?;
+    let view = (gpu.target(settings.size)).create_view(&wgpu::TextureViewDescriptor::default());
+    let Viewpoint::Pinhole(camera) = frame.camera else {
+        anyhow::bail!("frames are timed with a pinhole camera");
+    };
+    let run = if gpu.is_software() { 1 } else { RUN };
+    let mut frame = frame.clone();
+    let mut least = [f64::INFINITY; 2];
+    let mut turned = 0.0;
+    for _ in 0..settings.repetitions {
+        for (kind, least) in least.iter_mut().enumerate() {
+            gpu.device.poll(wgpu::PollType::wait_indefinitely())?;
+            let start = Instant::now();
+            for _ in 0..run {
+                turned += STEP;
+                if kind == 0 {
+                    frame.rotation = Quat::from_rotation_y(turned);
+                } else {
+                    frame.camera = about(&camera, 0.1 * turned.sin()).into();
+                }
+                let mut encoder = gpu
+                    .device
+                    .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+                (gpu.renderer).render(&mut encoder, &uploaded, &frame, &view, settings.size)?;
+                gpu.queue.submit([encoder.finish()]);
+            }
+            gpu.device.poll(wgpu::PollType::wait_indefinitely())?;
+            *least = least.min(start.elapsed().as_secs_f64() / f64::from(run));
+        }
+    }
+    Ok(least)
+}
+
+/// A camera moved about what it looks at.
+fn about(camera: &Camera, angle: f32) -> Camera {
+    let [position, target] = [camera.position, camera.target].map(Vec3::from);
+    let turn = Quat::from_axis_angle(Vec3::from(camera.up).normalize(), angle);
+    Camera {
+        position: (target + turn * (position - target)).into(),
+        ..*camera
+    }
 }
 
 /// A frame and how long it took.

@@ -162,6 +162,11 @@ fn run_render(arguments: &Render) -> anyhow::Result<Value> {
     }))
 }
 
+/// Seconds of a frame among others, where a GPU draws.
+fn running(seconds: Option<f64>) -> String {
+    seconds.map_or_else(|| "-".into(), |seconds| format!("{seconds:.4}"))
+}
+
 fn run_bench(arguments: &Bench, json: bool) -> anyhow::Result<Value> {
     let scene = read_scene(&arguments.scene)?;
     let Distant {
@@ -181,10 +186,12 @@ fn run_bench(arguments: &Bench, json: bool) -> anyhow::Result<Value> {
     let rows = bench::run(&scene, &frame, &mut renderer, &settings)?;
     if !json {
         println!(
-            "{:<16}{:>10}{:>10}{:>10}{:>10}{:>10}{:>10}{:>10}{:>10}",
+            "{:<16}{:>10}{:>10}{:>10}{:>10}{:>10}{:>10}{:>10}{:>10}{:>10}{:>10}",
             "",
             "seconds",
             "/ambient",
+            "turning",
+            "still",
             "samples",
             "fetches",
             "at vert.",
@@ -194,10 +201,12 @@ fn run_bench(arguments: &Bench, json: bool) -> anyhow::Result<Value> {
         );
         for row in &rows {
             println!(
-                "{:<16}{:>10.4}{:>10.2}{:>10.0}{:>10.0}{:>10.0}{:>10.1}{:>9}%{:>10.2}",
+                "{:<16}{:>10.4}{:>10.2}{:>10}{:>10}{:>10.0}{:>10.0}{:>10.0}{:>10.1}{:>9}%{:>10.2}",
                 row.method,
                 row.seconds,
                 row.time_over_ambient,
+                running(row.turning_seconds),
+                running(row.still_seconds),
                 row.samples,
                 row.fetches,
                 row.vertex_fetches,

@@ -35,6 +35,11 @@ pub(super) enum Command {
     /// Measure how far a picture is from the truth.
     Compare(Compare),
     /// Draw a scene by every method: the time and work that each takes, and its error against the truth.
+    ///
+    /// `seconds` are those that shading takes on a GPU that tells, else the whole frame. `turning` and `still` are seconds
+    /// of a whole frame on a GPU, among frames that follow one another as an app's do: with the light turned from one
+    /// to the next, and with the eye moved alone. `samples`, `fetches`, `at vert.` (fetches at vertices when the light
+    /// turns) and `rays` are work per covered pixel.
     Bench(Bench),
     /// Make a small scene and an environment, bake both, draw them, and compare with the truth.
     Demo(Demo),

@@ -4,13 +4,12 @@ use std::sync::atomic::Ordering;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use glam::Vec3;
-use rayon::prelude::*;
 use relight_format as format;
-use relight_format::{Representation, math};
+use relight_format::Representation;
 
 use super::assemble::{Cluster, assemble};
 use super::budget;
+use super::darkness;
 use super::error::Error;
 use super::fingerprint::Dependencies;
 use super::highlights;
@@ -38,8 +37,6 @@ const RELATIVE_RAY_OFFSET: f32 = 1e-5;
 /// Triangles in which interpolation is checked, about, but for small scenes one of so many.
 const PROBES: usize = 2048;
 const LEAST_PROBE_STEP: usize = 4;
-/// Directions looked in from a point to tell whether it sees the distance.
-const DARKNESS_RAYS: usize = 32;
 
 /// A scene ready to be sampled: refined, divided into chunks that can be baked in any
 /// order, apart from each other and on different machines.
@@ -146,9 +143,11 @@ impl<'a> Bake<'a> {
         };
         let spacing = options.sample_spacing;
         let placed = Placed::new(&mut mesh, &contours, ray_offset, object_diagonal, spacing);
-        head.report
-            .warnings
-            .extend(darkness(&placed, &mesh, &contours));
+        head.report.warnings.extend(darkness::warning(
+            &mesh,
+            &|index| placed.origin(index),
+            contours.caster(),
+        ));
         let chunks = match options.representation {
             Representation::ClusteredPca => {
                 cluster::partition(&placed.origins, &placed.triangles, CHUNK_VERTICES)
@@ -344,39 +343,6 @@ fn ray_offset(mesh: &Mesh) -> (f32, Option<String>) {
         mesh.diagonal()
     );
     (offset, Some(warning))
-}
-
-/// A warning if the distance is seen from nearly nowhere.
-fn darkness(placed: &Placed, mesh: &Mesh, contours: &ContourMesh) -> Option<String> {
-    let caster = contours.caster();
-    let step = (mesh.triangles.len() / PROBES).max(1);
-    let looked_at: Vec<usize> = (0..mesh.triangles.len()).step_by(step).collect();
-    let sees = |&triangle: &usize| {
-        let [a, b, c] = mesh.corners(&mesh.triangles[triangle]);
-        let face = (b - a).cross(c - a).normalize_or_zero();
-        let origin = placed.origins[placed.triangles[triangle][0] as usize];
-        (0..DARKNESS_RAYS).any(|ray| {
-            // Spread over the sphere by the golden angle.
-            let y = (2.0 * ray as f32 + 1.0) / DARKNESS_RAYS as f32 - 1.0;
-            let (sin, cos) = math::sin_cos(2.399_963_f32 * ray as f32);
-            let around = (1.0 - y * y).max(0.0).sqrt();
-            let direction = Vec3::new(around * cos, y, around * sin);
-            let direction = direction * face.dot(direction).signum();
-            !caster.any_hit(origin, direction)
-        })
-    };
-    let lit = looked_at
-        .par_iter()
-        .filter(|triangle| sees(triangle))
-        .count();
-    (lit * 50 < looked_at.len()).then(|| {
-        format!(
-            "the distance is seen from {lit} of {} points on fronts of triangles: an environment \
-             hardly lights this scene; a closed room needs lights or openings, and a mesh whose \
-             triangles face inwards must be turned about in the program that made it",
-            looked_at.len()
-        )
-    })
 }
 
 /// The mesh, fine enough to carry shadows.

@@ -8,6 +8,7 @@ mod assemble;
 mod bake;
 mod bounce;
 mod budget;
+mod darkness;
 pub mod description;
 mod error;
 pub mod fingerprint;

@@ -69,6 +69,11 @@ const LIGHT_SMOOTH: f32 = 0.6;
 const LIGHT_SPACING: f32 = 2.5;
 
 impl Placed {
+    /// Where a triangle's first corner is sampled.
+    pub(super) fn origin(&self, triangle: usize) -> Vec3 {
+        self.origins[self.triangles[triangle][0] as usize]
+    }
+
     /// Copies vertices that see different things from different sides. `spacing` of samples is in diagonals of the
     /// object, 0 for all places.
     pub(super) fn new(

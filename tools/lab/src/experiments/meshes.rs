@@ -4,15 +4,17 @@
 
 use std::collections::{BTreeMap, HashMap};
 use std::fmt::Write as _;
+use std::fs;
 use std::path::{Path, PathBuf};
 
+use anyhow::Context as _;
 use base64::Engine as _;
 use glam::{Quat, Vec3};
 use relight_bake::files::{Access, Files};
 use relight_bake::import::plain_material;
 use relight_bake::mesh::{Mesh, ground};
 use relight_bake::scene::load::{self, SceneInput};
-use relight_format::{Camera, Surface, write_file};
+use relight_format::{Camera, FieldOfView, Surface, write_file};
 use serde_json::json;
 
 use super::report::{Cell, Section, Table};
@@ -28,62 +30,56 @@ const SHOWN: usize = 10;
 /// Error above which a mesh must have been warned about, %.
 pub const TO_WARN: f64 = 5.0;
 
-/// Meshes of the folder of data, and whether they stand on a ground.
-const DATA: [(&str, bool); 14] = [
-    ("thin/low-poly-tree.glb", true),
-    ("thin/simple_pole.glb", true),
-    ("thin/carbon60.glb", true),
-    ("awkward/nested.glb", true),
-    ("awkward/simple-instancing.glb", true),
-    ("awkward/gltf/cube_att/cube_att.gltf", true),
-    ("awkward/gltf/duplicate_meshes/duplicate_meshes.gltf", true),
-    ("awkward/gltf/sphere/sphere.gltf", true),
-    ("awkward/draco/test_nm.obj", true),
-    ("awkward/draco/non_manifold_wrap.obj", true),
-    ("figures/Duck.glb", true),
-    ("figures/suzanne_quads.obj", true),
-    ("scenes/cornell_box/scene.gltf", false),
-    ("scenes/CornellBox_bevy.glb", false),
+/// Where meshes are in the folder of data.
+const MESHES: &str = "meshes";
+/// Those of them that are rooms: they stand on no ground, and are looked at from one place at another where not from
+/// outside.
+const ROOMS: [(&str, Option<[Vec3; 2]>); 5] = [
+    ("awkward/tinyobj/cornell_box.obj", None),
+    ("awkward/tinyobj/cornell_box_multimaterial.obj", None),
+    ("scenes/CornellBox_bevy.glb", None),
+    ("scenes/cornell_box/scene.gltf", None),
+    (
+        "scenes/vr-gallery.glb",
+        Some([Vec3::new(3.2, 1.6, 3.2), Vec3::new(-1.5, 1.4, -1.5)]),
+    ),
 ];
+
+/// Field of view within a room, degrees.
+const ROOM_VIEW: f32 = 65.0;
 
 /// A mesh, and the one whose truth it should look like if not its own.
 struct Case {
     name: String,
     file: PathBuf,
     ground: bool,
+    /// From where it is looked at, and at what; `None`: from outside.
+    eye: Option<[Vec3; 2]>,
     like: Option<&'static str>,
 }
 
 pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result<()> {
     section.text = vec![format!(
-        "Made meshes with one fault each, and some of other people's making, on a ground under the \
-         lobes of `lobby`, 16 of them, default bakes. What shows the same surface as `plain` is \
+        "Made meshes with one fault each, and all of other people's making that the folder of data has, on a ground \
+         under the lobes of `lobby`, 16 of them, default bakes. What shows the same surface as `plain` is \
          compared with the truth of that; the rest with its own. Above {TO_WARN} % there should be \
          a warning that says why."
     )];
     let folder = laboratory.folder.join("inputs");
     create(&folder)?;
     let mut cases = made(&folder)?;
-    for (file, ground) in DATA {
-        let path = laboratory.settings.data.join("meshes").join(file);
-        let path = path.canonicalize().unwrap_or(path);
-        let name = file.rsplit('/').next().unwrap_or(file);
-        cases.push(Case {
-            name: name.into(),
-            file: path,
-            ground,
-            like: None,
-        });
-    }
+    cases.extend(found(&laboratory.settings.data.join(MESHES))?);
     let light = laboratory.light("lobby", 16)?;
     let (_, method) = METHODS[2];
     let mut truths: BTreeMap<String, Image> = BTreeMap::new();
     let mut rows: Vec<(f64, Vec<Cell>, String, [Image; 2])> = Vec::new();
+    let mut refused_names = Vec::new();
     let mut refused = Table::new("refused", "Refused", &["mesh", "why"]);
     for case in cases {
         let (input, camera) = match prepared(&case) {
             Ok(prepared) => prepared,
             Err(error) => {
+                refused_names.push(format!("`{}`", case.name));
                 refused.row([case.name.as_str().into(), error.to_string().as_str().into()]);
                 continue;
             }
@@ -110,6 +106,7 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
             scene.vertices.len().into(),
             (bytes as f64 / 1e6).into(),
             percent_of(&compared),
+            warnings.len().into(),
             warnings.join("; ").as_str().into(),
         ];
         if case.like.is_none() {
@@ -120,6 +117,12 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
         rows.push((rank, row, case.name, [image, truth]));
     }
     rows.sort_by(|a, b| b.0.total_cmp(&a.0));
+    if !refused_names.is_empty() {
+        section.text.push(format!(
+            "Refused, with what is wrong where: {}.",
+            refused_names.join(", ")
+        ));
+    }
     let columns = [
         "mesh",
         "compared with",
@@ -128,6 +131,7 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
         "asset, MB",
         "relative RMSE, %",
         "warnings",
+        "which",
     ];
     let mut table = Table::new("meshes", "Errors by mesh, worst first", &columns);
     for (_, row, ..) in &rows {
@@ -138,19 +142,61 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
         let exposure = display::automatic_exposure(truth);
         let (width, pixels) = display::side_by_side(&[image, truth], exposure);
         let caption = format!("{name}: polar, truth");
-        let file = name.replace(['.', ' '], "_");
+        let file = file_name(name);
         laboratory.picture(section, &file, &caption, width, &pixels)?;
     }
     Ok(())
+}
+
+/// What a mesh's files are called.
+fn file_name(name: &str) -> String {
+    name.replace(['.', ' ', '/'], "_")
+}
+
+/// All meshes of a folder, by name.
+fn found(folder: &Path) -> anyhow::Result<Vec<Case>> {
+    let mut files = Vec::new();
+    let mut folders = vec![folder.to_owned()];
+    while let Some(inner) = folders.pop() {
+        let entries = fs::read_dir(&inner).with_context(|| inner.display().to_string())?;
+        for entry in entries {
+            let path = entry.with_context(|| inner.display().to_string())?.path();
+            let kind = path.extension().and_then(|kind| kind.to_str());
+            if path.is_dir() {
+                folders.push(path);
+            } else if matches!(kind, Some("obj" | "gltf" | "glb")) {
+                files.push(path);
+            }
+        }
+    }
+    files.sort_unstable();
+    let case = |file: PathBuf| {
+        let name = file.strip_prefix(folder).unwrap_or(&file);
+        let name = name.display().to_string();
+        let room = ROOMS.iter().find(|(room, _)| *room == name);
+        Case {
+            ground: room.is_none(),
+            eye: room.and_then(|(_, eye)| *eye),
+            like: None,
+            file: file.canonicalize().unwrap_or(file),
+            name,
+        }
+    };
+    Ok(files.into_iter().map(case).collect())
 }
 
 /// Loads a mesh and puts it on its ground.
 fn prepared(case: &Case) -> anyhow::Result<(SceneInput, Camera)> {
     let files = Files::new(&case.file, &Access::default())?;
     let mut input = load::load_from(&files, &case.file)?;
-    input.name.clone_from(&case.name);
+    input.name = file_name(&case.name);
     let (low, high) = input.mesh.bounds().unwrap_or_default();
-    let camera = framing(low, high);
+    let mut camera = framing(low, high);
+    if let Some([position, target]) = case.eye {
+        camera.position = position.into();
+        camera.target = target.into();
+        camera.field_of_view = FieldOfView::Y(ROOM_VIEW.to_radians());
+    }
     if case.ground {
         let grey = Surface::DiffuseSpecular {
             diffuse: [0.5; 3],
@@ -278,6 +324,7 @@ fn made(folder: &Path) -> anyhow::Result<Vec<Case>> {
             name: name.into(),
             file,
             ground: true,
+            eye: None,
             like,
         });
         Ok(())
@@ -372,6 +419,7 @@ fn made(folder: &Path) -> anyhow::Result<Vec<Case>> {
             name,
             file,
             ground: true,
+            eye: None,
             like: (mode == "BLEND").then_some("alpha_mask"),
         });
     }

@@ -73,7 +73,13 @@ const SHORT: [(&str, &[&str]); 15] = [
     ("bounce", &[]),
     (
         "meshes",
-        &["mesh", "triangles", "asset, MB", "relative RMSE, %"],
+        &[
+            "mesh",
+            "triangles",
+            "asset, MB",
+            "relative RMSE, %",
+            "warnings",
+        ],
     ),
 ];
 

@@ -256,17 +256,25 @@ impl ContourMesh {
 }
 
 /// What the coordinates of a mesh are counted from that lies far from zero, so that planes are as exact as its points: a
-/// corner of its box, on those axes on which differences to that are exact (Sterbenz 1974).
+/// corner of its box, on those axes on which differences to that are exact, of points in the box or near it (Sterbenz
+/// 1974).
 fn near(triangles: &[[Vec3; 3]]) -> Vec3 {
     let points = triangles.as_flattened().iter();
     let (low, high) = points.fold(
         (Vec3::INFINITY, Vec3::NEG_INFINITY),
         |(low, high), point| (low.min(*point), high.max(*point)),
     );
-    let of_axis = |low: f32, high: f32| match low <= high {
-        true if low > 0.0 && high <= 2.0 * low => low,
-        true if high < 0.0 && low >= 2.0 * high => high,
-        _ => 0.0,
+    if triangles.is_empty() {
+        return Vec3::ZERO;
+    }
+    let of_axis = |low: f32, high: f32| {
+        if low > 0.0 && high <= 2.0 * low {
+            low
+        } else if high < 0.0 && low >= 2.0 * high {
+            high
+        } else {
+            0.0
+        }
     };
     Vec3::new(
         of_axis(low.x, high.x),

@@ -187,12 +187,7 @@ fn render_and_truth() -> Outcome {
     assert!(polar < POLAR_ERROR, "{polar}");
     assert!(polar < ambient, "polar {polar}, ambient {ambient}");
 
-    let mut bench = binary("lab");
-    bench.args(["bench", "--json", "--device", "cpu", "--size", "64x48"]);
-    bench.args(["--samples", "256", "--repetitions", "1"]);
-    bench.arg(path("scene.relight"));
-    bench.arg("--environment").arg(path("environment.relight"));
-    let report: Value = serde_json::from_str(&expect(OK, &mut bench))?;
+    let report = bench(folder.path(), ["cpu", "64x48", "256"])?;
     let rows = report["methods"].as_array().ok_or("no methods")?;
     let number = |row: usize, key: &str| rows[row][key].as_f64().unwrap_or(f64::NAN);
     assert_eq!(rows.len(), 5);
@@ -207,17 +202,22 @@ fn render_and_truth() -> Outcome {
     Ok(())
 }
 
+/// What `lab bench` reports of [`write_baked`]'s files with a device, a size and so many samples of truth.
+fn bench(folder: &Path, [device, size, samples]: [&str; 3]) -> Result<Value, serde_json::Error> {
+    let mut bench = binary("lab");
+    bench.args(["bench", "--json", "--device", device, "--size", size]);
+    bench.args(["--samples", samples, "--repetitions", "1"]);
+    bench.arg(folder.join("scene.relight"));
+    bench
+        .arg("--environment")
+        .arg(folder.join("environment.relight"));
+    serde_json::from_str(&expect(OK, &mut bench))
+}
+
 fn bench_on_a_gpu() -> Outcome {
     let folder = tempfile::tempdir()?;
     write_baked(folder.path(), 8)?;
-    let mut bench = binary("lab");
-    bench.args(["bench", "--json", "--device", "gpu", "--size", "16x12"]);
-    bench.args(["--samples", "1", "--repetitions", "1"]);
-    bench.arg(folder.path().join("scene.relight"));
-    bench
-        .arg("--environment")
-        .arg(folder.path().join("environment.relight"));
-    let report: Value = serde_json::from_str(&expect(OK, &mut bench))?;
+    let report = bench(folder.path(), ["gpu", "16x12", "1"])?;
     let rows = report["methods"].as_array().ok_or("no methods")?;
     assert_eq!(rows.len(), 5);
     for row in rows {

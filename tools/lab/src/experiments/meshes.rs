@@ -73,14 +73,12 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
     let (_, method) = METHODS[2];
     let mut truths: BTreeMap<String, Image> = BTreeMap::new();
     let mut rows: Vec<(f64, Vec<Cell>, String, [Image; 2])> = Vec::new();
-    let mut refused_names = Vec::new();
-    let mut refused = Table::new("refused", "Refused", &["mesh", "why"]);
+    let mut refused: Vec<[String; 2]> = Vec::new();
     for case in cases {
         let (input, camera) = match prepared(&case) {
             Ok(prepared) => prepared,
             Err(error) => {
-                refused_names.push(format!("`{}`", case.name));
-                refused.row([case.name.as_str().into(), error.to_string().as_str().into()]);
+                refused.push([case.name, error.to_string()]);
                 continue;
             }
         };
@@ -117,10 +115,13 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
         rows.push((rank, row, case.name, [image, truth]));
     }
     rows.sort_by(|a, b| b.0.total_cmp(&a.0));
-    if !refused_names.is_empty() {
+    if !refused.is_empty() {
+        let names: Vec<String> = (refused.iter())
+            .map(|[name, _]| format!("`{name}`"))
+            .collect();
         section.text.push(format!(
             "Refused, with what is wrong where: {}.",
-            refused_names.join(", ")
+            names.join(", ")
         ));
     }
     let columns = [
@@ -137,7 +138,11 @@ pub fn run(laboratory: &mut Laboratory, section: &mut Section) -> anyhow::Result
     for (_, row, ..) in &rows {
         table.rows.push(row.clone());
     }
-    section.tables.extend([table, refused]);
+    let mut why = Table::new("refused", "Refused", &["mesh", "why"]);
+    for [name, error] in &refused {
+        why.row([name.as_str().into(), error.as_str().into()]);
+    }
+    section.tables.extend([table, why]);
     for (_, _, name, [image, truth]) in rows.iter().take(SHOWN) {
         let exposure = display::automatic_exposure(truth);
         let (width, pixels) = display::side_by_side(&[image, truth], exposure);

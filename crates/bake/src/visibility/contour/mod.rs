@@ -210,13 +210,14 @@ impl ContourMesh {
             chosen,
             ..
         } = scratch;
+        let eye = origin - self.near;
         let (mut rays, mut before) = (0, None);
         layers.begin();
         rounds.begin(candidates, at_once);
         loop {
             rounds.choose(candidates, chosen);
             candidates.find(&self.parts, &self.positions, chosen);
-            layers.count(origin - self.near, candidates.contours(chosen));
+            layers.count(eye, candidates.contours(chosen));
             let counted = |triangle: usize| {
                 let vertices = self.vertices[triangle];
                 let alike = |touched| ascending(touched) == ascending(vertices);
@@ -230,7 +231,7 @@ impl ContourMesh {
                 |texel| !self.caster.any_hit(origin, directions[texel]),
             );
             if let Some(open) = open {
-                rounds.cull(candidates, origin - self.near, &open, layers.resolution());
+                rounds.cull(candidates, eye, &open, layers.resolution());
                 before = Some(open);
             } else {
                 // Where contours lie is still asked for.

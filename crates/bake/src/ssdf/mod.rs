@@ -389,34 +389,25 @@ impl Boundary {
         let [tx, ty, tz] = group.directions.each_ref().map(|axis| lanes::<S>(axis));
         let found = S::as_mut_simd_f32s(&mut nearest).0;
         for (((found, tx), ty), tz) in found.iter_mut().zip(tx).zip(ty).zip(tz) {
-            let squared = |[x, y, z]: [f32; 3]| {
-                let x = simd.sub_f32s(*tx, simd.splat_f32s(x));
-                let y = simd.sub_f32s(*ty, simd.splat_f32s(y));
-                let z = simd.sub_f32s(*tz, simd.splat_f32s(z));
-                let squared = simd.mul_add_f32s(x, x, simd.mul_f32s(y, y));
-                simd.mul_add_f32s(z, z, squared)
-            };
-            let nearer = |mut least, chunk: u32| {
-                let [x, y, z] = &self.points[chunk as usize];
-                for ((&x, &y), &z) in x.iter().zip(y).zip(z) {
-                    least = simd.min_f32s(least, squared([x, y, z]));
-                }
-                least
-            };
-            let mut least = nearer(simd.splat_f32s(limit_chord * limit_chord), first);
+            let directions = [*tx, *ty, *tz];
+            let farthest = simd.splat_f32s(limit_chord * limit_chord);
+            let mut least = nearer(simd, directions, &self.points[first as usize], farthest);
             let bound = simd.add_f32s(simd.sqrt_f32s(least), simd.splat_f32s(SLACK));
             let mut count = 0;
             for &chunk in &self.candidates[..candidates] {
                 let index = chunk as usize;
                 let centre = self.centres.each_ref().map(|axis| axis[index]);
                 let reach = simd.add_f32s(bound, simd.splat_f32s(self.radii[index]));
-                let within = simd.less_than_f32s(squared(centre), simd.mul_f32s(reach, reach));
+                let within = simd.less_than_f32s(
+                    squared_chords(simd, directions, centre),
+                    simd.mul_f32s(reach, reach),
+                );
                 // Kept without a branch, which would often be guessed wrong.
                 self.needed[count] = chunk;
                 count += usize::from(bits::<S>(within) != 0 && chunk != first);
             }
             for &chunk in &self.needed[..count] {
-                least = nearer(least, chunk);
+                least = nearer(simd, directions, &self.points[chunk as usize], least);
             }
             *found = least;
         }
@@ -471,6 +462,31 @@ impl Boundary {
         }
         (nearest, count)
     }
+}
+
+/// Squared chords from directions to a point. No closure, as [`nearer`] is none: compilers may leave a closure out of line,
+/// without the instructions of those that call it, which takes three times as long.
+#[inline(always)]
+fn squared_chords<S: Simd>(simd: S, [tx, ty, tz]: [S::f32s; 3], [x, y, z]: [f32; 3]) -> S::f32s {
+    let x = simd.sub_f32s(tx, simd.splat_f32s(x));
+    let y = simd.sub_f32s(ty, simd.splat_f32s(y));
+    let z = simd.sub_f32s(tz, simd.splat_f32s(z));
+    let squared = simd.mul_add_f32s(x, x, simd.mul_f32s(y, y));
+    simd.mul_add_f32s(z, z, squared)
+}
+
+/// The least of those to the points of a chunk, and `least`.
+#[inline(always)]
+fn nearer<S: Simd>(
+    simd: S,
+    directions: [S::f32s; 3],
+    [x, y, z]: &[[f32; CHUNK]; 3],
+    mut least: S::f32s,
+) -> S::f32s {
+    for ((&x, &y), &z) in x.iter().zip(y).zip(z) {
+        least = simd.min_f32s(least, squared_chords(simd, directions, [x, y, z]));
+    }
+    least
 }
 
 /// One bit per lane. `first_true_m32s` of pulp 0.22 counts from the wrong end with AVX-512.

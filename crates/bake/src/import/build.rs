@@ -80,6 +80,7 @@ pub(super) struct Builder<'a> {
     warnings: Vec<String>,
     degenerate: usize,
     invented_normals: usize,
+    invented_uvs: usize,
     second_sheets: usize,
     repeated: usize,
     back_to_back: usize,
@@ -99,6 +100,7 @@ impl<'a> Builder<'a> {
             warnings: Vec::new(),
             degenerate: 0,
             invented_normals: 0,
+            invented_uvs: 0,
             second_sheets: 0,
             repeated: 0,
             back_to_back: 0,
@@ -113,7 +115,7 @@ impl<'a> Builder<'a> {
     }
 
     /// Cleans, completes and appends a part. Its indices must be in range and its numbers
-    /// finite.
+    /// finite, but for normals and texture coordinates, in place of which others are found.
     pub(super) fn push(&mut self, mut part: Part) -> Result<(), Error> {
         self.parts += 1;
         let positions = part.vertices.iter().map(|vertex| vertex.position);
@@ -124,6 +126,13 @@ impl<'a> Builder<'a> {
                 format_args!("coordinates within {MAX_COORDINATE} m of the origin"),
                 format_args!("{:?}", position.to_array()),
             ));
+        }
+        let finite = |x: f32| if x.is_finite() { x } else { 0.0 };
+        for vertex in &mut part.vertices {
+            self.invented_uvs += usize::from(!(vertex.uv + vertex.second_uv).is_finite());
+            vertex.uv = vertex.uv.map(finite);
+            vertex.second_uv = vertex.second_uv.map(finite);
+            vertex.normal = vertex.normal.filter(|normal| normal.is_finite());
         }
         let before = part.triangles.len();
         let corners = |vertices: &[GivenVertex], triangle: [u32; 3]| {
@@ -505,7 +514,11 @@ impl<'a> Builder<'a> {
             ),
             (
                 self.invented_normals,
-                "vertices have a zero normal, which their faces replace",
+                "vertices have a normal that is zero or no number, which their faces replace",
+            ),
+            (
+                self.invented_uvs,
+                "vertices have texture coordinates that are no numbers: those are 0",
             ),
             (
                 turned_away,

@@ -43,6 +43,10 @@ pub(super) fn import(
     let counted = [
         (obj.curves, "points, lines and curves are left out"),
         (skipped, "faces of fewer than three corners are left out"),
+        (
+            obj.lost_normals,
+            "normals are zero or no numbers: faces replace them",
+        ),
     ];
     for (count, what) in counted {
         if count > 0 {
@@ -95,6 +99,8 @@ struct Obj {
     /// Rest of each `mtllib` line.
     libraries: Vec<String>,
     curves: usize,
+    /// Normals that are zero or no numbers: as if the file had none there.
+    lost_normals: usize,
 }
 
 /// A material, and what its opacity cuts away.
@@ -143,12 +149,14 @@ fn parse(file: &Path, text: &str) -> Result<Obj, Error> {
             "vt" => {
                 // v may be left out, and is 0 then.
                 let padded = format!("{rest} 0");
-                let [u, v] = numbers(&padded).ok_or_else(|| wrong("vt and finite numbers"))?;
+                let [u, v] = any_numbers(&padded).ok_or_else(|| wrong("vt and numbers"))?;
                 obj.uvs.push([u, 1.0 - v]);
             }
             "vn" => {
-                let normal = numbers(rest).ok_or_else(|| wrong("vn and three finite numbers"))?;
-                obj.normals.push(normal.into());
+                let normal = any_numbers(rest).ok_or_else(|| wrong("vn and three numbers"))?;
+                let normal = Vec3::from(normal);
+                obj.lost_normals += usize::from(normal.try_normalize().is_none());
+                obj.normals.push(normal);
             }
             "f" | "fo" => {
                 let start = obj.corners.len();
@@ -195,14 +203,17 @@ fn parse(file: &Path, text: &str) -> Result<Obj, Error> {
 
 /// The first N words as finite numbers.
 fn numbers<const N: usize>(text: &str) -> Option<[f32; N]> {
+    any_numbers(text).filter(|values: &[f32; N]| values.iter().all(|value| value.is_finite()))
+}
+
+/// The first N words as numbers, or as what programs write for what is none: `nan`, `-nan(ind)`, `1.#QNAN`, `inf`.
+fn any_numbers<const N: usize>(text: &str) -> Option<[f32; N]> {
     let mut words = text.split_whitespace();
     let mut values = [0.0; N];
     for value in &mut values {
-        *value = words
-            .next()?
-            .parse()
-            .ok()
-            .filter(|value: &f32| value.is_finite())?;
+        let word = words.next()?;
+        let is_none = || word.contains('#') || word.to_ascii_lowercase().contains("nan(");
+        *value = (word.parse().ok()).or_else(|| is_none().then_some(f32::NAN))?;
     }
     Some(values)
 }

@@ -467,11 +467,61 @@ fn broken_gltf_ends_in_an_error_that_names_the_place() {
 
 #[test]
 fn not_a_number_is_refused() {
-    for offset in [12, 12 + 48, 12 + 96] {
+    // Positions and tangents.
+    for offset in [12, 12 + 96] {
         let (json, mut blob) = square();
         blob[offset..offset + 4].copy_from_slice(&f32::NAN.to_le_bytes());
         let message = import(&json, &blob).expect_err("a NaN").to_string();
         assert!(message.contains("finite"), "{message}");
+    }
+}
+
+/// Neither hides where a surface is.
+#[test]
+fn normals_and_uvs_that_are_no_numbers_are_replaced() {
+    let (json, blob) = square();
+    let whole = import(&json, &blob).expect("a square");
+    for (offset, warning) in [
+        (
+            12 + 48,
+            "1 vertices have a normal that is zero or no number",
+        ),
+        (
+            12 + 160,
+            "1 vertices have texture coordinates that are no numbers",
+        ),
+    ] {
+        for number in [f32::NAN, f32::INFINITY] {
+            let mut blob = blob.clone();
+            blob[offset..offset + 4].copy_from_slice(&number.to_le_bytes());
+            let mesh = import(&json, &blob).expect("a square");
+            let [told] = &mesh.warnings[..] else {
+                panic!("one warning: {:?}", mesh.warnings);
+            };
+            assert!(told.starts_with(warning), "{told}");
+            for (vertex, before) in mesh.vertices.iter().zip(&whole.vertices) {
+                assert!(vertex.normal.is_finite() && vertex.uv.is_finite());
+                assert_eq!(vertex.normal, before.normal);
+            }
+        }
+    }
+    let obj = |uv: &str, normal: &str| {
+        let text = format!(
+            "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt {uv}\nvn 0 0 1\nvn {normal}\nf 1/1/1 2/2/2 3/1/1\n"
+        );
+        import_obj(&text)
+    };
+    for number in ["nan", "-nan", "-nan(ind)", "1.#QNAN0", "inf", "-1.#INF"] {
+        let mesh = obj(&format!("0.5 {number}"), "0 0 1").expect("a triangle");
+        assert_eq!(mesh.warnings.len(), 1, "{number}: {:?}", mesh.warnings);
+        assert!(mesh.vertices.iter().any(|vertex| vertex.uv.x == 0.5));
+        assert!(mesh.vertices.iter().all(|vertex| vertex.uv.is_finite()));
+        let mesh = obj("0.5 0", &format!("0 {number} 1")).expect("a triangle");
+        assert_eq!(mesh.warnings.len(), 1, "{number}: {:?}", mesh.warnings);
+        assert!(mesh.vertices.iter().all(|vertex| vertex.normal == Vec3::Z));
+    }
+    for word in ["ten", "1..5", "nano"] {
+        assert!(obj(&format!("0.5 {word}"), "0 0 1").is_err(), "{word}");
     }
 }
 

@@ -54,13 +54,7 @@ impl Document<'_> {
         index: Index<Accessor>,
         place: &str,
     ) -> Result<Vec<[f32; N]>, Error> {
-        let kind = [Type::Scalar, Type::Vec2, Type::Vec3, Type::Vec4][N - 1];
-        let values = self.elements(index, place, kind, |component, normalized, bytes| {
-            let size = component.size();
-            Some(std::array::from_fn(|i| {
-                component_value(component, normalized, &bytes[i * size..(i + 1) * size])
-            }))
-        })?;
+        let values = self.any_floats(index, place)?;
         match values
             .iter()
             .position(|value: &[f32; N]| !value.iter().all(|x| x.is_finite()))
@@ -72,6 +66,21 @@ impl Document<'_> {
                 format_args!("{:?} at element {at}", values[at]),
             )),
         }
+    }
+
+    /// Reads vectors of any component type, normalised or not, whose numbers may be infinite or none.
+    pub(super) fn any_floats<const N: usize>(
+        &self,
+        index: Index<Accessor>,
+        place: &str,
+    ) -> Result<Vec<[f32; N]>, Error> {
+        let kind = [Type::Scalar, Type::Vec2, Type::Vec3, Type::Vec4][N - 1];
+        self.elements(index, place, kind, |component, normalized, bytes| {
+            let size = component.size();
+            Some(std::array::from_fn(|i| {
+                component_value(component, normalized, &bytes[i * size..(i + 1) * size])
+            }))
+        })
     }
 
     /// Reads colours of three or four numbers, without their alpha.

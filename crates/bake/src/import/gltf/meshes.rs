@@ -240,7 +240,7 @@ impl Document<'_> {
             )),
         };
         let normals = attribute(Semantic::Normals)
-            .map(|index| self.floats::<3>(index, &key("NORMAL")))
+            .map(|index| self.any_floats::<3>(index, &key("NORMAL")))
             .transpose()?;
         optional(normals.as_ref().map(Vec::len).as_slice(), "NORMAL")?;
         // Without normals the specification tells readers to ignore tangents.
@@ -256,7 +256,7 @@ impl Document<'_> {
             };
             let uv_name = format!("TEXCOORD_{uv_set}");
             let uvs = attribute(Semantic::TexCoords(uv_set))
-                .map(|index| self.floats::<2>(index, &key(&uv_name)))
+                .map(|index| self.any_floats::<2>(index, &key(&uv_name)))
                 .transpose()?;
             optional(uvs.as_ref().map(Vec::len).as_slice(), &uv_name)?;
             if uvs.is_none() {

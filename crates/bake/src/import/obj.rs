@@ -212,7 +212,7 @@ fn any_numbers<const N: usize>(text: &str) -> Option<[f32; N]> {
     let mut values = [0.0; N];
     for value in &mut values {
         let word = words.next()?;
-        let is_none = || word.contains('#') || word.to_ascii_lowercase().contains("nan(");
+        let is_none = || word.contains(".#") || word.to_ascii_lowercase().contains("nan(");
         *value = (word.parse().ok()).or_else(|| is_none().then_some(f32::NAN))?;
     }
     Some(values)

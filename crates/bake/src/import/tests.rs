@@ -520,7 +520,7 @@ fn normals_and_uvs_that_are_no_numbers_are_replaced() {
         assert_eq!(mesh.warnings.len(), 1, "{number}: {:?}", mesh.warnings);
         assert!(mesh.vertices.iter().all(|vertex| vertex.normal == Vec3::Z));
     }
-    for word in ["ten", "1..5", "nano"] {
+    for word in ["ten", "1..5", "nano", "#"] {
         assert!(obj(&format!("0.5 {word}"), "0 0 1").is_err(), "{word}");
     }
 }

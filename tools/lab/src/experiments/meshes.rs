@@ -367,9 +367,14 @@ fn made(folder: &Path) -> anyhow::Result<Vec<Case>> {
     )?;
     let far = Vec3::new(1e4, 0.0, -1e4);
     add("far_off", &figure.clone().moved(1.0, far).obj(plain), None)?;
-    let not_a_number = figure
-        .obj(|_| "vt nan nan\n".into())
-        .replacen("nan nan", "0 nan", 1);
+    let numbers = figure.obj(|face| ["vt nan nan\n", "vt 0 inf\n"][face % 2].into());
+    let not_a_number: String = numbers
+        .lines()
+        .map(|line| match line.strip_prefix("f ") {
+            Some(corners) => format!("f {}/-1\n", corners.replace(' ', "/-1 ")),
+            None => format!("{line}\n"),
+        })
+        .collect();
     add("uv_not_a_number", &not_a_number, like)?;
     let mut many = Mesh::default();
     sphere(&mut many, 0, Vec3::new(0.0, 0.5, 0.0), 0.5, 56);

@@ -115,7 +115,7 @@ impl<'a> Builder<'a> {
     }
 
     /// Cleans, completes and appends a part. Its indices must be in range and its numbers
-    /// finite, but for normals and texture coordinates, in place of which others are found.
+    /// finite, but for texture coordinates.
     pub(super) fn push(&mut self, mut part: Part) -> Result<(), Error> {
         self.parts += 1;
         let positions = part.vertices.iter().map(|vertex| vertex.position);
@@ -132,7 +132,6 @@ impl<'a> Builder<'a> {
             self.invented_uvs += usize::from(!(vertex.uv + vertex.second_uv).is_finite());
             vertex.uv = vertex.uv.map(finite);
             vertex.second_uv = vertex.second_uv.map(finite);
-            vertex.normal = vertex.normal.filter(|normal| normal.is_finite());
         }
         let before = part.triangles.len();
         let corners = |vertices: &[GivenVertex], triangle: [u32; 3]| {

@@ -417,18 +417,11 @@ impl Boundary {
     /// Computes the chords to all centres; returns the least, squared.
     #[inline(always)]
     fn chords_from<S: Simd>(&mut self, simd: S, direction: Vec3) -> f32 {
-        let [tx, ty, tz] = direction.to_array().map(|axis| simd.splat_f32s(axis));
         let [x, y, z] = self.centres.each_ref().map(|axis| lanes::<S>(axis));
         let mut least = simd.splat_f32s(f32::MAX);
         let chords = S::as_mut_simd_f32s(&mut self.chords).0;
         for (((chord, x), y), z) in chords.iter_mut().zip(x).zip(y).zip(z) {
-            let (x, y, z) = (
-                simd.sub_f32s(*x, tx),
-                simd.sub_f32s(*y, ty),
-                simd.sub_f32s(*z, tz),
-            );
-            let squared = simd.mul_add_f32s(x, x, simd.mul_f32s(y, y));
-            *chord = simd.mul_add_f32s(z, z, squared);
+            *chord = squared_chords(simd, [*x, *y, *z], direction.to_array());
             least = simd.min_f32s(least, *chord);
         }
         simd.reduce_min_f32s(least)
@@ -464,8 +457,8 @@ impl Boundary {
     }
 }
 
-/// Squared chords from directions to a point. No closure, as [`nearer`] is none: compilers may leave a closure out of line,
-/// without the instructions of those that call it, which takes three times as long.
+/// Squared chords from one point to a vector of them. No closure, as [`nearer`] is none: compilers may leave a closure out
+/// of line, without the instructions of those that call it, which takes three times as long.
 #[inline(always)]
 fn squared_chords<S: Simd>(simd: S, [tx, ty, tz]: [S::f32s; 3], [x, y, z]: [f32; 3]) -> S::f32s {
     let x = simd.sub_f32s(tx, simd.splat_f32s(x));

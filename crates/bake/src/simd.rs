@@ -13,6 +13,8 @@ use std::sync::OnceLock;
 use nalgebra::DMatrix;
 use pulp::{Arch, Simd, WithSimd};
 
+use crate::memory;
+
 /// The environment variable.
 pub const VARIABLE: &str = "RELIGHT_SIMD";
 
@@ -59,13 +61,13 @@ pub(crate) fn product<T: Number>(a: &DMatrix<T>, b: &DMatrix<T>) -> DMatrix<T> {
     product_by(arch(), &Of(a), b)
 }
 
-/// The product of a matrix's transpose and another matrix, the same as of that transpose by [`product`].
+/// The same of a matrix as products read it.
 ///
 /// # Panics
 ///
-/// If the rows of the first are not as many as those of the second.
-pub(crate) fn transposed_product<T: Number>(a: &DMatrix<T>, b: &DMatrix<T>) -> DMatrix<T> {
-    product_by(arch(), &OfTranspose(a), b)
+/// As [`product`].
+pub(crate) fn product_of(a: &Panels, b: &DMatrix<f32>) -> DMatrix<f32> {
+    product_by(arch(), a, b)
 }
 
 fn product_by<T: Number>(arch: Arch, a: &impl Rows<T>, b: &DMatrix<T>) -> DMatrix<T> {
@@ -85,10 +87,6 @@ pub(crate) fn add_product<T: Number>(a: &impl Rows<T>, b: &DMatrix<T>, product: 
 
 /// Products that are summed before they are added to those before.
 const INNER: usize = 256;
-/// Rows of a transposed matrix's columns that are put side by side at a time.
-const PACKED: usize = 64;
-/// Columns that are put side by side at a time.
-const BESIDE: usize = 8;
 /// Columns of the second matrix that are multiplied at a time.
 const COLUMNS: usize = 6;
 /// Vectors of rows that are multiplied at a time: with [`COLUMNS`], as many sums as registers hold.
@@ -99,57 +97,124 @@ pub(crate) trait Rows<T: Number> {
     /// Rows and columns.
     fn shape(&self) -> (usize, usize);
 
-    /// Puts so many rows from `first` on, [`num::Number::PANEL`] or fewer, side by side, column after column. What
-    /// `panel` has beyond them in each column is not looked at.
-    fn pack(&self, first: usize, count: usize, panel: &mut [T]);
+    /// [`num::Number::PANEL`] rows from `first` on, or those that are left, side by side, column after column, in
+    /// `room` unless they lie so already. What is beyond them in each column is not looked at.
+    fn panel<'a>(&'a self, first: usize, room: &'a mut Vec<T>) -> &'a [T];
 }
 
 /// A matrix.
 pub(crate) struct Of<'a, T>(pub &'a DMatrix<T>);
-/// A matrix's transpose.
-pub(crate) struct OfTranspose<'a, T>(pub &'a DMatrix<T>);
 
 impl<T: Number> Rows<T> for Of<'_, T> {
     fn shape(&self) -> (usize, usize) {
         self.0.shape()
     }
 
-    fn pack(&self, first: usize, count: usize, panel: &mut [T]) {
-        let panel = panel.chunks_exact_mut(T::PANEL);
-        for (packed, column) in panel.zip(self.0.as_slice().chunks_exact(self.0.nrows())) {
+    fn panel<'a>(&'a self, first: usize, room: &'a mut Vec<T>) -> &'a [T] {
+        let (rows, columns) = self.0.shape();
+        let count = T::PANEL.min(rows - first);
+        room.resize(columns * T::PANEL, T::ZERO);
+        let packed = room.chunks_exact_mut(T::PANEL);
+        for (packed, column) in packed.zip(self.0.as_slice().chunks_exact(rows)) {
             packed[..count].copy_from_slice(&column[first..first + count]);
         }
+        room
     }
 }
 
-impl<T: Number> Rows<T> for OfTranspose<'_, T> {
-    fn shape(&self) -> (usize, usize) {
-        (self.0.ncols(), self.0.nrows())
-    }
+/// A matrix as products read their first factor, panel after panel of rows.
+pub(crate) struct Panels {
+    shape: (usize, usize),
+    values: Vec<f32>,
+}
 
-    fn pack(&self, first: usize, count: usize, panel: &mut [T]) {
-        let inner = self.0.nrows();
-        // A few rows of the columns at a time: those of the panel stay in the cache.
-        for block in (0..inner).step_by(PACKED) {
-            let rows = block..inner.min(block + PACKED);
-            let panel = &mut panel[rows.start * T::PANEL..rows.end * T::PANEL];
-            for beside in (0..count).step_by(BESIDE) {
-                let columns = std::array::from_fn(|i| {
-                    let column = first + (beside + i).min(count - 1);
-                    &self.0.as_slice()[column * inner..][rows.clone()]
-                });
-                put_beside(&columns, beside, panel);
-            }
+/// Rows of a panel.
+const PANEL: usize = <f32 as num::Number>::PANEL;
+/// Numbers of so many rows of a panel's columns.
+const SQUARE: usize = PANEL * PANEL;
+
+impl Panels {
+    fn used((rows, columns): (usize, usize)) -> Self {
+        Self {
+            shape: (rows, columns),
+            values: memory::used(rows.next_multiple_of(PANEL) * columns),
         }
     }
+
+    pub(crate) fn rows(&self) -> usize {
+        self.shape.0
+    }
 }
 
-/// Puts columns into a panel, side by side from column `first` of it on.
-fn put_beside<T: Number>(columns: &[&[T]; BESIDE], first: usize, panel: &mut [T]) {
-    let columns = columns.map(|column| &column[..panel.len() / T::PANEL]);
-    for (row, packed) in panel.chunks_exact_mut(T::PANEL).enumerate() {
-        let values: [T; BESIDE] = std::array::from_fn(|i| columns[i][row]);
-        packed[first..first + BESIDE].copy_from_slice(&values);
+/// A matrix and its transpose. `fill` is asked for column after column.
+pub(crate) fn both_ways(
+    (rows, columns): (usize, usize),
+    mut fill: impl FnMut(usize, &mut [f32]),
+) -> [Panels; 2] {
+    let mut panels = Panels::used((rows, columns));
+    let mut transposed = Panels::used((columns, rows));
+    // A panel's columns at a time: they stay in the cache.
+    let padded = rows.next_multiple_of(PANEL);
+    let mut beside = vec![0.0; padded * PANEL];
+    let mut square = [0.0; SQUARE];
+    let mut turned = [0.0; SQUARE];
+    for (first, panel) in (0..columns)
+        .step_by(PANEL)
+        .zip(transposed.values.chunks_exact_mut(PANEL * rows.max(1)))
+    {
+        let count = PANEL.min(columns - first);
+        for (index, column) in beside.chunks_exact_mut(padded).take(count).enumerate() {
+            fill(first + index, &mut column[..rows]);
+        }
+        for (row, out) in (0..rows).step_by(PANEL).zip(panel.chunks_mut(SQUARE)) {
+            let columns_of_square = square.as_chunks_mut::<PANEL>().0.iter_mut();
+            for (to, from) in columns_of_square.zip(beside.chunks_exact(padded)) {
+                to.copy_from_slice(&from[row..row + PANEL]);
+            }
+            let start = row * columns + first * PANEL;
+            panels.values[start..][..count * PANEL].copy_from_slice(&square[..count * PANEL]);
+            arch().dispatch(|| transpose(&square, &mut turned));
+            out.copy_from_slice(&turned[..out.len()]);
+        }
+    }
+    [panels, transposed]
+}
+
+/// Transposes a square of numbers.
+#[inline(always)]
+fn transpose(square: &[f32; SQUARE], turned: &mut [f32; SQUARE]) {
+    // Halves that are put into each other number by number turn the digits of a number's place about.
+    let mut other = [0.0; SQUARE];
+    merge(square, turned);
+    for _ in 0..PANEL.ilog2() / 2 {
+        merge(turned, &mut other);
+        merge(&other, turned);
+    }
+}
+
+/// Puts halves into each other number by number.
+#[inline(always)]
+fn merge(halves: &[f32; SQUARE], merged: &mut [f32; SQUARE]) {
+    let (low, high) = halves.split_at(SQUARE / 2);
+    let pairs = merged.as_chunks_mut::<2>().0.iter_mut();
+    for (pair, (low, high)) in pairs.zip(low.iter().zip(high)) {
+        *pair = [*low, *high];
+    }
+}
+
+impl Rows<f32> for Panels {
+    fn shape(&self) -> (usize, usize) {
+        self.shape
+    }
+
+    fn panel<'a>(&'a self, first: usize, _: &'a mut Vec<f32>) -> &'a [f32] {
+        &self.values[first * self.shape.1..][..PANEL * self.shape.1]
+    }
+}
+
+impl Drop for Panels {
+    fn drop(&mut self) {
+        memory::keep_values(std::mem::take(&mut self.values));
     }
 }
 
@@ -159,18 +224,16 @@ fn add_product_by<T: Number>(arch: Arch, a: &impl Rows<T>, b: &DMatrix<T>, produ
     let begin = product.len();
     product.reserve_exact(rows * b.ncols());
     product.resize(begin + rows * b.ncols(), T::ZERO);
-    let mut panel = vec![T::ZERO; inner * T::PANEL];
+    let mut room = Vec::new();
     let factors = side_by_side(b);
     for first in (0..rows).step_by(T::PANEL) {
-        let count = T::PANEL.min(rows - first);
-        a.pack(first, count, &mut panel);
         arch.dispatch(Panel {
-            values: &panel,
+            values: a.panel(first, &mut room),
             factors: &factors,
             columns: b.ncols(),
             inner,
             first,
-            count,
+            count: T::PANEL.min(rows - first),
             rows,
             product: &mut product[begin..],
         });
@@ -377,13 +440,18 @@ mod tests {
             assert!((&expected.0 - &exact).iter().all(|d| d.abs() <= tolerance));
             let rounded = expected.1.clone().cast::<f64>() - &exact;
             assert!(rounded.iter().all(|d| d.abs() <= 1e-6 * (inner + 1) as f64));
-            let transposes = (a.transpose(), x.transpose());
+            let [panels, _] = both_ways((rows, inner), |column, values| {
+                values.copy_from_slice(x.column(column).as_slice());
+            });
+            let [_, transposed] = both_ways((inner, rows), |row, values| {
+                values.copy_from_slice(x.row(row).transpose().as_slice());
+            });
             for arch in archs() {
                 assert!(product_by(arch, &Of(&a), &b) == expected.0, "{arch:?}");
                 assert!(product_by(arch, &Of(&x), &y) == expected.1, "{arch:?}");
-                let (a, x) = (OfTranspose(&transposes.0), OfTranspose(&transposes.1));
-                assert!(product_by(arch, &a, &b) == expected.0, "{arch:?}");
-                assert!(product_by(arch, &x, &y) == expected.1, "{arch:?}");
+                for panels in [&panels, &transposed] {
+                    assert!(product_by(arch, panels, &y) == expected.1, "{arch:?}");
+                }
             }
         }
     }

@@ -92,9 +92,7 @@ pub(crate) fn decode(coefficients: &[i16], basis: &[i8], coefficient_scale: f32)
 pub fn encode(fitted: &Fitted, images: &Images, max_error: f32) -> (Compressed, DMatrix<f32>) {
     let (texels, vertices) = (images.values.nrows(), fitted.vertices.len());
     let channels = images.values.ncols();
-    // What an error of one radian everywhere costs.
-    let cost = fitted.weights.sum() / vertices as f32;
-    let rounding = max_error * BASIS_ROUNDING / cost.sqrt();
+    let rounding = max_error * BASIS_ROUNDING / fitted.cost.sqrt();
     let quantised = quantise(images, rounding, &fitted.costs);
     let decoded = quantised.map(|value: i8| f32::from(value) / 127.0);
     let systems = fitted.systems(&decoded);
@@ -145,9 +143,11 @@ pub fn encode(fitted: &Fitted, images: &Images, max_error: f32) -> (Compressed, 
     let rounded = integers.map(|value| f32::from(value) * finest);
     add_product(&Of(&decoded), &rounded, &mut stored);
     let stored = DMatrix::from_vec(texels, vertices, stored);
-    let squared_error = (fitted.columns().zip(stored.as_slice().chunks_exact(texels)))
-        .map(|([exact, weights], found)| f64::from(squared_error(found, exact, weights)))
-        .sum();
+    let squared_error = simd::arch().dispatch(|| {
+        (fitted.columns().zip(stored.as_slice().chunks_exact(texels)))
+            .map(|([exact, weights], found)| f64::from(squared_error(found, exact, weights)))
+            .sum()
+    });
     let compressed = Compressed {
         tiles: tiles as u32,
         coefficient_scale,
@@ -159,6 +159,7 @@ pub fn encode(fitted: &Fitted, images: &Images, max_error: f32) -> (Compressed, 
 }
 
 /// What a wrong SSDF costs, radians²: the weighted sum of squared differences.
+#[inline(always)]
 fn squared_error(found: &[f32], exact: &[f32], weights: &[f32]) -> f32 {
     // Side by side, as vector instructions want it.
     let mut sums = [0.0; LANES];

@@ -9,6 +9,8 @@
 use glam::Vec3;
 use relight_format::math;
 
+use super::samples::LANES;
+use crate::simd;
 use crate::visibility::Directions;
 
 /// Half-width of the weight about the visibility boundary, radians: two texels of a basis
@@ -34,8 +36,10 @@ pub struct Normal {
 
 impl Normal {
     /// Cosine to a direction, of the nearest normal.
-    fn seen(&self, direction: Vec3) -> f32 {
-        let cosine = self.direction.dot(direction);
+    #[inline(always)]
+    fn seen(&self, [x, y, z]: [f32; 3]) -> f32 {
+        let normal = self.direction;
+        let cosine = normal.x * x + normal.y * y + normal.z * z;
         ((cosine + self.tilt) / (1.0 + self.tilt)).max(0.0)
     }
 }
@@ -43,6 +47,8 @@ impl Normal {
 /// What an error of an SSDF costs, by direction.
 pub struct Weighting {
     directions: Directions,
+    /// Their coordinates, each of all texels.
+    coordinates: [Vec<f32>; 3],
     /// Solid angle of every texel, in units of the weights that a wall has: of a vertical
     /// wall that hides half of the sky, at a vertex whose normal points up.
     solid_angles: Vec<f32>,
@@ -60,8 +66,13 @@ impl Weighting {
         let solid_angles = (directions.as_slice().iter())
             .map(|direction| direction.abs().element_sum().powi(3))
             .collect();
+        let coordinates = std::array::from_fn(|axis| {
+            let all = directions.as_slice().iter();
+            all.map(|direction| direction[axis]).collect()
+        });
         let mut weighting = Self {
             directions,
+            coordinates,
             solid_angles,
             wall: 1.0,
         };
@@ -89,24 +100,35 @@ impl Weighting {
     /// How far the boundary of `found` is off, squared: as an error of light shows, which
     /// grows with the displacement until the boundary has passed all of a light.
     pub(crate) fn squared_displacement(&self, found: &[f32], exact: &[f32], normal: Normal) -> f32 {
-        let squash = |distance: f32| distance / (1.0 + (distance / LIGHT_WIDTH).powi(2)).sqrt();
-        let texels = self.directions.as_slice().iter().zip(&self.solid_angles);
-        let sum: f32 = (found.iter().zip(exact).zip(texels))
-            .map(|((found, exact), (direction, solid_angle))| {
-                let difference = squash(*found) - squash(*exact);
-                solid_angle * normal.seen(*direction) * difference.powi(2)
-            })
-            .sum();
-        sum / self.wall
+        simd::arch().dispatch(|| {
+            let squash = |distance: f32| distance / (1.0 + (distance / LIGHT_WIDTH).powi(2)).sqrt();
+            let [x, y, z] = self.coordinates.each_ref().map(|all| all.chunks(LANES));
+            let texels = x.zip(y).zip(z).zip(self.solid_angles.chunks(LANES));
+            // Side by side, as vector instructions want it.
+            let mut sums = [0.0; LANES];
+            for ((found, exact), (((x, y), z), solid_angles)) in
+                found.chunks(LANES).zip(exact.chunks(LANES)).zip(texels)
+            {
+                let directions = x.iter().zip(y).zip(z).zip(solid_angles);
+                let texels = found.iter().zip(exact).zip(directions);
+                for (sum, ((found, exact), (((x, y), z), solid_angle))) in sums.iter_mut().zip(texels) {
+                    let difference = squash(*found) - squash(*exact);
+                    *sum += solid_angle * normal.seen([*x, *y, *z]) * difference.powi(2);
+                }
+            }
+            sums.iter().sum::<f32>() / self.wall
+        })
     }
 
     /// Weight of a squared error at every texel of an SSDF.
+    #[inline(always)]
     pub(crate) fn weigh(&self, ssdf: &[f32], normal: Normal, weights: &mut [f32]) {
-        let texels = self.directions.as_slice().iter().zip(&self.solid_angles);
-        for ((weight, distance), (direction, solid_angle)) in
+        let [x, y, z] = &self.coordinates;
+        let texels = x.iter().zip(y).zip(z).zip(&self.solid_angles);
+        for ((weight, distance), (((x, y), z), solid_angle)) in
             weights.iter_mut().zip(ssdf).zip(texels)
         {
-            let seen = normal.seen(*direction);
+            let seen = normal.seen([*x, *y, *z]);
             let near = 1.0 / (1.0 + (distance / BOUNDARY_WIDTH).powi(4));
             *weight = solid_angle * (FAR_WEIGHT + near) * (HIDDEN_WEIGHT + seen);
         }

@@ -7,7 +7,7 @@ use nalgebra::DMatrix;
 
 use super::samples::{Fitted, column};
 use crate::memory;
-use crate::simd::{self, Of, OfTranspose, Rows, add_product, product, transposed_product};
+use crate::simd::{self, Panels, both_ways, add_product, product, product_of};
 
 /// Subspace iterations; two separate the spectrum of SSDFs to well below quantisation.
 const ITERATIONS: usize = 2;
@@ -50,15 +50,14 @@ pub fn analyse(fitted: &Fitted, rank: usize) -> FittedBasis {
     for mean in &mut mean {
         *mean /= vertices as f32;
     }
-    let mut centred = memory::room(texels * vertices);
-    for [ssdf, _] in fitted.columns() {
-        centred.extend(
-            ssdf.iter()
-                .zip(&mean)
-                .map(|(distance, mean)| distance - mean),
-        );
-    }
-    let centred = DMatrix::from_vec(texels, vertices, centred);
+    let ssdfs = fitted.vertices.iter();
+    let mut ssdfs = ssdfs.map(|&vertex| column(&fitted.samples.ssdfs, vertex));
+    let [centred, transposed] = both_ways((texels, vertices), |_, column| {
+        let distances = ssdfs.next().into_iter().flatten().zip(&mean);
+        for (centred, (distance, mean)) in column.iter_mut().zip(distances) {
+            *centred = distance - mean;
+        }
+    });
     let rank = rank.min(vertices.saturating_sub(1)).min(texels);
     let width = (rank + OVERSAMPLING).min(vertices).min(texels);
     let mut state = 0x9e37_79b9_7f4a_7c15_u64;
@@ -68,15 +67,15 @@ pub fn analyse(fitted: &Fitted, rank: usize) -> FittedBasis {
             .wrapping_add(1);
         (state >> 40) as f32 / (1u64 << 23) as f32 - 1.0
     });
-    let mut range = product(&centred, &subspace);
+    let mut range = product_of(&centred, &subspace);
     for _ in 0..ITERATIONS {
-        subspace = transposed_product(&centred, &range.qr().q());
-        range = product(&centred, &subspace.qr().q());
+        subspace = product_of(&transposed, &range.qr().q());
+        range = product_of(&centred, &subspace.qr().q());
     }
     let orthonormal = range.qr().q();
     // Rotate the subspace to principal axes: eigenvectors of a small symmetric matrix.
-    let coordinates = transposed_product(&centred, &orthonormal).transpose();
-    memory::keep(centred);
+    let coordinates = product_of(&transposed, &orthonormal).transpose();
+    drop((centred, transposed));
     let covariance = product(&coordinates, &coordinates.transpose()).cast::<f64>();
     let (axes, lengths) = principal_axes(covariance);
     let rank = rank.min(axes.ncols());
@@ -125,7 +124,7 @@ impl<'a> Fits<'a> {
             fitted,
             images,
             systems,
-            squares: fitted.squares(),
+            squares: fitted.squares,
         }
     }
 
@@ -198,8 +197,8 @@ impl Fitted<'_> {
     fn systems_of(&self, images: &DMatrix<f32>) -> DMatrix<f32> {
         normal_equations(
             images,
-            &OfTranspose(&self.weights),
-            &OfTranspose(&self.weighted),
+            &self.weights.of_vertices,
+            &self.weighted.of_vertices,
         )
     }
 
@@ -211,7 +210,7 @@ impl Fitted<'_> {
     /// Normal equations of every fitted texel for its value in each image.
     fn systems_of_texels(&self, coefficients: &DMatrix<f32>) -> DMatrix<f32> {
         let factors = coefficients.transpose();
-        normal_equations(&factors, &Of(&self.weights), &Of(&self.weighted))
+        normal_equations(&factors, &self.weights.of_texels, &self.weighted.of_texels)
     }
 
     /// Fits the texels left out to coefficients, without weights.
@@ -297,8 +296,8 @@ pub(super) fn triangle(channels: usize) -> usize {
 /// matrix by columns, then its right side.
 fn normal_equations(
     factors: &DMatrix<f32>,
-    matrices: &impl Rows<f32>,
-    right: &impl Rows<f32>,
+    matrices: &Panels,
+    right: &Panels,
 ) -> DMatrix<f32> {
     let (equations, channels) = factors.shape();
     let pairs = triangle(channels);
@@ -310,7 +309,7 @@ fn normal_equations(
             products.extend(factor(i).iter().zip(factor(j)).map(|(a, b)| a * b));
         }
     }
-    let rows = matrices.shape().0;
+    let rows = matrices.rows();
     let mut systems = Vec::with_capacity(rows * (pairs + channels));
     let products = DMatrix::from_vec(equations, pairs, products);
     add_product(matrices, &products, &mut systems);

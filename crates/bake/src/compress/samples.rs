@@ -5,6 +5,7 @@ use std::ops::Range;
 use nalgebra::DMatrix;
 
 use super::error::{Normal, Weighting};
+use crate::simd::{self, Panels, both_ways};
 use crate::memory;
 
 /// Texels whose weight at every vertex is below this part of the largest are told by the
@@ -30,9 +31,31 @@ pub struct Fitted<'a> {
     pub(super) texels: Vec<usize>,
     /// Mean weights of all texels.
     pub(super) costs: Vec<f32>,
-    /// Products of weights and SSDFs: one row per such texel, one column per vertex.
-    pub(super) weighted: DMatrix<f32>,
-    pub(super) weights: DMatrix<f32>,
+    /// Of those texels, for each vertex.
+    pub(super) weights: BothWays,
+    /// Products of weights and SSDFs.
+    pub(super) weighted: BothWays,
+    /// The sum of products of weights and squares of SSDFs.
+    pub(super) squares: f64,
+    /// What an error of one radian at all of them costs: the mean over vertices.
+    pub(super) cost: f32,
+}
+
+/// A number of each texel and vertex, as products read them.
+pub(super) struct BothWays {
+    /// One row per texel.
+    pub(super) of_texels: Panels,
+    /// One row per vertex.
+    pub(super) of_vertices: Panels,
+}
+
+impl BothWays {
+    fn new([of_texels, of_vertices]: [Panels; 2]) -> Self {
+        Self {
+            of_texels,
+            of_vertices,
+        }
+    }
 }
 
 impl Samples {
@@ -42,9 +65,11 @@ impl Samples {
         let texels = ssdfs.nrows();
         let columns = ssdfs.as_slice().chunks_exact(texels);
         let weighted = weights.as_mut_slice().chunks_exact_mut(texels);
-        for ((weights, ssdf), normal) in weighted.zip(columns).zip(normals) {
-            weighting.weigh(ssdf, *normal, weights);
-        }
+        simd::arch().dispatch(|| {
+            for ((weights, ssdf), normal) in weighted.zip(columns).zip(normals) {
+                weighting.weigh(ssdf, *normal, weights);
+            }
+        });
         Self { ssdfs, weights }
     }
 
@@ -59,21 +84,15 @@ impl Samples {
     pub(crate) fn thinned(&self) -> Self {
         let side = self.ssdfs.nrows().isqrt();
         let step = THINNED.min(side);
-        let texels: Vec<usize> = (0..side * side)
-            .filter(|texel| {
-                [texel / side, texel % side]
-                    .iter()
-                    .all(|i| i.is_multiple_of(step))
-            })
-            .collect();
-        let scale = (side * side) as f32 / texels.len() as f32;
+        let texels = side.div_ceil(step).pow(2);
+        let scale = (side * side) as f32 / texels as f32;
         let thinned = |matrix: &DMatrix<f32>, scale: f32| {
             let columns = matrix.as_slice().chunks_exact(side * side);
-            let mut values = memory::room(texels.len() * matrix.ncols());
-            for column in columns {
-                values.extend(texels.iter().map(|&texel| scale * column[texel]));
+            let mut values = memory::room(texels * matrix.ncols());
+            for row in columns.flat_map(|column| column.chunks_exact(side).step_by(step)) {
+                values.extend(row.iter().step_by(step).map(|value| scale * value));
             }
-            DMatrix::from_vec(texels.len(), matrix.ncols(), values)
+            DMatrix::from_vec(texels, matrix.ncols(), values)
         };
         Self {
             ssdfs: thinned(&self.ssdfs, 1.0),
@@ -121,21 +140,44 @@ impl Samples {
             idle += usize::from(!busy);
         }
         let texels: Vec<usize> = runs.iter().flat_map(|(run, _)| run.clone()).collect();
-        let [mut weights, mut weighted] =
-            [(); 2].map(|()| memory::room(texels.len() * vertices.len()));
-        for &vertex in &vertices {
-            let [ssdf, costs] = [&self.ssdfs, &self.weights].map(|all| column(all, vertex));
-            for (run, factor) in &runs {
-                let (ssdf, costs) = (&ssdf[run.clone()], &costs[run.clone()]);
-                weights.extend(costs.iter().map(|weight| weight * factor));
-                let pairs = ssdf.iter().zip(costs);
-                weighted.extend(pairs.map(|(distance, weight)| weight * factor * distance));
-            }
-        }
+        let weighed = runs.iter().flat_map(|(run, factor)| {
+            let costs = costs[run.clone()].iter();
+            costs.map(move |cost| cost * factor)
+        });
+        let cost = weighed.sum();
+        let shape = (texels.len(), vertices.len());
+        let weights = both_ways(shape, |index, out| {
+            let costs = column(&self.weights, vertices[index]);
+            for_runs(&runs, out, |run, factor, out| {
+                for (out, weight) in out.iter_mut().zip(&costs[run]) {
+                    *out = weight * factor;
+                }
+            });
+        });
+        let mut squares = 0.0;
+        let weighted = both_ways(shape, |index, out| {
+            let [ssdf, costs] = [&self.ssdfs, &self.weights].map(|all| column(all, vertices[index]));
+            // Side by side, as vector instructions want it.
+            let mut sums = [0.0; LANES];
+            for_runs(&runs, out, |run, factor, out| {
+                let (ssdf, costs) = (&ssdf[run.clone()], &costs[run]);
+                let pairs = ssdf.chunks(LANES).zip(costs.chunks(LANES));
+                for (out, (ssdf, costs)) in out.chunks_mut(LANES).zip(pairs) {
+                    let texels = out.iter_mut().zip(ssdf.iter().zip(costs));
+                    for (sum, (out, (distance, weight))) in sums.iter_mut().zip(texels) {
+                        *out = weight * factor * distance;
+                        *sum += *out * distance;
+                    }
+                }
+            });
+            squares += f64::from(sums.iter().sum::<f32>());
+        });
         Fitted {
             samples: self,
-            weighted: DMatrix::from_vec(texels.len(), vertices.len(), weighted),
-            weights: DMatrix::from_vec(texels.len(), vertices.len(), weights),
+            weights: BothWays::new(weights),
+            weighted: BothWays::new(weighted),
+            squares,
+            cost,
             vertices,
             texels,
             costs,
@@ -143,23 +185,20 @@ impl Samples {
     }
 }
 
-impl Fitted<'_> {
-    /// The sum of products of weights and squares of SSDFs.
-    pub(super) fn squares(&self) -> f64 {
-        let weighted = self.weighted.as_slice().chunks_exact(self.texels.len());
-        let squares = self.columns().zip(weighted).map(|([ssdf, _], weighted)| {
-            // Side by side, as vector instructions want it.
-            let mut sums = [0.0; LANES];
-            for (texels, weighted) in self.texels.chunks(LANES).zip(weighted.chunks(LANES)) {
-                for (sum, (texel, weighted)) in sums.iter_mut().zip(texels.iter().zip(weighted)) {
-                    *sum += weighted * ssdf[*texel];
-                }
-            }
-            f64::from(sums.iter().sum::<f32>())
-        });
-        squares.sum()
+/// Calls back for each run of texels, with what its weights are multiplied by and its part of `out`.
+fn for_runs(
+    runs: &[(Range<usize>, f32)],
+    mut out: &mut [f32],
+    mut call: impl FnMut(Range<usize>, f32, &mut [f32]),
+) {
+    for (run, factor) in runs {
+        let (own, others) = out.split_at_mut(run.len());
+        call(run.clone(), *factor, own);
+        out = others;
     }
+}
 
+impl Fitted<'_> {
     /// SSDFs and weights of all texels, vertex after vertex.
     pub(super) fn columns(&self) -> impl Iterator<Item = [&[f32]; 2]> {
         let both = [&self.samples.ssdfs, &self.samples.weights];
@@ -170,13 +209,6 @@ impl Fitted<'_> {
 impl Drop for Samples {
     fn drop(&mut self) {
         memory::keep_of(&mut self.ssdfs);
-        memory::keep_of(&mut self.weights);
-    }
-}
-
-impl Drop for Fitted<'_> {
-    fn drop(&mut self) {
-        memory::keep_of(&mut self.weighted);
         memory::keep_of(&mut self.weights);
     }
 }

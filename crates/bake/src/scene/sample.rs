@@ -397,7 +397,8 @@ impl<'a> Prepared<'a> {
     pub(super) fn ssdfs(&self, places: &[u32]) -> Result<DMatrix<f32>, Interrupted> {
         let texels = (self.options.basis_resolution as usize).pow(2);
         let sources = self.sparse.sources_of(places.iter().copied());
-        let mut sampled = memory::zeros(texels, sources.len());
+        let sampled = memory::used(texels * sources.len());
+        let mut sampled = DMatrix::from_vec(texels, sources.len(), sampled);
         let columns = sampled.as_mut_slice().chunks_exact_mut(texels);
         let origins = sources.iter().map(|&place| self.origins[place as usize]);
         let done = AtomicUsize::new(0);

@@ -94,22 +94,16 @@ impl Layers {
         clear: impl FnOnce(usize) -> bool,
         visible: impl Fn(usize) -> bool,
     ) -> Option<Bitmap> {
-        let texels = self.n * self.n;
-        if self.broken || !self.sum() {
-            return None;
-        }
-        for &texel in &self.uncertain {
-            self.totals[texel as usize] = i32::MAX;
-        }
-        let fewest = self.totals.iter().copied().fold(i32::MAX, i32::min);
-        let mut bitmap = Bitmap::from_fn(texels, |_| false);
+        let fewest = simd::arch().dispatch(|| self.fewest())?;
+        let mut bitmap = None;
         if fewest < i32::MAX {
             let representative = self.totals.iter().position(|&layers| layers == fewest);
             *rays += 1;
             if representative.is_some_and(clear) {
-                bitmap = Bitmap::equal(&self.totals, fewest);
+                bitmap = Some(simd::arch().dispatch(|| Bitmap::equal(&self.totals, fewest)));
             }
         }
+        let mut bitmap = bitmap.unwrap_or_else(|| Bitmap::from_fn(self.n * self.n, |_| false));
         self.uncertain.sort_unstable();
         self.uncertain.dedup();
         for texel in self.uncertain.iter().map(|&texel| texel as usize) {
@@ -124,9 +118,23 @@ impl Layers {
         Some(bitmap)
     }
 
+    /// The fewest layers at texels that need no ray of their own, `i32::MAX` where all do; nothing if contours tell
+    /// nothing. Those that do have as many.
+    #[inline(always)]
+    fn fewest(&mut self) -> Option<i32> {
+        if self.broken || !self.sum() {
+            return None;
+        }
+        for &texel in &self.uncertain {
+            self.totals[texel as usize] = i32::MAX;
+        }
+        Some(self.totals.iter().copied().fold(i32::MAX, i32::min))
+    }
+
     /// Prefix sums of the steps. Columns whose sums do not meet beyond the border become
     /// uncertain: row 0 has a contour through the centre of such a column's texel on its wrong side.
     /// False if neighbours of them do not meet beyond the upper border either: then row 0 misses a step.
+    #[inline(always)]
     fn sum(&mut self) -> bool {
         let n = self.n;
         let mut along = 0;

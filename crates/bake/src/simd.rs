@@ -156,8 +156,6 @@ pub(crate) fn both_ways(
     // A panel's columns at a time: they stay in the cache.
     let padded = rows.next_multiple_of(PANEL);
     let mut beside = vec![0.0; padded * PANEL];
-    let mut square = [0.0; SQUARE];
-    let mut turned = [0.0; SQUARE];
     for (first, panel) in (0..columns)
         .step_by(PANEL)
         .zip(transposed.values.chunks_exact_mut(PANEL * rows.max(1)))
@@ -166,23 +164,36 @@ pub(crate) fn both_ways(
         for (index, column) in beside.chunks_exact_mut(padded).take(count).enumerate() {
             fill(first + index, &mut column[..rows]);
         }
-        for (row, out) in (0..rows).step_by(PANEL).zip(panel.chunks_mut(SQUARE)) {
-            let columns_of_square = square.as_chunks_mut::<PANEL>().0.iter_mut();
-            for (to, from) in columns_of_square.zip(beside.chunks_exact(padded)) {
-                to.copy_from_slice(&from[row..row + PANEL]);
+        arch().dispatch(|| {
+            for (row, turned) in (0..rows).step_by(PANEL).zip(panel.chunks_mut(SQUARE)) {
+                let start = row * columns + first * PANEL;
+                let square = &mut panels.values[start..][..count * PANEL];
+                let pairs = square.as_chunks_mut::<PANEL>().0.iter_mut();
+                for (to, from) in pairs.zip(beside.chunks_exact(padded)) {
+                    to.copy_from_slice(&from[row..row + PANEL]);
+                }
+                transpose(square, turned);
             }
-            let start = row * columns + first * PANEL;
-            panels.values[start..][..count * PANEL].copy_from_slice(&square[..count * PANEL]);
-            arch().dispatch(|| transpose(&square, &mut turned));
-            out.copy_from_slice(&turned[..out.len()]);
-        }
+        });
     }
     [panels, transposed]
 }
 
-/// Transposes a square of numbers.
+/// Transposes a square of numbers, or the first columns of one into what there is room for.
 #[inline(always)]
-fn transpose(square: &[f32; SQUARE], turned: &mut [f32; SQUARE]) {
+fn transpose(columns: &[f32], turned: &mut [f32]) {
+    if let (Ok(square), Ok(turned)) = (columns.try_into(), (&mut *turned).try_into()) {
+        transpose_square(square, turned);
+        return;
+    }
+    let (mut square, mut all) = ([0.0; SQUARE], [0.0; SQUARE]);
+    square[..columns.len()].copy_from_slice(columns);
+    transpose_square(&square, &mut all);
+    turned.copy_from_slice(&all[..turned.len()]);
+}
+
+#[inline(always)]
+fn transpose_square(square: &[f32; SQUARE], turned: &mut [f32; SQUARE]) {
     // Halves that are put into each other number by number turn the digits of a number's place about.
     let mut other = [0.0; SQUARE];
     merge(square, turned);

@@ -18,10 +18,11 @@ pub(crate) fn differences(basis: &[i8], resolution: u32) -> Vec<i8> {
     let tiles = basis.chunks_exact(texels * CHANNELS_PER_TILE);
     let stored = differences.chunks_exact_mut(texels * CHANNELS_PER_TILE);
     for (tile, stored) in tiles.zip(stored) {
-        for (channel, stored) in stored.chunks_exact_mut(texels).enumerate() {
-            let image = |texel: usize| tile[texel * CHANNELS_PER_TILE + channel];
-            for (texel, difference) in stored.iter_mut().enumerate() {
-                *difference = image(texel).wrapping_sub(predict(image, texel, n));
+        let (tile, _) = tile.as_chunks::<CHANNELS_PER_TILE>();
+        for texel in 0..texels {
+            let predicted = predict(tile, texel, n);
+            for (channel, predicted) in predicted.into_iter().enumerate() {
+                stored[channel * texels + texel] = tile[texel][channel].wrapping_sub(predicted);
             }
         }
     }
@@ -38,15 +39,15 @@ pub(crate) fn sums(differences: Vec<i8>, resolution: u32) -> Vec<i8> {
     if basis.len() < texels * CHANNELS_PER_TILE {
         return basis;
     }
-    let mut image = vec![0i8; texels];
     let mut stored = vec![0i8; texels * CHANNELS_PER_TILE];
     for tile in basis.chunks_exact_mut(texels * CHANNELS_PER_TILE) {
         stored.copy_from_slice(tile);
-        for (channel, differences) in stored.chunks_exact(texels).enumerate() {
-            for (texel, difference) in differences.iter().enumerate() {
-                image[texel] = predict(|at| image[at], texel, n).wrapping_add(*difference);
-                tile[texel * CHANNELS_PER_TILE + channel] = image[texel];
-            }
+        let (tile, _) = tile.as_chunks_mut::<CHANNELS_PER_TILE>();
+        for texel in 0..texels {
+            let predicted = predict(tile, texel, n);
+            tile[texel] = std::array::from_fn(|channel| {
+                predicted[channel].wrapping_add(stored[channel * texels + texel])
+            });
         }
     }
     basis
@@ -60,13 +61,29 @@ fn sizes(resolution: u32) -> Option<(usize, usize)> {
     Some((n, texels))
 }
 
-/// What the texels before it, row by row, make of a texel of an image of `n` texels a row.
-pub fn predict(image: impl Fn(usize) -> i8, texel: usize, n: usize) -> i8 {
-    let (x, y) = (texel % n, texel / n);
-    let at = |left: usize, up: usize| i32::from(image(texel - left - up * n));
+/// What the texels before it, row by row, make of a texel of images of `n` texels a row.
+#[inline(always)]
+pub fn predict<const IMAGES: usize>(
+    images: &[[i8; IMAGES]],
+    texel: usize,
+    n: usize,
+) -> [i8; IMAGES] {
+    let Some(texels) = predicted_from([texel % n, texel / n], n) else {
+        return [0; IMAGES];
+    };
+    let texels = texels.map(|texel| images[texel]);
+    std::array::from_fn(|image| predicted(texels.map(|texel| texel[image])))
+}
+
+/// The texels that one at a column and row of an image of `n` texels a row is predicted from, as [`predicted`] takes
+/// them; the first from none.
+#[inline(always)]
+fn predicted_from([x, y]: [usize; 2], n: usize) -> Option<[usize; 6]> {
+    let texel = y * n + x;
+    let at = |left: usize, up: usize| texel - left - up * n;
     // Those outside are taken to be as their neighbours.
     let left = match (x, y) {
-        (0, 0) => return 0,
+        (0, 0) => return None,
         (0, _) => at(0, 1),
         _ => at(1, 0),
     };
@@ -77,12 +94,20 @@ pub fn predict(image: impl Fn(usize) -> i8, texel: usize, n: usize) -> i8 {
         _ => at(1, 1),
     };
     let right = if y > 0 && x + 1 < n {
-        i32::from(image(texel + 1 - n))
+        texel + 1 - n
     } else {
         above
     };
     let left_left = if x > 1 { at(2, 0) } else { left };
     let above_above = if y > 1 { at(0, 2) } else { above };
+    Some([left, above, right, corner, left_left, above_above])
+}
+
+/// What a texel is predicted to be by those to the left of it, above, above to the right and to the left, and those two to
+/// the left and above.
+#[inline(always)]
+fn predicted(texels: [i8; 6]) -> i8 {
+    let [left, above, right, corner, left_left, above_above] = texels.map(i32::from);
     let sum = 12 * left + 6 * above + 6 * right - corner - 2 * left_left - 5 * above_above;
     ((sum + 8) >> 4).clamp(-127, 127) as i8
 }

@@ -6,7 +6,7 @@ use nalgebra::DMatrix;
 use relight_format::CHANNELS_PER_TILE;
 
 use super::fit::{Images, solve_each, triangle};
-use super::samples::{Fitted, LANES};
+use super::samples::{Fitted, LANES, column};
 use crate::memory;
 use crate::simd::{self, Of, add_product};
 
@@ -24,6 +24,8 @@ const COARSEST: f32 = 16.0;
 /// Differences from predictions are rounded up from this part of a step on, and of a coarse one: the smaller
 /// they are the fewer bits they take (Sullivan 1996).
 const ROUND_UP: [f32; 2] = [0.62, 0.75];
+/// The bits of a positive number's power of two.
+const EXPONENT: u32 = 0x7f80_0000;
 /// Largest step of basis images, in 127ths of their largest texel.
 const MAX_STEP: f32 = 16.0;
 
@@ -182,7 +184,6 @@ fn squared_error(found: &[f32], exact: &[f32], weights: &[f32]) -> f32 {
 /// it is differences that are multiples of coarser steps, and readers need not know which.
 fn quantise(images: &Images, rounding: f32, costs: &[f32]) -> DMatrix<i8> {
     let (texels, channels) = images.values.shape();
-    let side = texels.isqrt();
     let mean = costs.iter().sum::<f32>() / texels as f32;
     // Steps in that which would do for all texels alike.
     let coarseness: Vec<f32> = (costs.iter())
@@ -191,24 +192,60 @@ fn quantise(images: &Images, rounding: f32, costs: &[f32]) -> DMatrix<i8> {
     let least = coarseness.iter().copied().fold(f32::MAX, f32::min);
     let each = rounding * (12.0 / channels as f32).sqrt();
     let mut quantised = DMatrix::zeros(texels, channels);
-    let pairs = quantised.column_iter_mut().zip(images.values.column_iter());
-    for ((mut out, image), amplitude) in pairs.zip(&images.amplitudes) {
-        let finest = image.amax() / 127.0;
-        if finest == 0.0 {
-            continue;
+    for first in (0..channels).step_by(LANES) {
+        // Images of nothing keep these.
+        let (mut wanted, mut steps) = ([0.0; LANES], [1.0; LANES]);
+        let mut values = vec![[0.0; LANES]; texels];
+        for (lane, channel) in (first..channels.min(first + LANES)).enumerate() {
+            let image = column(&images.values, channel);
+            for (values, value) in values.iter_mut().zip(image) {
+                values[lane] = *value;
+            }
+            let finest = image
+                .iter()
+                .fold(0.0f32, |most, value| most.max(value.abs()))
+                / 127.0;
+            if finest > 0.0 {
+                wanted[lane] = each / images.amplitudes[channel];
+                steps[lane] = (wanted[lane] * least).clamp(finest, MAX_STEP * finest);
+            }
         }
-        let wanted = each / amplitude;
-        let step = (wanted * least).clamp(finest, MAX_STEP * finest);
-        for texel in 0..texels {
-            // The nearest power of two. Nothing is finer than a step.
-            let multiple = (wanted * coarseness[texel] / step * SQRT_2).max(1.0) as u32;
-            let multiple = (1u32 << multiple.ilog2()) as f32;
-            let predicted = f32::from(relight_format::predict(|other| out[other], texel, side));
-            let difference = (image[texel] / step - predicted) / multiple;
-            let up = ROUND_UP[usize::from(multiple > 1.0)];
-            let multiples = (difference.abs() + 1.0 - up).floor().copysign(difference);
-            out[texel] = (predicted + multiples * multiple).clamp(-127.0, 127.0) as i8;
+        let rounded = simd::arch().dispatch(|| round(&values, &coarseness, wanted, steps));
+        for (lane, channel) in (first..channels.min(first + LANES)).enumerate() {
+            for (to, from) in quantised.column_mut(channel).iter_mut().zip(&rounded) {
+                *to = from[lane];
+            }
         }
     }
     quantised
+}
+
+/// Images side by side in multiples of their steps, where `wanted` is what would do for texels of a coarseness of 1.
+#[inline(always)]
+fn round(
+    values: &[[f32; LANES]],
+    coarseness: &[f32],
+    wanted: [f32; LANES],
+    steps: [f32; LANES],
+) -> Vec<[i8; LANES]> {
+    let side = values.len().isqrt();
+    let mut rounded = vec![[0i8; LANES]; values.len()];
+    for texel in 0..values.len() {
+        let predicted = relight_format::predict(&rounded, texel, side);
+        for lane in 0..LANES {
+            let predicted = f32::from(predicted[lane]);
+            // The nearest power of two. Nothing is finer than a step.
+            let multiple = (wanted[lane] * coarseness[texel] / steps[lane] * SQRT_2).max(1.0);
+            let multiple = f32::from_bits(multiple.to_bits() & EXPONENT);
+            let difference = (values[texel][lane] / steps[lane] - predicted) / multiple;
+            let up = if multiple > 1.0 {
+                ROUND_UP[1]
+            } else {
+                ROUND_UP[0]
+            };
+            let multiples = (difference.abs() + 1.0 - up).floor().copysign(difference);
+            rounded[texel][lane] = (predicted + multiples * multiple).clamp(-127.0, 127.0) as i8;
+        }
+    }
+    rounded
 }

@@ -111,7 +111,9 @@ impl Weighting {
             {
                 let directions = x.iter().zip(y).zip(z).zip(solid_angles);
                 let texels = found.iter().zip(exact).zip(directions);
-                for (sum, ((found, exact), (((x, y), z), solid_angle))) in sums.iter_mut().zip(texels) {
+                for (sum, ((found, exact), (((x, y), z), solid_angle))) in
+                    sums.iter_mut().zip(texels)
+                {
                     let difference = squash(*found) - squash(*exact);
                     *sum += solid_angle * normal.seen([*x, *y, *z]) * difference.powi(2);
                 }

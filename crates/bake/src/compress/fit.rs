@@ -7,7 +7,7 @@ use nalgebra::DMatrix;
 
 use super::samples::{Fitted, column};
 use crate::memory;
-use crate::simd::{self, Panels, both_ways, add_product, product, product_of};
+use crate::simd::{self, Panels, add_product, both_ways, product, product_of};
 
 /// Subspace iterations; after one, the rounds of least squares that follow end where they do after two.
 const ITERATIONS: usize = 1;
@@ -218,6 +218,7 @@ impl Fitted<'_> {
         let mut left = vec![true; images.nrows()];
         self.texels.iter().for_each(|&texel| left[texel] = false);
         let rest: Vec<usize> = (0..left.len()).filter(|&texel| left[texel]).collect();
+        let runs: Vec<&[usize]> = rest.chunk_by(|a, b| a + 1 == *b).collect();
         let channels = coefficients.nrows();
         let transposed = coefficients.transpose();
         let mut normal = product(coefficients, &transposed).cast::<f64>();
@@ -225,7 +226,8 @@ impl Fitted<'_> {
         normal += DMatrix::identity(channels, channels) * ridge;
         let mut values = memory::room(rest.len() * self.vertices.len());
         for [ssdf, _] in self.columns() {
-            values.extend(rest.iter().map(|&texel| ssdf[texel]));
+            let runs = runs.iter().map(|run| &ssdf[run[0]..][..run.len()]);
+            runs.for_each(|run| values.extend_from_slice(run));
         }
         let values = DMatrix::from_vec(rest.len(), self.vertices.len(), values);
         let right = product(&values, &transposed).transpose();
@@ -294,11 +296,7 @@ pub(super) fn triangle(channels: usize) -> usize {
 /// Normal equations for factors of `factors`, one row per equation. `matrices` are the weights and `right` the right
 /// sides of the equations, which have one row per system. One row per system: the upper triangle of its
 /// matrix by columns, then its right side.
-fn normal_equations(
-    factors: &DMatrix<f32>,
-    matrices: &Panels,
-    right: &Panels,
-) -> DMatrix<f32> {
+fn normal_equations(factors: &DMatrix<f32>, matrices: &Panels, right: &Panels) -> DMatrix<f32> {
     let (equations, channels) = factors.shape();
     let pairs = triangle(channels);
     // A normal matrix is a weighted sum of products of factors.

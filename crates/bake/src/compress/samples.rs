@@ -5,8 +5,8 @@ use std::ops::Range;
 use nalgebra::DMatrix;
 
 use super::error::{Normal, Weighting};
-use crate::simd::{self, Panels, both_ways};
 use crate::memory;
+use crate::simd::{self, Panels, both_ways};
 
 /// Texels whose weight at every vertex is below this part of the largest are told by the
 /// [`SKIPPED`]th of them.
@@ -61,8 +61,9 @@ impl BothWays {
 impl Samples {
     /// One normal per column of `ssdfs`.
     pub fn new(ssdfs: DMatrix<f32>, normals: &[Normal], weighting: &Weighting) -> Self {
-        let mut weights = memory::zeros(ssdfs.nrows(), ssdfs.ncols());
         let texels = ssdfs.nrows();
+        let weights = memory::used(texels * ssdfs.ncols());
+        let mut weights = DMatrix::from_vec(texels, ssdfs.ncols(), weights);
         let columns = ssdfs.as_slice().chunks_exact(texels);
         let weighted = weights.as_mut_slice().chunks_exact_mut(texels);
         simd::arch().dispatch(|| {
@@ -156,7 +157,8 @@ impl Samples {
         });
         let mut squares = 0.0;
         let weighted = both_ways(shape, |index, out| {
-            let [ssdf, costs] = [&self.ssdfs, &self.weights].map(|all| column(all, vertices[index]));
+            let [ssdf, costs] =
+                [&self.ssdfs, &self.weights].map(|all| column(all, vertices[index]));
             // Side by side, as vector instructions want it.
             let mut sums = [0.0; LANES];
             for_runs(&runs, out, |run, factor, out| {

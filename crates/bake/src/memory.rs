@@ -10,7 +10,7 @@ use nalgebra::DMatrix;
 /// Matrices of fewer numbers are left to the allocator.
 const LEAST: usize = 1 << 16;
 /// Numbers kept at most.
-const MOST: usize = 1 << 25;
+const MOST: usize = 1 << 26;
 
 static KEPT: Kept = Kept(Mutex::new(Vec::new()));
 

@@ -71,18 +71,18 @@ pub(crate) fn product_of(a: &Panels, b: &DMatrix<f32>) -> DMatrix<f32> {
 }
 
 fn product_by<T: Number>(arch: Arch, a: &impl Rows<T>, b: &DMatrix<T>) -> DMatrix<T> {
-    let mut product = Vec::new();
-    add_product_by(arch, a, b, &mut product);
+    let mut product = vec![T::ZERO; a.shape().0 * b.ncols()];
+    write_product_by(arch, a, b, &mut product);
     DMatrix::from_vec(a.shape().0, b.ncols(), product)
 }
 
-/// Appends the product of two matrices to `product`, column after column.
+/// Writes the product of two matrices to `product`, column after column, whatever was there.
 ///
 /// # Panics
 ///
-/// If the columns of the first are not as many as the rows of the second.
-pub(crate) fn add_product<T: Number>(a: &impl Rows<T>, b: &DMatrix<T>, product: &mut Vec<T>) {
-    add_product_by(arch(), a, b, product);
+/// If the columns of the first are not as many as the rows of the second, or `product` has not as many numbers as theirs.
+pub(crate) fn write_product<T: Number>(a: &impl Rows<T>, b: &DMatrix<T>, product: &mut [T]) {
+    write_product_by(arch(), a, b, product);
 }
 
 /// Products that are summed before they are added to those before.
@@ -155,6 +155,7 @@ pub(crate) fn both_ways(
     let mut transposed = Panels::used((columns, rows));
     // A panel's columns at a time: they stay in the cache.
     let padded = rows.next_multiple_of(PANEL);
+    let mut other = [0.0; SQUARE];
     let mut beside = vec![0.0; padded * PANEL];
     for (first, panel) in (0..columns)
         .step_by(PANEL)
@@ -172,34 +173,33 @@ pub(crate) fn both_ways(
                 for (to, from) in pairs.zip(beside.chunks_exact(padded)) {
                     to.copy_from_slice(&from[row..row + PANEL]);
                 }
-                transpose(square, turned);
+                transpose(square, turned, &mut other);
             }
         });
     }
     [panels, transposed]
 }
 
-/// Transposes a square of numbers, or the first columns of one into what there is room for.
+/// Transposes a square of numbers, or the first columns of one into what there is room for. `other` is memory for it.
 #[inline(always)]
-fn transpose(columns: &[f32], turned: &mut [f32]) {
+fn transpose(columns: &[f32], turned: &mut [f32], other: &mut [f32; SQUARE]) {
     if let (Ok(square), Ok(turned)) = (columns.try_into(), (&mut *turned).try_into()) {
-        transpose_square(square, turned);
+        transpose_square(square, turned, other);
         return;
     }
     let (mut square, mut all) = ([0.0; SQUARE], [0.0; SQUARE]);
     square[..columns.len()].copy_from_slice(columns);
-    transpose_square(&square, &mut all);
+    transpose_square(&square, &mut all, other);
     turned.copy_from_slice(&all[..turned.len()]);
 }
 
 #[inline(always)]
-fn transpose_square(square: &[f32; SQUARE], turned: &mut [f32; SQUARE]) {
+fn transpose_square(square: &[f32; SQUARE], turned: &mut [f32; SQUARE], other: &mut [f32; SQUARE]) {
     // Halves that are put into each other number by number turn the digits of a number's place about.
-    let mut other = [0.0; SQUARE];
     merge(square, turned);
     for _ in 0..PANEL.ilog2() / 2 {
-        merge(turned, &mut other);
-        merge(&other, turned);
+        merge(turned, other);
+        merge(other, turned);
     }
 }
 
@@ -229,12 +229,13 @@ impl Drop for Panels {
     }
 }
 
-fn add_product_by<T: Number>(arch: Arch, a: &impl Rows<T>, b: &DMatrix<T>, product: &mut Vec<T>) {
+fn write_product_by<T: Number>(arch: Arch, a: &impl Rows<T>, b: &DMatrix<T>, product: &mut [T]) {
     let (rows, inner) = a.shape();
     assert_eq!(inner, b.nrows(), "factors that do not fit");
-    let begin = product.len();
-    product.reserve_exact(rows * b.ncols());
-    product.resize(begin + rows * b.ncols(), T::ZERO);
+    assert_eq!(product.len(), rows * b.ncols(), "a product of another size");
+    if inner == 0 {
+        product.fill(T::ZERO);
+    }
     let mut room = Vec::new();
     let factors = side_by_side(b);
     for first in (0..rows).step_by(T::PANEL) {
@@ -246,7 +247,7 @@ fn add_product_by<T: Number>(arch: Arch, a: &impl Rows<T>, b: &DMatrix<T>, produ
             first,
             count: T::PANEL.min(rows - first),
             rows,
-            product: &mut product[begin..],
+            product: &mut *product,
         });
     }
 }
@@ -311,7 +312,7 @@ impl<T: Number> WithSimd for Panel<'_, T> {
                         let start = (column + j) * self.rows + self.first;
                         let product = &mut self.product[start..start + self.count];
                         for (product, sum) in product.iter_mut().zip(sums) {
-                            *product = product.plus(*sum);
+                            *product = if block > 0 { product.plus(*sum) } else { *sum };
                         }
                     }
                 }

@@ -8,7 +8,7 @@ use relight_format::CHANNELS_PER_TILE;
 use super::fit::{Images, solve_each, triangle};
 use super::samples::{Fitted, LANES, column};
 use crate::memory;
-use crate::simd::{self, Of, add_product};
+use crate::simd::{self, Of, write_product};
 
 /// What rounding may add to the error, as a part of the error allowed: about where a byte more lowers the error
 /// by as much here as in another image or a smaller cluster.
@@ -141,9 +141,9 @@ pub fn encode(fitted: &Fitted, images: &Images, max_error: f32) -> (Compressed, 
         out.zip(&image)
             .for_each(|(texel, value)| texel[lane] = *value);
     }
-    let mut stored = memory::room(texels * vertices);
+    let mut stored = memory::used(texels * vertices);
     let rounded = integers.map(|value| f32::from(value) * finest);
-    add_product(&Of(&decoded), &rounded, &mut stored);
+    write_product(&Of(&decoded), &rounded, &mut stored);
     let stored = DMatrix::from_vec(texels, vertices, stored);
     let squared_error = simd::arch().dispatch(|| {
         (fitted.columns().zip(stored.as_slice().chunks_exact(texels)))

@@ -7,7 +7,7 @@ use nalgebra::DMatrix;
 
 use super::samples::{Fitted, column};
 use crate::memory;
-use crate::simd::{self, Panels, add_product, both_ways, product, product_of};
+use crate::simd::{self, Panels, both_ways, product, product_of, write_product};
 
 /// Subspace iterations; after one, the rounds of least squares that follow end where they do after two.
 const ITERATIONS: usize = 1;
@@ -171,6 +171,7 @@ pub fn alternate(fitted: &Fitted, mut coefficients: DMatrix<f32>, rounds: usize)
         let images = fitted.images(&coefficients);
         let systems = fitted.systems_of(&images.transpose());
         coefficients = solve_each(&systems, coefficients.nrows());
+        memory::keep(systems);
     }
     coefficients
 }
@@ -204,7 +205,10 @@ impl Fitted<'_> {
 
     /// Images that fit coefficients best: one row per image, one column per fitted texel.
     fn images(&self, coefficients: &DMatrix<f32>) -> DMatrix<f32> {
-        solve_each(&self.systems_of_texels(coefficients), coefficients.nrows())
+        let systems = self.systems_of_texels(coefficients);
+        let images = solve_each(&systems, coefficients.nrows());
+        memory::keep(systems);
+        images
     }
 
     /// Normal equations of every fitted texel for its value in each image.
@@ -308,10 +312,11 @@ fn normal_equations(factors: &DMatrix<f32>, matrices: &Panels, right: &Panels) -
         }
     }
     let rows = matrices.rows();
-    let mut systems = Vec::with_capacity(rows * (pairs + channels));
+    let mut systems = memory::used(rows * (pairs + channels));
+    let (of_matrices, of_right) = systems.split_at_mut(rows * pairs);
     let products = DMatrix::from_vec(equations, pairs, products);
-    add_product(matrices, &products, &mut systems);
-    add_product(right, factors, &mut systems);
+    write_product(matrices, &products, of_matrices);
+    write_product(right, factors, of_right);
     DMatrix::from_vec(rows, pairs + channels, systems)
 }
 

@@ -201,6 +201,16 @@ impl Layers {
             }
             columns.advance();
         }
+        // Few come near the first row.
+        let mut nearest = f32::INFINITY;
+        for end in &segments.ends {
+            for y in end[1] {
+                nearest = if y < nearest { y } else { nearest };
+            }
+        }
+        if nearest > CLEARANCE {
+            return;
+        }
         let first_row = Lines::new(segments, 1, 1);
         let at = first_row.at();
         for lane in ones(first_row.separating()) {

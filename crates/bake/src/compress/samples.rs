@@ -83,21 +83,42 @@ impl Samples {
     /// give.
     #[must_use]
     pub(crate) fn thinned(&self) -> Self {
+        let step = THINNED.min(self.ssdfs.nrows().isqrt());
+        self.some(|row| row.is_multiple_of(step).then_some((0, step)))
+    }
+
+    /// As many, and none of those: of the columns between, by turns.
+    #[must_use]
+    pub(crate) fn staggered(&self) -> Self {
+        let apart = THINNED * THINNED;
+        if self.ssdfs.nrows().isqrt() < apart {
+            return self.thinned();
+        }
+        self.some(|row| Some((1 + THINNED * (row % THINNED), apart)))
+    }
+
+    /// Some texels, which stand for all: of a row the first, and how far the next is from each.
+    fn some(&self, of_row: impl Fn(usize) -> Option<(usize, usize)>) -> Self {
         let side = self.ssdfs.nrows().isqrt();
-        let step = THINNED.min(side);
-        let texels = side.div_ceil(step).pow(2);
-        let scale = (side * side) as f32 / texels as f32;
-        let thinned = |matrix: &DMatrix<f32>, scale: f32| {
-            let columns = matrix.as_slice().chunks_exact(side * side);
-            let mut values = memory::room(texels * matrix.ncols());
-            for row in columns.flat_map(|column| column.chunks_exact(side).step_by(step)) {
-                values.extend(row.iter().step_by(step).map(|value| scale * value));
+        let rows: Vec<(usize, usize)> = (0..side)
+            .filter_map(|row| of_row(row).map(|(first, step)| (row * side + first, step)))
+            .collect();
+        let some = |matrix: &DMatrix<f32>, scale: f32| {
+            let mut values = memory::room(matrix.len() / (THINNED * THINNED));
+            for column in matrix.as_slice().chunks_exact(side * side) {
+                for (first, step) in &rows {
+                    let row = &column[*first..(first / side + 1) * side];
+                    values.extend(row.iter().step_by(*step).map(|value| scale * value));
+                }
             }
+            let texels = values.len() / matrix.ncols().max(1);
             DMatrix::from_vec(texels, matrix.ncols(), values)
         };
+        let ssdfs = some(&self.ssdfs, 1.0);
+        let scale = (side * side) as f32 / ssdfs.nrows() as f32;
         Self {
-            ssdfs: thinned(&self.ssdfs, 1.0),
-            weights: thinned(&self.weights, scale),
+            ssdfs,
+            weights: some(&self.weights, scale),
         }
     }
 

@@ -27,8 +27,8 @@ const SPLIT_GAIN: f32 = 0.5;
 const FEWER_WORTH: f32 = 3.0;
 /// A cluster of fewer vertices is not split further: its basis would outweigh it.
 const MIN_CLUSTER_VERTICES: usize = 96;
-/// Further rounds of fitting images and coefficients to each other once a cluster is planned: by thinned samples, as
-/// only the coefficients are kept, and all samples give no better ones.
+/// Further rounds of fitting images and coefficients to each other once a cluster is planned: by some of the texels, as
+/// only the coefficients are kept. Those that it was planned by would fit themselves better still, and the others worse.
 const ROUNDS: usize = 1;
 /// Part of the error aimed at that rounding adds.
 const ROUNDING: f32 = 0.38;
@@ -44,8 +44,9 @@ impl Prepared<'_> {
     ) -> Result<Vec<Cluster>, Interrupted> {
         let mut plan = Vec::new();
         let tiles = self.options.max_tiles;
-        let thinned = samples.thinned();
-        self.plan(triangles, (vertices, &thinned), (aim, tiles), &mut plan)?;
+        let chunk = (vertices, &samples.thinned());
+        self.plan(triangles, chunk, (aim, tiles), &mut plan)?;
+        let staggered = samples.staggered();
         let compress = |planned| {
             let Planned {
                 triangles,
@@ -55,7 +56,7 @@ impl Prepared<'_> {
             self.report()?;
             let members = self.vertices_of(&triangles);
             let columns = columns(&members, vertices);
-            let fitted = thinned.fitted_of(columns.clone());
+            let fitted = staggered.fitted_of(columns.clone());
             let coefficients = compress::alternate(&fitted, coefficients, ROUNDS);
             let fitted = samples.fitted_of(columns.clone());
             let (images, _) = compress::images(&fitted, &coefficients);

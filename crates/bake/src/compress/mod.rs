@@ -82,6 +82,31 @@ mod tests {
     }
 
     #[test]
+    fn quarters_of_the_texels_share_none_and_count_for_all() {
+        for side in [1, 2, 3, 4, 8, 16, 64] {
+            let texels = side * side;
+            let all = samples(DMatrix::from_fn(texels, 2, |texel, _| texel as f32));
+            let [thinned, staggered] = [all.thinned(), all.staggered()];
+            for some in [&thinned, &staggered] {
+                let scale = texels as f32 / some.ssdfs.nrows() as f32;
+                for (row, texel) in some.ssdfs.column(1).iter().enumerate() {
+                    let weight = all.weights[(*texel as usize, 1)];
+                    assert_eq!(some.weights[(row, 1)], scale * weight, "{side}");
+                }
+            }
+            if side % 4 == 0 {
+                assert_eq!(thinned.ssdfs.nrows(), texels / 4);
+                assert_eq!(staggered.ssdfs.nrows(), texels / 4);
+                let others = staggered.ssdfs.column(0);
+                let shared = others
+                    .iter()
+                    .filter(|&texel| thinned.ssdfs.column(0).iter().any(|other| other == texel));
+                assert_eq!(shared.count(), 0, "{side}");
+            }
+        }
+    }
+
+    #[test]
     fn components_are_orthonormal_and_ordered() {
         let ssdfs = drifting_caps(50);
         let basis = analyse(&ssdfs.fitted(), 8);

@@ -56,8 +56,9 @@ impl Prepared<'_> {
             self.report()?;
             let members = self.vertices_of(&triangles);
             let columns = columns(&members, vertices);
-            let fitted = staggered.fitted_of(columns.clone());
-            let coefficients = compress::alternate(&fitted, coefficients, ROUNDS);
+            let few = staggered.fitted_of(columns.clone());
+            let coefficients = compress::alternate(&few, coefficients, ROUNDS);
+            drop(few);
             let fitted = samples.fitted_of(columns.clone());
             let (images, _) = compress::images(&fitted, &coefficients);
             let compressed = compress::encode(&fitted, &images, error.max(aim));

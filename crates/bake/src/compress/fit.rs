@@ -50,11 +50,9 @@ pub fn analyse(fitted: &Fitted, rank: usize) -> FittedBasis {
     for mean in &mut mean {
         *mean /= vertices as f32;
     }
-    let ssdfs = fitted.vertices.iter();
-    let mut ssdfs = ssdfs.map(|&vertex| column(&fitted.samples.ssdfs, vertex));
-    let [centred, transposed] = both_ways((texels, vertices), |_, column| {
-        let distances = ssdfs.next().into_iter().flatten().zip(&mean);
-        for (centred, (distance, mean)) in column.iter_mut().zip(distances) {
+    let [centred, transposed] = both_ways((texels, vertices), |index, centred| {
+        let ssdf = column(&fitted.samples.ssdfs, fitted.vertices[index]);
+        for (centred, (distance, mean)) in centred.iter_mut().zip(ssdf.iter().zip(&mean)) {
             *centred = distance - mean;
         }
     });

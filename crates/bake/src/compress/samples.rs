@@ -87,7 +87,7 @@ impl Samples {
         self.some(|row| row.is_multiple_of(step).then_some((0, step)))
     }
 
-    /// As many, and none of those: of the columns between, by turns.
+    /// As many, and none of those: of the columns between, by turns. Of fewer than four to a side, the same.
     #[must_use]
     pub(crate) fn staggered(&self) -> Self {
         let apart = THINNED * THINNED;

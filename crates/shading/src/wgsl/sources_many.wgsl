@@ -94,19 +94,23 @@ fn many_part(step: u32) -> u32 {
     return select(0u, SOURCE_GROUPS, step == MANY_POINTS);
 }
 
-// One place that cones and rays are followed. Barriers are met by workgroups without an entry as well.
+// One place that cones and rays are followed. Barriers are met by workgroups as well that have nothing to do in a step.
 fn sources_many_follow(is_one: bool, invocation: u32) {
     for (var step = 0u; step <= MANY_POINTS; step++) {
+        var has_rays = is_one;
         if is_one {
             if step == MANY_PROBE && many_asks {
                 many_asks = !many_contradicted();
             }
-            if invocation < SOURCE_GROUPS && step != MANY_PROBE {
-                many_ready(step, invocation);
+            has_rays = many_has_rays(step);
+            if has_rays && step != MANY_PROBE {
+                if invocation < SOURCE_GROUPS {
+                    many_ready(step, invocation);
+                }
             }
         }
         workgroupBarrier();
-        if is_one {
+        if has_rays {
             let count = many_count(step);
             for (var ray = invocation; ray < count; ray += 32u) {
                 many_ray(step, ray);
@@ -116,30 +120,33 @@ fn sources_many_follow(is_one: bool, invocation: u32) {
     }
 }
 
+// Whether there is anything to do in a step, the same for all invocations.
+fn many_has_rays(step: u32) -> bool {
+    if step == MANY_NEAR || many_asks {
+        return step == MANY_NEAR && many_asks;
+    }
+    return (step == MANY_PROBE) == (many_met != OCCLUDERS_NONE && atomicLoad(&many_probed) == 0u);
+}
+
 // Which points of its group an invocation asks for.
 fn many_ready(step: u32, group: u32) {
     let of_group = sources_of_group(many_entry);
     let all = 0xffffffffu >> (32u - of_group);
-    var asked = 0u;
-    var by_cone = false;
+    var asked = all;
+    // Where there are few points, rays to all take no longer. A first ray that was blocked has told.
+    var by_cone = of_group >= SOURCE_LEAST_FOR_CONES && extractBits(atomicLoad(&many_probed), group, 1u) != 0u;
     if step == MANY_NEAR {
-        if many_asks {
-            let near = sources_between(all, group, many_pixel);
-            many_near[group] = near;
-            asked = sources_asked(all, near, many_pixel);
-            by_cone = near.x == all;
-        }
-    } else if !many_asks && (many_met == OCCLUDERS_NONE || atomicLoad(&many_probed) != 0u) {
-        asked = all;
-        // Where there are few points, rays to all take no longer. A first ray that was blocked has told.
-        by_cone = of_group >= SOURCE_LEAST_FOR_CONES && extractBits(atomicLoad(&many_probed), group, 1u) != 0u;
+        let near = sources_between(all, group, many_pixel);
+        many_near[group] = near;
+        asked = sources_asked(all, near, many_pixel);
+        by_cone = near.x == all;
     }
     var met = many_met;
     let cone = many_entry + SOURCE_FIRST_GROUP + group;
     if by_cone {
         met = sources_meet(cone, many_met);
     }
-    if asked != 0u && met == OCCLUDERS_NONE && sources_cone_above(cone, sources_start(1u).xyz) {
+    if met == OCCLUDERS_NONE && sources_cone_above(cone, sources_start(1u).xyz) {
         asked = 0u;
         if step == MANY_POINTS {
             atomicOr(&many_clear, 1u << group);
@@ -162,7 +169,7 @@ fn many_contradicted() -> bool {
 // Rays of a step.
 fn many_count(step: u32) -> u32 {
     if step == MANY_PROBE {
-        return select(many_probes(), 0u, many_asks || many_met == OCCLUDERS_NONE);
+        return many_probes();
     }
     var count = 0u;
     for (var group = 0u; group < SOURCE_GROUPS; group++) {

@@ -1,12 +1,11 @@
 //! The images between the passes of a frame.
 
 use relight_shading::pixel_visibility::COARSE_PIXELS;
-use relight_shading::sources::{SEEN_COLUMNS, SEEN_TEXELS, queue_bytes};
+use relight_shading::sources::{SEEN_COLUMNS, SEEN_TEXELS};
 use relight_shading::surfaces::TILE;
 
 use crate::layouts::{
-    DEPTH_FORMAT, RADIANCE_FORMAT, SAMPLES_FORMAT, SOURCES_FORMAT, VISIBILITY_FORMAT, buffer_entry,
-    texture_entry,
+    DEPTH_FORMAT, RADIANCE_FORMAT, SAMPLES_FORMAT, SOURCES_FORMAT, VISIBILITY_FORMAT, texture_entry,
 };
 use crate::lobes::{LobePasses, Slots};
 
@@ -29,25 +28,15 @@ pub(crate) struct Images {
     pub(crate) bind_group: wgpu::BindGroup,
     /// What the passes that shade by lobes hand on.
     pub(crate) slots: Slots,
-    /// Of the passes for sources, if there was one.
-    pub(crate) sources: Option<SourceImages>,
+    /// Groups 2 of the passes for sources, if there was one: for points of the coarse grid, for all, and for what is shown
+    /// of them, see [`LobePasses::source_images`].
+    pub(crate) sources: Option<[wgpu::BindGroup; 3]>,
     /// What catches shadows.
     pub(crate) open: Option<OpenImage>,
     /// Sources that there is room for.
     pub(crate) source_count: u32,
     /// Group 1 of the pass for surfaces, with antialiasing.
     pub(crate) surfaces: Option<wgpu::BindGroup>,
-}
-
-/// What the passes for sources hand on.
-#[derive(Debug)]
-pub(crate) struct SourceImages {
-    /// Groups 2: for points of the coarse grid, for all, and for what is shown of them, see
-    /// [`LobePasses::source_images`].
-    pub(crate) groups: [wgpu::BindGroup; 3],
-    /// Of what takes many rays: the group of [`LobePasses::source_taken`], and how many workgroups that is for.
-    pub(crate) taken: wgpu::BindGroup,
-    pub(crate) workgroups: wgpu::Buffer,
 }
 
 /// Radiance without what hides light.
@@ -212,7 +201,30 @@ impl Images {
             };
             let coarse = points("relight points of sources, coarse", COARSE_PIXELS);
             let points = points("relight points of sources", TILE * TILE);
-            source_images(device, layouts.lobes, groups, &slots, [&seen_view, &coarse, &points])
+            let [reflections, gathered] = slots.entries();
+            let [layout, layout_shown] = &layouts.lobes.source_images;
+            let group = |layout, entries: &[wgpu::BindGroupEntry]| {
+                device.create_bind_group(&wgpu::BindGroupDescriptor {
+                    label: Some("relight sources' images"),
+                    layout,
+                    entries,
+                })
+            };
+            let found = |[found, seen]: [&wgpu::TextureView; 2]| {
+                let images = [&seen_view, found, seen];
+                let images = (0..).zip(images).map(|(at, view)| texture_entry(at, view));
+                let entries = images.chain([reflections.clone()]);
+                group(layout, &entries.collect::<Vec<_>>())
+            };
+            [
+                // Reads nothing.
+                found([&coarse, &points]),
+                found([&points, &coarse]),
+                group(
+                    layout_shown,
+                    &[texture_entry(2, &points), reflections.clone(), gathered],
+                ),
+            ]
         });
         Self {
             sources,
@@ -235,58 +247,6 @@ impl Images {
 
     pub(crate) fn antialias(&self) -> bool {
         self.surfaces.is_some()
-    }
-}
-
-/// For so many tiles and sources; views are of what is shaded and of the points that the coarse grid and all pixels see.
-fn source_images(
-    device: &wgpu::Device,
-    passes: &LobePasses,
-    count: u32,
-    slots: &Slots,
-    [seen, coarse, points]: [&wgpu::TextureView; 3],
-) -> SourceImages {
-    let buffer = |label, size, usage| {
-        device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some(label),
-            size,
-            usage: wgpu::BufferUsages::STORAGE | usage,
-            mapped_at_creation: false,
-        })
-    };
-    let bytes = queue_bytes(u64::from(count * TILE * TILE));
-    let queue = buffer("relight sources that wait", bytes, wgpu::BufferUsages::empty());
-    let workgroups = buffer("relight sources taken", 12, wgpu::BufferUsages::INDIRECT);
-    let group = |layout, entries: &[wgpu::BindGroupEntry]| {
-        device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some("relight sources' images"),
-            layout,
-            entries,
-        })
-    };
-    let [reflections, gathered] = slots.entries();
-    let [layout, layout_shown] = &passes.source_images;
-    let found = |[found, before]: [&wgpu::TextureView; 2]| {
-        let images = (0..).zip([seen, found, before]);
-        let images = images.map(|(at, view)| texture_entry(at, view));
-        let buffers = [buffer_entry(3, &queue), reflections.clone()];
-        group(layout, &images.chain(buffers).collect::<Vec<_>>())
-    };
-    SourceImages {
-        groups: [
-            // Reads nothing.
-            found([coarse, points]),
-            found([points, coarse]),
-            group(
-                layout_shown,
-                &[texture_entry(2, points), reflections.clone(), gathered],
-            ),
-        ],
-        taken: group(
-            &passes.source_taken,
-            &[buffer_entry(0, &queue), buffer_entry(1, &workgroups)],
-        ),
-        workgroups,
     }
 }
 

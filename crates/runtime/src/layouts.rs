@@ -168,7 +168,7 @@ pub(crate) fn source_scene_layout(device: &wgpu::Device) -> wgpu::BindGroupLayou
     })
 }
 
-/// A buffer that kernels write.
+/// A buffer of slots that kernels write.
 pub(crate) fn written(binding: u32) -> wgpu::BindGroupLayoutEntry {
     let kind = wgpu::BindingType::Buffer {
         ty: wgpu::BufferBindingType::Storage { read_only: false },
@@ -197,17 +197,9 @@ pub(crate) fn source_image_layouts(device: &wgpu::Device) -> [wgpu::BindGroupLay
         })
     };
     [
-        layout(&[visibility, found, seen, written(3), reflection]),
+        layout(&[visibility, found, seen, reflection]),
         layout(&[seen, reflection, written(7)]),
     ]
-}
-
-/// The group of sources_taken.wgsl.
-pub(crate) fn source_taken_layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
-    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-        label: Some("relight sources taken"),
-        entries: &[written(0), written(1)],
-    })
 }
 
 /// Group 0 of bindings.wgsl as vertices need it.

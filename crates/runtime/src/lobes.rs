@@ -6,16 +6,14 @@ use std::sync::OnceLock;
 use relight_shading::pixel_visibility::COARSE_PIXELS;
 use relight_shading::wgsl::{
     AROUND, DIFFUSE, IMAGES, INTEGRALS, Kernel, PRODUCTS, REFLECTIONS, SEEN_TEXTURES, SHADE,
-    SOURCES, SOURCES_COARSE, SOURCES_MANY, SOURCES_MANY_SHADOWED, SOURCES_SHADOWED, SOURCES_SHOWN,
-    SOURCES_TAKEN,
+    SOURCES, SOURCES_COARSE, SOURCES_SHADOWED, SOURCES_SHOWN,
 };
 use relight_shading::{gpu, slots};
 
 use crate::layouts::{
     STORAGE, buffer_entry, compute_pipeline, image_entries, layout_entry, scene_entries,
-    source_image_layouts, source_taken_layout, texture_entry, written,
+    source_image_layouts, texture_entry, written,
 };
-use crate::images::SourceImages;
 use crate::tiles::{Dispatch, WORKGROUP};
 use crate::{Frame, GpuScene, Method, shadow_map};
 
@@ -59,16 +57,11 @@ pub(crate) struct LobePasses {
     pub(crate) sources: [wgpu::BindGroupLayout; 2],
     /// Groups 2 of that for their points and of that for what is shown of them.
     pub(crate) source_images: [wgpu::BindGroupLayout; 2],
-    /// Of that which takes what waits.
-    pub(crate) source_taken: wgpu::BindGroupLayout,
     /// Group 3 of that for their points, with an app's shadow map.
     pub(crate) shadow_map: wgpu::BindGroupLayout,
     source_points_coarse: OnceLock<wgpu::ComputePipeline>,
     source_points: OnceLock<wgpu::ComputePipeline>,
     source_points_shadowed: OnceLock<wgpu::ComputePipeline>,
-    sources_taken: OnceLock<wgpu::ComputePipeline>,
-    /// Without and with an app's shadow map.
-    source_points_many: [OnceLock<wgpu::ComputePipeline>; 2],
     sources_shown: OnceLock<wgpu::ComputePipeline>,
 }
 
@@ -107,13 +100,10 @@ pub(crate) struct Work<'a> {
     pub(crate) sources: Option<SourceWork<'a>>,
 }
 
-/// Of [`SourceImages::groups`].
+/// Of [`SourceWork::images`].
 const COARSE: usize = 0;
 const ALL: usize = 1;
 const SHOWN: usize = 2;
-
-/// A pipeline and what it is made of.
-type Pipeline<'a> = (&'a OnceLock<wgpu::ComputePipeline>, &'a Kernel);
 
 /// What passes for sources are given.
 #[derive(Clone, Copy, Debug)]
@@ -121,7 +111,8 @@ pub(crate) struct SourceWork<'a> {
     pub(crate) count: u32,
     /// Groups 0 and 1.
     pub(crate) groups: [&'a wgpu::BindGroup; 2],
-    pub(crate) images: &'a SourceImages,
+    /// Groups 2, see [`crate::images::Images::sources`].
+    pub(crate) images: &'a [wgpu::BindGroup; 3],
     /// Group 3, with an app's shadow map.
     pub(crate) shadow_map: Option<&'a wgpu::BindGroup>,
 }
@@ -178,13 +169,10 @@ impl LobePasses {
             shade: Default::default(),
             sources,
             source_images: source_image_layouts(device),
-            source_taken: source_taken_layout(device),
             shadow_map: shadow_map::layout(device),
             source_points_coarse: OnceLock::new(),
             source_points: OnceLock::new(),
             source_points_shadowed: OnceLock::new(),
-            sources_taken: OnceLock::new(),
-            source_points_many: Default::default(),
             sources_shown: OnceLock::new(),
         }
     }
@@ -258,68 +246,48 @@ impl LobePasses {
             }
         }
         run(&self.reflections[next], &REFLECTIONS[next]);
-        if let Some(sources) = work.sources {
-            let to = Dispatch { offset, workgroups };
-            // Which points are seen holds for the next reflections.
-            if next == 0 {
-                self.record_points(pass, sources, to);
-            }
-            let layouts = [&self.sources[0], &self.scenes[0], &self.source_images[1]];
-            let make = || compute_pipeline(&self.device, &layouts, &SOURCES_SHOWN);
-            pass.set_pipeline(self.sources_shown.get_or_init(make));
-            pass.set_bind_group(0, sources.groups[0], &[offset]);
-            pass.set_bind_group(1, &scenes[0], &[]);
-            pass.set_bind_group(2, &sources.images.groups[SHOWN], &[]);
-            pass.dispatch_workgroups(workgroups, 1, 1);
-        }
-    }
-
-    /// Finds which points of sources are seen: of the coarse grid, of all; after each what takes many rays.
-    fn record_points(&self, pass: &mut wgpu::ComputePass, sources: SourceWork, to: Dispatch) {
-        let of_tile = sources.count.div_ceil(WORKGROUP_PIXELS / COARSE_PIXELS);
-        let [all, coarse_many] = [&self.source_points, &self.source_points_many[0]];
-        let shadowed = &self.source_points_shadowed;
-        let (all, all_many) = match sources.shadow_map {
-            None => ((all, &SOURCES), (coarse_many, &SOURCES_MANY)),
-            Some(_) => (
-                (shadowed, &SOURCES_SHADOWED),
-                (&self.source_points_many[1], &SOURCES_MANY_SHADOWED),
-            ),
+        let Some(sources) = work.sources else {
+            return;
         };
-        let coarse = (&self.source_points_coarse, &SOURCES_COARSE);
-        let coarse_many = (coarse_many, &SOURCES_MANY);
-        let images = sources.images;
-        for (group, of_tile, kernels) in [
-            (COARSE, of_tile, [coarse, coarse_many]),
-            (ALL, sources.count, [all, all_many]),
-        ] {
-            let bind = |pass: &mut wgpu::ComputePass, (kernel, made_of): Pipeline| {
-                let mut layouts = vec![
-                    &self.sources[0],
-                    &self.sources[1],
-                    &self.source_images[0],
-                ];
-                let is_shadowed = [SOURCES_SHADOWED, SOURCES_MANY_SHADOWED].contains(made_of);
-                if let (true, Some(map)) = (is_shadowed, sources.shadow_map) {
-                    layouts.push(&self.shadow_map);
-                    pass.set_bind_group(3, map, &[]);
-                }
-                let make = || compute_pipeline(&self.device, &layouts, made_of);
-                pass.set_pipeline(kernel.get_or_init(make));
-                pass.set_bind_group(0, sources.groups[0], &[to.offset]);
-                pass.set_bind_group(1, sources.groups[1], &[]);
-                pass.set_bind_group(2, &images.groups[group], &[]);
+        let mut run = |kernel: &OnceLock<wgpu::ComputePipeline>,
+                       made_of: &Kernel,
+                       scene,
+                       images: usize,
+                       z| {
+            let (layout, group): (&wgpu::BindGroupLayout, &wgpu::BindGroup) = scene;
+            let of_images = &self.source_images[usize::from(images == SHOWN)];
+            let mut layouts = vec![&self.sources[0], layout, of_images];
+            if let (true, Some(map)) = (*made_of == SOURCES_SHADOWED, sources.shadow_map) {
+                layouts.push(&self.shadow_map);
+                pass.set_bind_group(3, map, &[]);
+            }
+            let make = || compute_pipeline(&self.device, &layouts, made_of);
+            pass.set_pipeline(kernel.get_or_init(make));
+            pass.set_bind_group(0, sources.groups[0], &[offset]);
+            pass.set_bind_group(1, group, &[]);
+            pass.set_bind_group(2, &sources.images[images], &[]);
+            pass.dispatch_workgroups(workgroups, 1, z);
+        };
+        // Which points are seen holds for the next reflections.
+        if next == 0 {
+            let scene = (&self.sources[1], sources.groups[1]);
+            let (kernel, made_of) = match sources.shadow_map {
+                None => (&self.source_points, &SOURCES),
+                Some(_) => (&self.source_points_shadowed, &SOURCES_SHADOWED),
             };
-            let [each, many] = kernels;
-            bind(pass, each);
-            pass.dispatch_workgroups(to.workgroups, 1, of_tile);
-            let make = || compute_pipeline(&self.device, &[&self.source_taken], &SOURCES_TAKEN);
-            pass.set_pipeline(self.sources_taken.get_or_init(make));
-            pass.set_bind_group(0, &images.taken, &[]);
-            pass.dispatch_workgroups(1, 1, 1);
-            bind(pass, many);
-            pass.dispatch_workgroups_indirect(&images.workgroups, 0);
+            let coarse = &self.source_points_coarse;
+            let at_once = WORKGROUP_PIXELS / COARSE_PIXELS;
+            run(
+                coarse,
+                &SOURCES_COARSE,
+                scene,
+                COARSE,
+                sources.count.div_ceil(at_once),
+            );
+            run(kernel, made_of, scene, ALL, sources.count);
         }
+        let scene = (&self.scenes[0], &scenes[0]);
+        run(&self.sources_shown, &SOURCES_SHOWN, scene, SHOWN, 1);
     }
 
     /// Shades what is seen of instances: groups 0 and 1.

@@ -111,14 +111,6 @@ const SHADOWED: u32 = 1 << (2 * GROUPS);
 /// Of a source and a workgroup's 64 pixels: how many such groups of texels lie side by side in an image.
 pub const SEEN_COLUMNS: u32 = 16;
 
-/// Workgroups of a row of those that are for one pixel and one source each: WebGPU has at most 65,535 of them.
-const MANY_COLUMNS: u32 = 32_768;
-
-/// Bytes of the queue of what takes many rays, for so many pixels and sources.
-pub const fn queue_bytes(count: u64) -> u64 {
-    16 + 8 * count
-}
-
 /// Most sources.
 pub const MAX_SOURCES: u32 = relight_format::MAX_SOURCES as u32;
 
@@ -426,8 +418,6 @@ pub fn wgsl_constants() -> String {
         ("SOURCE_TURN", seen::TURN),
         ("SOURCE_QUARTER", seen::QUARTER),
         ("SOURCE_ALL_GROUPS", ALL_GROUPS),
-        ("SOURCE_LEAST_FOR_CONES", seen::LEAST_FOR_CONES),
-        ("SOURCES_MANY_COLUMNS", MANY_COLUMNS),
     ];
     let constants = counts.map(|(name, count)| format!("const {name}: u32 = {count}u;\n"));
     constants.concat()

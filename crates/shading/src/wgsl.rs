@@ -48,11 +48,7 @@ pub enum Entry {
     /// Visibility buffer, and what it shows of textures, to which points of sources it sees: of a tile's coarse grid of pixels, for four
     /// sources, `sources_coarse_main`; then `sources_main` or, with an app's own shadow map, `sources_shadowed_main`,
     /// workgroups of 8 × 8 pixels.
-    ///
-    /// What takes many rays waits for `sources_many_main` or `sources_many_shadowed_main`, a workgroup of 32 for each.
     Sources,
-    /// How many workgroups those are: `sources_taken_main`, one workgroup, before each of them.
-    SourcesTaken,
     /// Those, and materials, to what sources add to the radiance: `sources_shown_main`, workgroups of 8 × 8 pixels.
     SourcesShown,
     /// Visibility buffer to where it was in the frame before: `motion_main`, workgroups of 8 × 8 pixels.
@@ -89,7 +85,6 @@ impl Entry {
         #[cfg(feature = "paper")]
         Self::ShadeCells,
         Self::Sources,
-        Self::SourcesTaken,
         Self::SourcesShown,
         Self::Motion,
         Self::FillTexture,
@@ -140,9 +135,6 @@ pub const KERNELS: &[Kernel] = &[
     SOURCES_COARSE,
     SOURCES,
     SOURCES_SHADOWED,
-    SOURCES_TAKEN,
-    SOURCES_MANY,
-    SOURCES_MANY_SHADOWED,
     SOURCES_SHOWN,
 ];
 
@@ -315,27 +307,6 @@ pub const SOURCES: Kernel = shading("sources", (Entry::Sources, "sources_main"),
 pub const SOURCES_SHADOWED: Kernel = shading(
     "sources, shadow map",
     (Entry::Sources, "sources_shadowed_main"),
-    &[],
-);
-
-/// How many pixels and sources wait for [`SOURCES_MANY`].
-pub const SOURCES_TAKEN: Kernel = shading(
-    "sources, taken",
-    (Entry::SourcesTaken, "sources_taken_main"),
-    &[],
-);
-
-/// Which points pixels see of sources, where that takes many rays.
-pub const SOURCES_MANY: Kernel = shading(
-    "sources, many rays",
-    (Entry::Sources, "sources_many_main"),
-    &[],
-);
-
-/// The same, with an app's own shadow map.
-pub const SOURCES_MANY_SHADOWED: Kernel = shading(
-    "sources, many rays, shadow map",
-    (Entry::Sources, "sources_many_shadowed_main"),
     &[],
 );
 
@@ -534,13 +505,7 @@ pub fn source(entry: Entry) -> String {
             source += include_str!("wgsl/parents.wgsl");
             source += include_str!("wgsl/occluders.wgsl");
             source += include_str!("wgsl/shadow_map.wgsl");
-            source += include_str!("wgsl/source_queue.wgsl");
             source += include_str!("wgsl/sources.wgsl");
-            source += include_str!("wgsl/sources_many.wgsl");
-        }
-        Entry::SourcesTaken => {
-            source += include_str!("wgsl/source_queue.wgsl");
-            source += include_str!("wgsl/sources_taken.wgsl");
         }
         Entry::SourcesShown => {
             source += &library(SLOTS);

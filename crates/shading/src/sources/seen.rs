@@ -24,10 +24,6 @@ pub(super) const TURN: u32 = 11;
 /// One point of each four that lie side by side.
 pub(super) const QUARTER: u32 = 0x1111_1111;
 
-/// Least points of a group whose cone is looked at before there are rays to all of them, which take no longer where they are
-/// few.
-pub(super) const LEAST_FOR_CONES: u32 = 16;
-
 /// What a pixel sees of a source.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Seen {
@@ -228,7 +224,6 @@ impl Look<'_> {
             let mut met = from;
             if let Some(from) = from
                 && probed & (1 << group) != 0
-                && of_group(self.all) >= LEAST_FOR_CONES
             {
                 met = self.meet(1 + group, from);
             }

@@ -3,11 +3,6 @@
 // (Mesa's llvmpipe ends all loops after 65,536 iterations). They run after the first reflection is found, which tells
 // how the surface stands; sources_shown.wgsl makes light of the points. In one kernel, rays and reflections take more
 // registers than 20 warps of an Ampere have.
-//
-// What takes many rays waits for sources_many.wgsl, where rays of one pixel are followed side by side: an invocation that
-// follows them one after the other keeps all beside it waiting, and the frame.
-
-@group(2) @binding(3) var<storage, read_write> source_queue: SourceQueue;
 
 // First the coarse grid of pixels, which take nothing from others, of a tile and four sources.
 @compute @workgroup_size(8, 8)
@@ -74,8 +69,8 @@ fn sources_pixel(invocation: u32) -> u32 {
     return (2u * row + 1u - row / 2u) * PIXEL_SIDE + invocation % PIXEL_SIDE;
 }
 
-// Whether it is found here what a pixel of the tile sees: not if it shows nothing to find it for, nor if it waits. It is of
-// the coarse grid if `is_coarse`; else those have been found, and lie in source_seen.
+// Whether a pixel of the tile shows anything to find them for. It is of the coarse grid if `is_coarse`; else those have
+// been found, and lie in source_seen.
 fn sources_find(workgroup: u32, source: u32, own: u32, is_coarse: bool) -> bool {
     let pixel = tile_pixel(own);
     let seen = seen_triangle(pixel);
@@ -96,17 +91,8 @@ fn sources_find(workgroup: u32, source: u32, own: u32, is_coarse: bool) -> bool 
     // Further surfaces of pixels that lie side by side do not so in the picture.
     let alone = is_coarse || tile_first.y >= frames[frame_index].first_extra_row;
     let asks = parents_may_ask(slot - own, own, alone);
-    let entry = sources_entry(source);
-    if !sources_start_at(entry, pixel, seen.y, triangles[seen.x].xyz) {
-        return true;
-    }
-    let first = sources_steps(entry, asks);
-    if first.x != SOURCES_FOUND {
-        let waits = own | (source << SOURCES_SOURCE) | (first.x << SOURCES_ASKS) | (u32(is_coarse) << SOURCES_COARSE);
-        let place = atomicAdd(&source_queue.waiting, 1u);
-        source_queue.entries[place] = vec2(waits | (workgroup << SOURCES_TILE), first.y);
-    }
-    return first.x == SOURCES_FOUND;
+    sources_points(source, asks, pixel, seen.y, triangles[seen.x].xyz);
+    return true;
 }
 
 // Where the pixel's own number and row are, so that no register keeps them through all that comes before.
@@ -116,7 +102,9 @@ fn sources_write_own() {
 }
 
 fn sources_write(row: u32, place: u32, places: u32) {
-    let count = sources_texels(sources_seen[sources_word(0u)]);
+    let shadowed = SOURCE_SHADOWED >> SOURCE_GROUPS;
+    let partly = (sources_seen[sources_word(0u)] >> SOURCE_GROUPS) & (((1u << SOURCE_GROUPS) - 1u) | shadowed);
+    let count = select(1u, SOURCE_SEEN_TEXELS, partly != 0u);
     for (var texel = 0u; texel < count; texel++) {
         let words = vec4(
             sources_seen[sources_word(4u * texel)],
@@ -128,19 +116,16 @@ fn sources_write(row: u32, place: u32, places: u32) {
     }
 }
 
-// How many texels are written: all where there are words behind the one about groups.
-fn sources_texels(told: u32) -> u32 {
-    let shadowed = SOURCE_SHADOWED >> SOURCE_GROUPS;
-    let partly = (told >> SOURCE_GROUPS) & (((1u << SOURCE_GROUPS) - 1u) | shadowed);
-    return select(1u, SOURCE_SEEN_TEXELS, partly != 0u);
-}
-
 // What source_seen has of the invocation's pixel: in registers it would be kept through all that comes before and
 // after.
 var<workgroup> sources_seen: array<u32, 64u * 4u * SOURCE_SEEN_TEXELS>;
 // Its last word, which holds nothing else, is the pixel's number in the tile and, behind those six bits, the source's
 // row in source_seen.
 const SOURCES_PIXEL: u32 = 4u * SOURCE_SEEN_TEXELS - 1u;
+// The one before: points that rays will be sent to, where pixels take from others.
+const SOURCES_ASKED: u32 = 4u * SOURCE_SEEN_TEXELS - 2u;
+// And those that no other pixel sees, where later is what an app's shadow map takes away.
+const SOURCES_NONE: u32 = 1u + SOURCE_GROUPS;
 // From where rays start, there for the same reason: the pixel's centre on the surface, and the triangle's normal; behind
 // each a coordinate of the way there from where the surface was met, pixels.
 var<workgroup> sources_starts: array<vec4<f32>, 128>;
@@ -163,27 +148,27 @@ fn sources_coarse_word(row: u32, word: u32, pixel: u32) -> u32 {
     return textureLoad(source_seen, place, 0)[word % 4u];
 }
 
-// Readies where rays start from a pixel's point on a triangle, unless none of the source is above it.
-fn sources_start_at(entry: u32, pixel: vec2<u32>, seen_at: u32, corners: vec3<u32>) -> bool {
+// Finds them, from a pixel's point on a triangle, which takes from others if it `asks`.
+fn sources_points(source: u32, asks: bool, pixel: vec2<u32>, seen_at: u32, corners: vec3<u32>) {
     let normal = slots_reflection_value(SLOTS_NORMAL).xyz;
     let position = slots_reflection_value(SLOTS_POSITION).xyz;
     let view = surface_unit_or(frames[frame_index].eye - position * frames[frame_index].perspective, normal);
-    if dot(normal, view) <= 0.0 || !sources_above(entry, normal) {
-        return false;
-    }
     let face = surface_geometric_normal(corners);
-    let at = seen_point(pixel, seen_at);
-    let from_point = floor(at) + 0.5 - at;
-    var square = mat2x3<f32>();
-    if frames[frame_index].source_squares != 0u {
-        square = sources_square(face, position, view);
+    let entry = sources_entry(source);
+    if dot(normal, view) > 0.0 && sources_above(entry, normal) {
+        let at = seen_point(pixel, seen_at);
+        let from_point = floor(at) + 0.5 - at;
+        var square = mat2x3<f32>();
+        if frames[frame_index].source_squares != 0u {
+            square = sources_square(face, position, view);
+        }
+        let offset = source_points[entry].ray_offset;
+        let origin = position + face * offset + square * from_point;
+        sources_starts[sources_own] = vec4(origin, from_point.x);
+        sources_starts[64u + sources_own] = vec4(face, from_point.y);
+        sources_sides = square;
+        sources_steps(entry, asks);
     }
-    let offset = source_points[entry].ray_offset;
-    let origin = position + face * offset + square * from_point;
-    sources_starts[sources_own] = vec4(origin, from_point.x);
-    sources_starts[64u + sources_own] = vec4(face, from_point.y);
-    sources_sides = square;
-    return true;
 }
 
 // Whether anything of a source is above the horizon.
@@ -195,106 +180,137 @@ fn sources_above(entry: u32, normal: vec3<f32>) -> bool {
     return above;
 }
 
-// Nothing waits, see sources_steps.
-const SOURCES_FOUND: u32 = 2u;
+// What is done, one after the other. First what is in the way of the whole source. For pixels that take from others: rays
+// to what those do not agree on, and some to what they agree on, group by group. For others, and where those were
+// contradicted: whether any of the source is seen, then points, group by group.
+const SOURCES_TRY: u32 = 1u;
+const SOURCES_PROBE: u32 = SOURCES_TRY + SOURCE_GROUPS;
+const SOURCES_POINTS: u32 = SOURCES_PROBE + 1u;
+const SOURCES_END: u32 = SOURCES_POINTS + SOURCE_GROUPS;
 
-// More rays than this wait.
-const SOURCES_MOST: u32 = 16u;
-
-// The points of a group that rays go to, where the pixels about one all see those of near.x and any those of near.y: of a
-// group that all see whole, a quarter; else what they do not agree on, and one of each that they agree on.
-fn sources_asked(all: u32, near: vec2<u32>, pixel: u32) -> u32 {
-    if near.x == all {
-        return all & (SOURCE_QUARTER << sources_turn(pixel, 4u));
-    }
-    return (near.y & ~near.x) | sources_tried(near.x, pixel) | sources_tried(all & ~near.y, pixel);
+// The group that a step is about.
+fn sources_group(step: u32) -> u32 {
+    return (step - select(SOURCES_TRY, SOURCES_POINTS, step >= SOURCES_POINTS)) % SOURCE_GROUPS;
 }
 
-// SOURCES_FOUND, if the invocation's pixel sees nothing in the way of the source, or takes from the pixels about it, and
-// rays do not contradict those. Else what the rest takes, which waits: whether it takes from those, and the first node
-// that has anything in the way.
-fn sources_steps(entry: u32, asks: bool) -> vec2<u32> {
-    let all = 0xffffffffu >> (32u - sources_of_group(entry));
+// Readies a step: what the pixels about this one all see of its group, and none, goes where that is kept, and for which
+// points there will be rays. Done before cones are followed, it would take more registers.
+fn sources_ask(all: u32, step: u32) {
+    let group = sources_group(step);
+    var near = vec2(0u, all);
+    if step < SOURCES_PROBE {
+        near = sources_between(all, group);
+    }
+    var asked = (near.y & ~near.x) | sources_tried(near.x) | sources_tried(all & ~near.y);
+    if near.x == all {
+        asked = all & (SOURCE_QUARTER << sources_turn(4u));
+    }
+    sources_seen[sources_word(SOURCES_NONE)] = all & ~near.y;
+    sources_seen[sources_word(SOURCES_ASKED)] = asked;
+    if step < SOURCES_END {
+        sources_seen[sources_word(1u + group)] = near.x;
+    }
+}
+
+// One place that cones and rays are followed: copies of it are most of a shader.
+fn sources_steps(entry: u32, asks: bool) {
+    let of_group = sources_of_group(entry);
+    let all = 0xffffffffu >> (32u - of_group);
+    // The first node that has anything in the way.
     var first = 0u;
-    // The whole source, then its groups: one place that cones and rays are followed, as copies of it are most of a shader.
-    for (var step = 0u; step <= SOURCE_GROUPS; step++) {
-        let group = step - 1u;
-        let pixel = sources_seen[sources_word(SOURCES_PIXEL)];
-        var met = first;
-        if step == 0u || sources_seen[sources_word(step)] == all {
-            met = sources_meet(entry + select(SOURCE_FIRST_GROUP + group, 0u, step == 0u), first);
+    // Groups whose first place is seen.
+    var probed = 0u;
+    var step = 0u;
+    while step < SOURCES_END {
+        let group = sources_group(step);
+        // Of the whole source; of a group that all pixels about this one see; and of one of which a first ray, that was
+        // not blocked, has not told enough.
+        var by_cone = step == 0u || (step >= SOURCES_POINTS && (probed & (1u << group)) != 0u);
+        if step < SOURCES_PROBE {
+            by_cone = by_cone || sources_seen[sources_word(1u + group)] == all;
         }
+        var met = first;
+        let cone = entry + select(SOURCE_FIRST_GROUP + group, 0u, step == 0u);
+        if by_cone {
+            let across = max(length(sources_sides[0] + sources_sides[1]), length(sources_sides[0] - sources_sides[1]));
+            met = occluders_meet_cone(
+                first,
+                sources_start(0u).xyz,
+                0.5 * across,
+                sources_start(1u).xyz,
+                source_points[cone].direction,
+                source_points[cone].cone_cosine,
+            );
+        }
+        let is_clear = met == OCCLUDERS_NONE && sources_cone_above(cone, sources_start(1u).xyz);
+        var next = step + 1u;
         if step == 0u {
             first = met;
-            if met == OCCLUDERS_NONE && sources_cone_above(entry, sources_start(1u).xyz) {
+            next = select(SOURCES_PROBE, SOURCES_TRY, asks);
+            if met == OCCLUDERS_NONE {
+                next = SOURCES_POINTS;
+            }
+            if is_clear {
                 sources_seen[sources_word(0u)] = SOURCE_ALL_GROUPS;
-                return vec2(SOURCES_FOUND, 0u);
+                break;
             }
-            if !asks || met == OCCLUDERS_NONE {
-                return vec2(0u, met);
-            }
-            var count = 0u;
-            for (var next = 0u; next < SOURCE_GROUPS; next++) {
-                let near = sources_between(all, next, pixel);
-                sources_seen[sources_word(1u + next)] = near.x;
-                count += countOneBits(sources_asked(all, near, pixel));
-            }
-            if count > SOURCES_MOST {
-                return vec2(1u, met);
-            }
-        } else if met != OCCLUDERS_NONE || !sources_cone_above(entry + SOURCE_FIRST_GROUP + group, sources_start(1u).xyz) {
-            let near = sources_between(all, group, pixel);
-            var bits = sources_asked(all, near, pixel);
-            var found = vec2(0u);
-            while bits != 0u {
-                let bit = firstTrailingBit(bits);
-                bits &= bits - 1u;
-                let at = SOURCE_FIRST_POINT + group * sources_of_group(entry) + bit;
-                found |= sources_look(entry + at, bit * SOURCE_GROUPS + group, met) << vec2(bit);
-            }
-            if ((found.x & ~near.y) | (found.y & near.x)) != 0u {
-                // All that was told so far is told again.
-                return vec2(0u, first);
-            }
-            bits = near.x | found.x;
-            sources_seen[sources_word(step)] = bits;
-            sources_seen[sources_word(0u)] |= sources_told(bits, bits == all) << group;
         } else {
-            sources_seen[sources_word(0u)] |= 1u << group;
+            var asked = all;
+            if step < SOURCES_PROBE {
+                asked = sources_seen[sources_word(SOURCES_ASKED)];
+            }
+            if step == SOURCES_PROBE {
+                asked = sources_probes(of_group);
+            }
+            if is_clear {
+                asked = 0u;
+            }
+            let found = sources_rays(entry, step, group, asked, met);
+            if step == SOURCES_PROBE {
+                probed = found.x;
+                if probed == 0u {
+                    break;
+                }
+            } else {
+                let agreed = sources_seen[sources_word(1u + group)];
+                let bits = agreed | found.x;
+                var whole = bits == all;
+                if step >= SOURCES_POINTS {
+                    whole = asked == 0u || (bits != 0u && found.y == 0u);
+                }
+                let wrong = (found.x & sources_seen[sources_word(SOURCES_NONE)]) | (found.y & agreed);
+                sources_seen[sources_word(1u + group)] = bits;
+                sources_seen[sources_word(0u)] |= select(select(0u, 1u << SOURCE_GROUPS, bits != 0u), 1u, whole) << group;
+                if step < SOURCES_PROBE {
+                    if wrong != 0u {
+                        // All that was told so far is told again.
+                        sources_seen[sources_word(0u)] = 0u;
+                        next = SOURCES_PROBE;
+                    } else if next == SOURCES_PROBE {
+                        break;
+                    }
+                }
+            }
+        }
+        step = next;
+        if asks {
+            sources_ask(all, step);
         }
     }
-    return vec2(SOURCES_FOUND, 0u);
 }
 
-// What the word about groups tells of the first where those of its points are seen.
-fn sources_told(bits: u32, whole: bool) -> u32 {
-    return select(select(0u, 1u << SOURCE_GROUPS, bits != 0u), 1u, whole);
-}
-
-// The first node, from `first` on, that has anything in the way of a cone.
-fn sources_meet(cone: u32, first: u32) -> u32 {
-    let across = max(length(sources_sides[0] + sources_sides[1]), length(sources_sides[0] - sources_sides[1]));
-    return occluders_meet_cone(
-        first,
-        sources_start(0u).xyz,
-        0.5 * across,
-        sources_start(1u).xyz,
-        source_points[cone].direction,
-        source_points[cone].cone_cosine,
-    );
-}
-
-// The points of a group that the pixels about one all see, and those that any does. Pixels are as SOURCES_PIXEL has them.
-fn sources_between(all: u32, group: u32, pixel: u32) -> vec2<u32> {
+// The points of a group that the pixels about one all see, and those that any does.
+fn sources_between(all: u32, group: u32) -> vec2<u32> {
+    let row = sources_seen[sources_word(SOURCES_PIXEL)] >> 6u;
     var found = vec2(all, 0u);
     // Four, which compilers do not know: they would do all at once, in registers of their own.
     for (var index = 0u; index < min(4u, all); index++) {
         // One that has no weight is one of the others.
-        let parent = parents_of(pixel % 64u, index).pixel;
-        let told = sources_coarse_word(pixel >> 6u, 0u, parent) >> group;
+        let pixel = parents_of(sources_seen[sources_word(SOURCES_PIXEL)] % 64u, index).pixel;
+        let told = sources_coarse_word(row, 0u, pixel) >> group;
         var bits = select(0u, all, (told & 1u) != 0u);
         if ((told >> SOURCE_GROUPS) & 1u) != 0u {
-            bits = sources_coarse_word(pixel >> 6u, 1u + group, parent);
+            bits = sources_coarse_word(row, 1u + group, pixel);
         }
         found = vec2(found.x & bits, found.y | bits);
     }
@@ -302,30 +318,49 @@ fn sources_between(all: u32, group: u32, pixel: u32) -> vec2<u32> {
 }
 
 // One of the bits, another one at every pixel.
-fn sources_tried(bits: u32, pixel: u32) -> u32 {
-    let above = bits & (0xffffffffu << sources_turn(pixel, 32u));
+fn sources_tried(bits: u32) -> u32 {
+    let above = bits & (0xffffffffu << sources_turn(32u));
     let turned = select(bits, above, above != 0u);
     return turned & (~turned + 1u);
 }
 
 // Of so many turns, which are a power of two, the pixel's.
-fn sources_turn(pixel: u32, turns: u32) -> u32 {
-    return (SOURCE_TURN * pixel) % turns;
+fn sources_turn(turns: u32) -> u32 {
+    return (SOURCE_TURN * sources_seen[sources_word(SOURCES_PIXEL)]) % turns;
 }
 
-// A ray to an entry, from the place of the pixel that has the number `place`: a bit if it is seen, and one if it is hidden;
-// none below the horizon.
-fn sources_look(entry: u32, place: u32, first: u32) -> vec2<u32> {
-    return sources_look_from(entry, sources_place(place), first);
-}
-
-fn sources_look_from(entry: u32, place: vec2<f32>, first: u32) -> vec2<u32> {
-    let direction = source_points[entry].direction;
-    if dot(direction, slots_reflection_value(SLOTS_NORMAL).xyz) <= 0.0 {
-        return vec2(0u);
+// Rays to the points of a group, or to what tells whether anything of a source is visible, for which there is a bit in
+// `asked`: which are seen, and which are hidden.
+fn sources_rays(
+    entry: u32,
+    step: u32,
+    group: u32,
+    asked: u32,
+    first: u32,
+) -> vec2<u32> {
+    let start = SOURCE_FIRST_POINT + group * sources_of_group(entry);
+    var found = vec2(0u);
+    var bits = asked;
+    while bits != 0u {
+        let bit = firstTrailingBit(bits);
+        bits &= bits - 1u;
+        // The entry, and the number of its place in the pixel.
+        var at = vec2(start + bit, bit * SOURCE_GROUPS + group);
+        if step == SOURCES_PROBE {
+            at = sources_probe(bit);
+            if bit >= SOURCE_GROUPS && found.x != 0u {
+                break;
+            }
+        }
+        let direction = source_points[entry + at.x].direction;
+        if dot(direction, slots_reflection_value(SLOTS_NORMAL).xyz) > 0.0 {
+            let is_rim = step == SOURCES_PROBE && bit >= 2u * SOURCE_GROUPS;
+            let offset = select(sources_place(at.y), vec2(0.0), is_rim);
+            let visible = sources_visible(first, direction, offset);
+            found |= select(vec2(0u, 1u), vec2(1u, 0u), visible) << vec2(bit);
+        }
     }
-    let visible = sources_visible(first, direction, place);
-    return select(vec2(0u, 1u), vec2(1u, 0u), visible);
+    return found;
 }
 
 // Whether all of a cone is above the plane of a triangle.
@@ -333,6 +368,22 @@ fn sources_cone_above(cone: u32, face: vec3<f32>) -> bool {
     let along = dot(face, source_points[cone].direction);
     let cosine = source_points[cone].cone_cosine;
     return along > 0.0 && along * along + cosine * cosine > 1.0;
+}
+
+// How many rays tell whether anything of a source is visible, as bits.
+fn sources_probes(of_group: u32) -> u32 {
+    return 0xffffffffu >> (32u - 2u * SOURCE_GROUPS - select(0u, SOURCE_RIM, of_group >= SOURCE_PLACES));
+}
+
+// What tells whether anything of a source is visible: the first place of each group, and where all of those are
+// hidden, a second one and, of a source of many points, the rim.
+fn sources_probe(step: u32) -> vec2<u32> {
+    if step >= 2u * SOURCE_GROUPS {
+        return vec2(SOURCE_FIRST_RIM + step - 2u * SOURCE_GROUPS, 0u);
+    }
+    let group = step % SOURCE_GROUPS;
+    let of_group = step / SOURCE_GROUPS * SOURCE_SECOND_PLACE;
+    return vec2(SOURCE_FIRST_PLACE + group * SOURCE_PLACES + of_group, of_group * SOURCE_GROUPS + group);
 }
 
 // Whether a source is visible from a place of the pixel: not if its triangle is in the way, nor if anything is, in the

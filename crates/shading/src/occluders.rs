@@ -403,6 +403,51 @@ mod tests {
     }
 
     #[test]
+    fn boxes_on_the_grid_hold_those_they_are_of() {
+        let scenes = [
+            (0.0, 1.0),
+            (1e6, 1.0),
+            (-3e4, 1e-3),
+            (0.0, 1e-6),
+            (5.0, 1e6),
+            (7.0, 0.0),
+            (0.0, 0.0),
+            (1e18, 0.0),
+        ];
+        for (middle, size) in scenes {
+            // A flat one.
+            let shape = Vec3::new(1.0, 0.3, 0.0);
+            let corner = |index: u32| Vec3::splat(middle) + size * shape * vector(index);
+            let boxes = (0..200).map(|index| (corner(2 * index), corner(2 * index + 1)));
+            let boxes: Vec<_> = boxes.map(|(a, b)| (a.min(b), a.max(b))).collect();
+            let low = boxes.iter().fold(Vec3::INFINITY, |low, of| low.min(of.0));
+            let high = boxes
+                .iter()
+                .fold(Vec3::NEG_INFINITY, |high, of| high.max(of.1));
+            let grid = Grid::around(low, high);
+            for &(low, high) in &boxes {
+                let bounds = grid.bounds(low, high);
+                let [lowest, highest] = gpu::OccluderNode { bounds, link: 0 }.corners();
+                for axis in 0..3 {
+                    let side = f64::from(grid.cell);
+                    let at = |cells: f32| f64::from(grid.low[axis]) + side * f64::from(cells);
+                    let below = f64::from(low[axis]) - at(lowest[axis]);
+                    let above = at(highest[axis]) - f64::from(high[axis]);
+                    let most = (1.0 + MARGIN) * side * (1.0 + 1e-9);
+                    assert!(
+                        (0.0..=most).contains(&below),
+                        "{middle} {size}: {below} {side}"
+                    );
+                    assert!(
+                        (0.0..=most).contains(&above),
+                        "{middle} {size}: {above} {side}"
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
     fn the_walk_finds_what_trying_all_finds() {
         let triangles: Vec<[Vec3; 3]> = (0..200)
             .map(|index| {

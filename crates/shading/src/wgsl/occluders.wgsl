@@ -130,9 +130,11 @@ fn occluders_meet_cone(
     if cosine <= 0.0 {
         return first;
     }
+    // From the origin, and half of its cells' side.
+    let grid = vec4(occluders_low() - origin, 0.5 * occluders_cell());
     var walk = OccludersWalk(first, 0u, 0u, false);
     while !walk.met && (walk.node < end || walk.triangle < walk.last) {
-        walk = occluders_cone_step(walk, end, origin, radius, face, axis, cosine);
+        walk = occluders_cone_step(walk, end, grid, radius, face, axis, cosine);
         if walk.triangle < walk.last {
             let cut = radius * cosine / max(occluders_sine(cosine), OCCLUDERS_LEAST_SINE);
             walk.met = occluders_triangle_meets_cone(walk.triangle, origin, cut, face, axis, cosine);
@@ -152,7 +154,7 @@ fn occluders_sine(cosine: f32) -> f32 {
 fn occluders_cone_step(
     walk: OccludersWalk,
     end: u32,
-    origin: vec3<f32>,
+    grid: vec4<f32>,
     radius: f32,
     face: vec3<f32>,
     axis: vec3<f32>,
@@ -162,11 +164,10 @@ fn occluders_cone_step(
         return walk;
     }
     let node = occluder_nodes[walk.node];
-    let half_cell = 0.5 * occluders_cell();
     let low = occluders_lowest(node.bounds);
     let high = occluders_highest(node.bounds);
-    let middle = occluders_low() - origin + half_cell * (low + high);
-    let half = half_cell * (high - low);
+    let middle = grid.xyz + grid.w * (low + high);
+    let half = grid.w * (high - low);
     let along = dot(axis, middle);
     let aside = middle - along * axis;
     // Away from the side of the cone that is nearest to the middle.

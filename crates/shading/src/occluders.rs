@@ -2,8 +2,8 @@
 //! a stack.
 //!
 //! Nodes lie in depth-first order: behind a node come those within it, and where its box is missed
-//! the walk goes on behind those (Smits 1998, "Efficiency Issues for Ray Tracing"). Boxes are those of a grid that hold
-//! what they are around: half the memory, which is what walks wait for.
+//! the walk goes on behind those (Smits 1998, "Efficiency Issues for Ray Tracing"). Corners of
+//! boxes lie on a grid, farther out by up to a cell and a quarter: half the memory, and a single load for GPUs.
 
 use glam::Vec3;
 

@@ -194,27 +194,26 @@ pub struct ShadowMap {
     pub reserved: u32,
 }
 
-/// A box of the hierarchy of what blocks rays (16 bytes). The first is none: its bounds are the bits of three floats, world
-/// space, where a grid begins that the others' corners lie on, and its link those of the side of a cell.
+/// A box of the hierarchy of what blocks rays (32 bytes).
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct OccluderNode {
-    /// Of each axis the cells to the lowest corner and, 16 bits above, to the highest.
-    pub bounds: [u32; 3],
-    /// Of an inner node, the first node that does not lie within it. Of a leaf, [`Self::LEAF`], the number of its
-    /// triangles in the lowest [`Self::COUNT_BITS`] and above those the first.
-    pub link: u32,
+    /// Lowest corner, world space.
+    pub low: [f32; 3],
+    /// The first node that does not lie within this one.
+    pub next: u32,
+    /// Highest corner.
+    pub high: [f32; 3],
+    /// Number of triangles, 0 of an inner node, in the lowest [`Self::COUNT_BITS`]; above, the
+    /// first.
+    pub triangles: u32,
 }
 
 impl OccluderNode {
-    /// The bit of a leaf.
-    pub const LEAF: u32 = 1 << 31;
     /// Bits of the number of triangles.
     pub const COUNT_BITS: u32 = 3;
     /// Most triangles of a node.
     pub const MAX_TRIANGLES: u32 = (1 << Self::COUNT_BITS) - 1;
-    /// Most cells of the grid on an axis.
-    pub const CELLS: u32 = 0xffff;
 }
 
 /// A triangle that blocks rays (48 bytes).
@@ -657,7 +656,15 @@ mod tests {
                 cone_cosine
             }
         );
-        check_layout!(module, OccluderNode { bounds, link });
+        check_layout!(
+            module,
+            OccluderNode {
+                low,
+                next,
+                high,
+                triangles
+            }
+        );
         check_layout!(
             module,
             OccluderTriangle {

@@ -2,8 +2,7 @@
 //! a stack.
 //!
 //! Nodes lie in depth-first order: behind a node come those within it, and where its box is missed
-//! the walk goes on behind those (Smits 1998, "Efficiency Issues for Ray Tracing"). Corners of
-//! boxes lie on a grid, farther out by up to a cell and a quarter: half the memory, and a single load for GPUs.
+//! the walk goes on behind those (Smits 1998, "Efficiency Issues for Ray Tracing").
 
 use glam::Vec3;
 
@@ -22,13 +21,9 @@ const LEAST_LENGTH: f32 = 1e-20;
 /// Least sine of a cone's half angle that a radius is divided by.
 const LEAST_SINE: f32 = 1e-4;
 
-/// How far inside of its box on the grid a box lies, cells: more than rounding moves either.
-const MARGIN: f64 = 0.25;
-
 /// Triangles that block, from both sides.
 #[derive(Clone, Debug, Default)]
 pub struct Occluders {
-    grid: Grid,
     nodes: Vec<gpu::OccluderNode>,
     triangles: Vec<gpu::OccluderTriangle>,
 }
@@ -47,52 +42,7 @@ pub struct Node {
     pub count: u32,
 }
 
-/// Where corners of boxes lie.
-#[derive(Clone, Copy, Debug, Default)]
-struct Grid {
-    /// World space.
-    low: Vec3,
-    /// Side of a cell.
-    cell: f32,
-}
-
-impl Grid {
-    /// Around a box, with a cell to spare below it.
-    fn around(low: Vec3, high: Vec3) -> Self {
-        let cells = gpu::OccluderNode::CELLS as f32 - 2.0;
-        let spare = (high - low).max_element() / cells;
-        let below = |x: f32| (x - spare).min(x.next_down());
-        let low = Vec3::new(below(low.x), below(low.y), below(low.z));
-        // Rounding must leave the last corner inside.
-        let cell = (high - low).max_element() / (cells + 1.0) * (1.0 + 4.0 * f32::EPSILON);
-        let cell = cell.max(f32::MIN_POSITIVE);
-        Self { low, cell }
-    }
-
-    /// The box of the grid that holds another one.
-    fn bounds(&self, low: Vec3, high: Vec3) -> [u32; 3] {
-        let most = f64::from(gpu::OccluderNode::CELLS);
-        [0, 1, 2].map(|axis| {
-            let cells = |x: f32| (f64::from(x) - f64::from(self.low[axis])) / f64::from(self.cell);
-            let lowest = (cells(low[axis]) - MARGIN).floor().clamp(0.0, most);
-            let highest = (cells(high[axis]) + MARGIN).ceil().clamp(0.0, most);
-            lowest as u32 | (highest as u32) << 16
-        })
-    }
-
-    /// As nodes have it.
-    fn packed(&self) -> gpu::OccluderNode {
-        gpu::OccluderNode {
-            bounds: self.low.to_array().map(f32::to_bits),
-            link: self.cell.to_bits(),
-        }
-    }
-}
-
 impl Occluders {
-    /// The node that all others lie within.
-    pub const ROOT: u32 = 1;
-
     /// Lays out a hierarchy: `nodes` with the root first, and triangles in the order in which its
     /// leaves name them.
     pub fn new(nodes: &[Node], triangles: &[[Vec3; 3]]) -> Self {
@@ -102,56 +52,55 @@ impl Occluders {
             /// All within the node laid out at this place has been.
             End(usize),
         }
-        let Some(root) = nodes.first() else {
-            return Self::default();
-        };
-        let grid = Grid::around(root.low, root.high);
         let mut laid_out = Self {
-            grid,
-            nodes: Vec::with_capacity(nodes.len() + 1),
+            nodes: Vec::with_capacity(nodes.len()),
             triangles: Vec::with_capacity(triangles.len()),
         };
-        laid_out.nodes.push(grid.packed());
-        let mut tasks = vec![Task::Visit(0)];
+        let mut tasks = Vec::new();
+        if !nodes.is_empty() {
+            tasks.push(Task::Visit(0));
+        }
         while let Some(task) = tasks.pop() {
             match task {
-                Task::End(place) => laid_out.nodes[place].link = laid_out.nodes.len() as u32,
+                Task::End(place) => laid_out.nodes[place].next = laid_out.nodes.len() as u32,
                 Task::Visit(index) => {
                     let node = nodes[index as usize];
-                    let bounds = grid.bounds(node.low, node.high);
-                    if node.count > 0 {
-                        laid_out.leaf(
-                            bounds,
-                            &triangles[node.first as usize..][..node.count as usize],
-                        );
-                        continue;
-                    }
                     let place = laid_out.nodes.len();
-                    laid_out.nodes.push(gpu::OccluderNode { bounds, link: 0 });
-                    let area = |child: u32| {
-                        let node = &nodes[child as usize];
-                        let side = node.high - node.low;
-                        side.dot(Vec3::new(side.y, side.z, side.x))
-                    };
-                    // The larger one first: it more likely ends the walk.
-                    let (a, b) = (node.first, node.first + 1);
-                    let (next, last) = if area(a) >= area(b) { (a, b) } else { (b, a) };
-                    tasks.extend([Task::End(place), Task::Visit(last), Task::Visit(next)]);
+                    laid_out.nodes.push(gpu::OccluderNode {
+                        low: node.low.into(),
+                        next: place as u32 + 1,
+                        high: node.high.into(),
+                        triangles: 0,
+                    });
+                    if node.count == 0 {
+                        let area = |child: u32| {
+                            let node = &nodes[child as usize];
+                            let side = node.high - node.low;
+                            side.dot(Vec3::new(side.y, side.z, side.x))
+                        };
+                        // The larger one first: it more likely ends the walk.
+                        let (a, b) = (node.first, node.first + 1);
+                        let (next, last) = if area(a) >= area(b) { (a, b) } else { (b, a) };
+                        tasks.extend([Task::End(place), Task::Visit(last), Task::Visit(next)]);
+                    } else {
+                        laid_out.leaf(&triangles[node.first as usize..][..node.count as usize]);
+                    }
                 }
             }
         }
         laid_out
     }
 
-    /// Adds a leaf, and further leaves in the same box where it has more triangles than one can name.
-    fn leaf(&mut self, bounds: [u32; 3], triangles: &[[Vec3; 3]]) {
+    /// Makes the node laid out last a leaf, and further leaves in the same box where it has more
+    /// triangles than one can name.
+    fn leaf(&mut self, triangles: &[[Vec3; 3]]) {
         const MOST: usize = gpu::OccluderNode::MAX_TRIANGLES as usize;
+        let mut node = self.nodes.pop().expect("the caller's");
         for triangles in triangles.chunks(MOST) {
-            let first = (self.triangles.len() as u32) << gpu::OccluderNode::COUNT_BITS;
-            self.nodes.push(gpu::OccluderNode {
-                bounds,
-                link: gpu::OccluderNode::LEAF | first | triangles.len() as u32,
-            });
+            let first = self.triangles.len() as u32;
+            node.triangles = (first << gpu::OccluderNode::COUNT_BITS) | triangles.len() as u32;
+            node.next = self.nodes.len() as u32 + 1;
+            self.nodes.push(node);
             self.triangles
                 .extend(triangles.iter().map(|[a, b, c]| gpu::OccluderTriangle {
                     corner: (*a).into(),
@@ -182,19 +131,18 @@ impl Occluders {
             }
         };
         let inverse = Vec3::from(direction.to_array().map(|x| 1.0 / safe(x)));
-        // Along the ray: a cell of every axis, and the grid's beginning.
-        let across = self.grid.cell * inverse;
-        let start = (self.grid.low - origin) * inverse;
         let mut place = from;
         while let Some(node) = self.nodes.get(place as usize) {
-            let [low, high] = node.corners();
-            let (a, b) = (low * across + start, high * across + start);
+            let a = (Vec3::from(node.low) - origin) * inverse;
+            let b = (Vec3::from(node.high) - origin) * inverse;
             let enter = a.min(b).max_element().max(0.0);
             if enter > a.max(b).min_element() {
-                place = node.behind(place);
+                place = node.next;
                 continue;
             }
-            for triangle in &self.triangles[node.triangles()] {
+            let count = node.triangles & gpu::OccluderNode::MAX_TRIANGLES;
+            let first = node.triangles >> gpu::OccluderNode::COUNT_BITS;
+            for triangle in &self.triangles[first as usize..][..count as usize] {
                 if triangle.meets(origin, direction, nearest) {
                     return true;
                 }
@@ -225,11 +173,10 @@ impl Occluders {
         let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
         // From the tip that is cut off.
         let cut = radius * cosine / sine.max(LEAST_SINE);
-        let (start, half_cell) = (self.grid.low - origin, 0.5 * self.grid.cell);
         let mut place = from;
         while let Some(node) = self.nodes.get(place as usize) {
-            let [low, high] = node.corners();
-            let (middle, half) = (start + half_cell * (low + high), half_cell * (high - low));
+            let (low, high) = (Vec3::from(node.low), Vec3::from(node.high));
+            let (middle, half) = (0.5 * (low + high) - origin, 0.5 * (high - low));
             let along = axis.dot(middle);
             let aside = middle - along * axis;
             // Away from the side of the cone that is nearest to the middle.
@@ -237,10 +184,12 @@ impl Occluders {
             let outside = away.dot(middle) - radius * cosine - away.abs().dot(half);
             let highest = face.dot(middle) + face.abs().dot(half);
             if outside > 0.0 || along < -axis.abs().dot(half) || highest <= 0.0 {
-                place = node.behind(place);
+                place = node.next;
                 continue;
             }
-            for triangle in &self.triangles[node.triangles()] {
+            let count = node.triangles & gpu::OccluderNode::MAX_TRIANGLES;
+            let first = node.triangles >> gpu::OccluderNode::COUNT_BITS;
+            for triangle in &self.triangles[first as usize..][..count as usize] {
                 if triangle.meets_cone(origin, cut, face, axis, cosine) {
                     return Some(place);
                 }
@@ -248,33 +197,6 @@ impl Occluders {
             place += 1;
         }
         None
-    }
-}
-
-impl gpu::OccluderNode {
-    /// The lowest and the highest corner, cells of the grid.
-    fn corners(&self) -> [Vec3; 2] {
-        let corner =
-            |shift: u32| Vec3::from(self.bounds.map(|word| (word >> shift & 0xffff) as f32));
-        [corner(0), corner(16)]
-    }
-
-    /// The first node that does not lie within this one, whose place is given.
-    fn behind(&self, place: u32) -> u32 {
-        if self.link & Self::LEAF == 0 {
-            self.link
-        } else {
-            place + 1
-        }
-    }
-
-    /// Its triangles; none of an inner node.
-    fn triangles(&self) -> std::ops::Range<usize> {
-        if self.link & Self::LEAF == 0 {
-            return 0..0;
-        }
-        let first = (self.link & !Self::LEAF) >> Self::COUNT_BITS;
-        first as usize..(first + (self.link & Self::MAX_TRIANGLES)) as usize
     }
 }
 
@@ -352,12 +274,8 @@ pub fn wgsl_constants() -> String {
          const OCCLUDERS_LEAST_LENGTH: f32 = {LEAST_LENGTH:e};\n\
          const OCCLUDERS_LEAST_SINE: f32 = {LEAST_SINE:e};\n\
          const OCCLUDERS_NONE: u32 = 0xffffffffu;\n\
-         const OCCLUDERS_ROOT: u32 = {}u;\n\
-         const OCCLUDERS_LEAF: u32 = {}u;\n\
          const OCCLUDERS_COUNT_BITS: u32 = {}u;\n\
          const OCCLUDERS_MAX_TRIANGLES: u32 = {}u;\n",
-        Occluders::ROOT,
-        gpu::OccluderNode::LEAF,
         gpu::OccluderNode::COUNT_BITS,
         gpu::OccluderNode::MAX_TRIANGLES,
     )
@@ -403,51 +321,6 @@ mod tests {
     }
 
     #[test]
-    fn boxes_on_the_grid_hold_those_they_are_of() {
-        let scenes = [
-            (0.0, 1.0),
-            (1e6, 1.0),
-            (-3e4, 1e-3),
-            (0.0, 1e-6),
-            (5.0, 1e6),
-            (7.0, 0.0),
-            (0.0, 0.0),
-            (1e18, 0.0),
-        ];
-        for (middle, size) in scenes {
-            // A flat one.
-            let shape = Vec3::new(1.0, 0.3, 0.0);
-            let corner = |index: u32| Vec3::splat(middle) + size * shape * vector(index);
-            let boxes = (0..200).map(|index| (corner(2 * index), corner(2 * index + 1)));
-            let boxes: Vec<_> = boxes.map(|(a, b)| (a.min(b), a.max(b))).collect();
-            let low = boxes.iter().fold(Vec3::INFINITY, |low, of| low.min(of.0));
-            let high = boxes
-                .iter()
-                .fold(Vec3::NEG_INFINITY, |high, of| high.max(of.1));
-            let grid = Grid::around(low, high);
-            for &(low, high) in &boxes {
-                let bounds = grid.bounds(low, high);
-                let [lowest, highest] = gpu::OccluderNode { bounds, link: 0 }.corners();
-                for axis in 0..3 {
-                    let side = f64::from(grid.cell);
-                    let at = |cells: f32| f64::from(grid.low[axis]) + side * f64::from(cells);
-                    let below = f64::from(low[axis]) - at(lowest[axis]);
-                    let above = at(highest[axis]) - f64::from(high[axis]);
-                    let most = (1.0 + MARGIN) * side * (1.0 + 1e-9);
-                    assert!(
-                        (0.0..=most).contains(&below),
-                        "{middle} {size}: {below} {side}"
-                    );
-                    assert!(
-                        (0.0..=most).contains(&above),
-                        "{middle} {size}: {above} {side}"
-                    );
-                }
-            }
-        }
-    }
-
-    #[test]
     fn the_walk_finds_what_trying_all_finds() {
         let triangles: Vec<[Vec3; 3]> = (0..200)
             .map(|index| {
@@ -480,12 +353,7 @@ mod tests {
         let far = |ray: u32| 5.0 * vector(ray).normalize();
         assert!((0..2000).all(|ray| {
             let through = uniform(ray) * line;
-            !sliver.block(
-                Occluders::ROOT,
-                far(ray),
-                (through - far(ray)).normalize(),
-                0.0,
-            )
+            !sliver.block(0, far(ray), (through - far(ray)).normalize(), 0.0)
         }));
         let mut hits = 0;
         for ray in 0..2000 {
@@ -493,7 +361,7 @@ mod tests {
             if ray % 3 == 0 {
                 direction.y = 0.0;
             }
-            let found = occluders.block(Occluders::ROOT, origin, direction, 0.0);
+            let found = occluders.block(0, origin, direction, 0.0);
             let expected = (occluders.triangles().iter()).any(|t| t.meets(origin, direction, 0.0));
             assert_eq!(found, expected, "{origin} {direction}");
             hits += u32::from(found);
@@ -519,7 +387,7 @@ mod tests {
                 vector(40_000 + cone).normalize()
             };
             let (x, y) = axis.any_orthonormal_pair();
-            let found = occluders.meet_cone(Occluders::ROOT, origin, radius, face, axis, cosine);
+            let found = occluders.meet_cone(0, origin, radius, face, axis, cosine);
             let hit = (0..200).any(|ray| {
                 let cosine = 1.0 - (1.0 - cosine) * uniform(200 * cone + ray);
                 let sine = (1.0 - cosine * cosine).sqrt();
@@ -530,7 +398,7 @@ mod tests {
                 // Parallel to the rim or less far out.
                 let direction = axis * cosine + (x * cos + y * sin) * sine;
                 let hits = |from| occluders.block(from, start, direction, 0.0);
-                let hit = direction.dot(face) > 0.0 && hits(Occluders::ROOT);
+                let hit = direction.dot(face) > 0.0 && hits(0);
                 // Nothing is missed by a ray that begins where the cone met something.
                 assert!(!hit || found.is_some_and(hits), "{start} {direction}");
                 hit
@@ -546,6 +414,6 @@ mod tests {
             empty += u32::from(!met);
         }
         assert!((50..350).contains(&empty), "{empty}");
-        assert!(!Occluders::default().block(Occluders::ROOT, Vec3::ZERO, Vec3::Y, 0.0));
+        assert!(!Occluders::default().block(0, Vec3::ZERO, Vec3::Y, 0.0));
     }
 }

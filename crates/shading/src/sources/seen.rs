@@ -15,7 +15,6 @@ use super::{
 };
 use crate::camera::View;
 use crate::gpu;
-use crate::occluders::Occluders;
 use crate::pixel_visibility::Parents;
 use crate::surface::SurfacePoint;
 
@@ -163,7 +162,7 @@ impl Look<'_> {
         if !of_source.iter().any(|entry| self.is_above(entry)) {
             return Seen::default();
         }
-        let from = self.meet(0, Occluders::ROOT);
+        let from = self.meet(0, 0);
         if from.is_none() && self.is_cone_above(0) {
             return Seen {
                 whole: ALL_GROUPS,
@@ -376,7 +375,7 @@ fn square(view: &View, point: &SurfacePoint) -> ([Vec3; 2], f32) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::occluders::Node;
+    use crate::occluders::{Node, Occluders};
     use crate::pixel_visibility::{PIXELS, Place, SIDE};
     use crate::sources::{GROUP_POINTS, Sources};
     use crate::surface::{Appearance, local_point};

@@ -92,11 +92,12 @@ struct SourcePoint {
 
 // A box of the hierarchy of what blocks rays.
 struct OccluderNode {
-    // Of each axis the cells of a grid to the lowest corner and, 16 bits above, to the highest.
-    bounds: vec3<u32>,
-    // Of an inner node, the first node that does not lie within it. Of a leaf, OCCLUDERS_LEAF, first triangle <<
-    // OCCLUDERS_COUNT_BITS, number of triangles.
-    link: u32,
+    low: vec3<f32>,
+    // The first node that does not lie within this one.
+    next: u32,
+    high: vec3<f32>,
+    // First triangle << OCCLUDERS_COUNT_BITS | number of triangles.
+    triangles: u32,
 }
 
 // A triangle that blocks rays.

@@ -8,43 +8,17 @@ struct OccludersWalk {
     met: bool,
 }
 
-// Where the grid begins that corners of boxes lie on.
-fn occluders_low() -> vec3<f32> {
-    return bitcast<vec3<f32>>(occluder_nodes[0].bounds);
-}
-
-// The side of its cells.
-fn occluders_cell() -> f32 {
-    return bitcast<f32>(occluder_nodes[0].link);
-}
-
-// Corners of boxes, cells. Integers of 16 bits are the last ones of floats from 2²³ on: GPUs add sooner than they convert.
-fn occluders_lowest(bounds: vec3<u32>) -> vec3<f32> {
-    return bitcast<vec3<f32>>((bounds & vec3(0xffffu)) | vec3(0x4b000000u)) - 8388608.0;
-}
-
-fn occluders_highest(bounds: vec3<u32>) -> vec3<f32> {
-    return bitcast<vec3<f32>>((bounds >> vec3(16u)) | vec3(0x4b000000u)) - 8388608.0;
-}
-
-// A ray as boxes are met by it: along it, a cell of every axis, and the grid's beginning.
-struct OccludersRay {
-    across: vec3<f32>,
-    start: vec3<f32>,
-}
-
 // Whether anything lies on the ray more than `nearest` lengths of its direction in front of its origin; all that does is
 // known to be in the node `first` and those behind it. Three nodes for each triangle, which rays meet about as often;
 // and eight steps at a time: software GPUs bound the iterations of a shader's loops, all together.
 fn occluders_block(first: u32, origin: vec3<f32>, direction: vec3<f32>, nearest: f32) -> bool {
     let least = vec3(OCCLUDERS_LEAST_COMPONENT);
     let inverse = 1.0 / select(direction, least, abs(direction) < least);
-    let ray = OccludersRay(occluders_cell() * inverse, (occluders_low() - origin) * inverse);
     let end = arrayLength(&occluder_nodes);
     var walk = OccludersWalk(first, 0u, 0u, false);
     while !walk.met && (walk.node < end || walk.triangle < walk.last) {
-        walk = occluders_steps(walk, end, ray, origin, direction, nearest);
-        walk = occluders_steps(walk, end, ray, origin, direction, nearest);
+        walk = occluders_steps(walk, end, origin, direction, inverse, nearest);
+        walk = occluders_steps(walk, end, origin, direction, inverse, nearest);
     }
     return walk.met;
 }
@@ -52,14 +26,14 @@ fn occluders_block(first: u32, origin: vec3<f32>, direction: vec3<f32>, nearest:
 fn occluders_steps(
     walk: OccludersWalk,
     end: u32,
-    ray: OccludersRay,
     origin: vec3<f32>,
     direction: vec3<f32>,
+    inverse: vec3<f32>,
     nearest: f32,
 ) -> OccludersWalk {
-    var next = occluders_step(walk, end, ray);
-    next = occluders_step(next, end, ray);
-    next = occluders_step(next, end, ray);
+    var next = occluders_step(walk, end, origin, inverse);
+    next = occluders_step(next, end, origin, inverse);
+    next = occluders_step(next, end, origin, inverse);
     if !next.met && next.triangle < next.last {
         next.met = occluders_meet(next.triangle, origin, direction, nearest);
         next.triangle++;
@@ -68,32 +42,26 @@ fn occluders_steps(
 }
 
 // A node further, unless there are triangles before it.
-fn occluders_step(walk: OccludersWalk, end: u32, ray: OccludersRay) -> OccludersWalk {
+fn occluders_step(walk: OccludersWalk, end: u32, origin: vec3<f32>, inverse: vec3<f32>) -> OccludersWalk {
     if walk.met || walk.triangle < walk.last || walk.node >= end {
         return walk;
     }
     let node = occluder_nodes[walk.node];
-    let a = occluders_lowest(node.bounds) * ray.across + ray.start;
-    let b = occluders_highest(node.bounds) * ray.across + ray.start;
+    let a = (node.low - origin) * inverse;
+    let b = (node.high - origin) * inverse;
     let near = min(a, b);
     let far = max(a, b);
     let enter = max(max(max(near.x, near.y), near.z), 0.0);
     if enter > min(min(far.x, far.y), far.z) {
-        return occluders_pass(walk.node, node.link);
+        return OccludersWalk(node.next, 0u, 0u, false);
     }
-    return occluders_enter(walk.node, node.link);
+    return occluders_enter(walk.node, node.triangles);
 }
 
 // Into a node.
-fn occluders_enter(node: u32, link: u32) -> OccludersWalk {
-    let first = (link & ~OCCLUDERS_LEAF) >> OCCLUDERS_COUNT_BITS;
-    let count = select(0u, link & OCCLUDERS_MAX_TRIANGLES, link >= OCCLUDERS_LEAF);
-    return OccludersWalk(node + 1u, first, first + count, false);
-}
-
-// Past it.
-fn occluders_pass(node: u32, link: u32) -> OccludersWalk {
-    return OccludersWalk(select(link, node + 1u, link >= OCCLUDERS_LEAF), 0u, 0u, false);
+fn occluders_enter(node: u32, triangles: u32) -> OccludersWalk {
+    let first = triangles >> OCCLUDERS_COUNT_BITS;
+    return OccludersWalk(node + 1u, first, first + (triangles & OCCLUDERS_MAX_TRIANGLES), false);
 }
 
 // Möller & Trumbore 1997.
@@ -130,11 +98,9 @@ fn occluders_meet_cone(
     if cosine <= 0.0 {
         return first;
     }
-    // From the origin, and half of its cells' side.
-    let grid = vec4(occluders_low() - origin, 0.5 * occluders_cell());
     var walk = OccludersWalk(first, 0u, 0u, false);
     while !walk.met && (walk.node < end || walk.triangle < walk.last) {
-        walk = occluders_cone_step(walk, end, grid, radius, face, axis, cosine);
+        walk = occluders_cone_step(walk, end, origin, radius, face, axis, cosine);
         if walk.triangle < walk.last {
             let cut = radius * cosine / max(occluders_sine(cosine), OCCLUDERS_LEAST_SINE);
             walk.met = occluders_triangle_meets_cone(walk.triangle, origin, cut, face, axis, cosine);
@@ -154,7 +120,7 @@ fn occluders_sine(cosine: f32) -> f32 {
 fn occluders_cone_step(
     walk: OccludersWalk,
     end: u32,
-    grid: vec4<f32>,
+    origin: vec3<f32>,
     radius: f32,
     face: vec3<f32>,
     axis: vec3<f32>,
@@ -164,10 +130,8 @@ fn occluders_cone_step(
         return walk;
     }
     let node = occluder_nodes[walk.node];
-    let low = occluders_lowest(node.bounds);
-    let high = occluders_highest(node.bounds);
-    let middle = grid.xyz + grid.w * (low + high);
-    let half = grid.w * (high - low);
+    let middle = 0.5 * (node.low + node.high) - origin;
+    let half = 0.5 * (node.high - node.low);
     let along = dot(axis, middle);
     let aside = middle - along * axis;
     // Away from the side of the cone that is nearest to the middle.
@@ -175,9 +139,9 @@ fn occluders_cone_step(
     let outside = dot(away, middle) - radius * cosine - dot(abs(away), half);
     let highest = dot(face, middle) + dot(abs(face), half);
     if outside > 0.0 || along < -dot(abs(axis), half) || highest <= 0.0 {
-        return occluders_pass(walk.node, node.link);
+        return OccludersWalk(node.next, 0u, 0u, false);
     }
-    return occluders_enter(walk.node, node.link);
+    return occluders_enter(walk.node, node.triangles);
 }
 
 // A cone meets a triangle that its axis hits, or an edge of which enters it; its first part, of length

@@ -217,7 +217,7 @@ fn sources_steps(entry: u32, asks: bool) {
     let of_group = sources_of_group(entry);
     let all = 0xffffffffu >> (32u - of_group);
     // The first node that has anything in the way.
-    var first = OCCLUDERS_ROOT;
+    var first = 0u;
     // Groups whose first place is seen.
     var probed = 0u;
     var step = 0u;

@@ -6,7 +6,7 @@
 
 use std::ops::Range;
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use pulp::{Simd, WithSimd};
 
 use crate::simd;
@@ -295,6 +295,7 @@ impl Candidates {
         simd::arch().dispatch(Look {
             candidates: self,
             rounding: facing.rounding_at(eye),
+            rounding_of_axes: facing.rounding_of_axes(eye),
             eye,
         });
         self.touched.clear();
@@ -324,7 +325,7 @@ impl Candidates {
     }
 
     #[inline(always)]
-    fn find_faces(&mut self, block: usize, eye: Vec3, rounding: f32) {
+    fn find_faces(&mut self, block: usize, eye: Vec3, rounding: f32, of_axes: DVec3) {
         let first = block * BLOCK;
         let [x, y, z, d] = self.planes.each_ref().map(|plane| block_of(plane, block));
         let faces = &mut self.faces[KNOWN + first..][..BLOCK];
@@ -340,7 +341,9 @@ impl Candidates {
             for ((face, [x, y, z, d]), index) in faces.iter_mut().zip(planes).zip(first..) {
                 let height = x * eye.x + y * eye.y + z * eye.z - d;
                 *face = facing(height > 0.0);
-                if height.abs() <= f64::from(rounding) * (x * x + y * y + z * z).sqrt() {
+                let normal = DVec3::new(*x, *y, *z);
+                let rounding = f64::from(rounding) * normal.length();
+                if height.abs() <= rounding.min(normal.abs().dot(of_axes)) {
                     self.in_plane.push(index as u32);
                 }
             }
@@ -372,6 +375,7 @@ struct Look<'a> {
     candidates: &'a mut Candidates,
     eye: Vec3,
     rounding: f32,
+    rounding_of_axes: DVec3,
 }
 
 impl WithSimd for Look<'_> {
@@ -383,9 +387,10 @@ impl WithSimd for Look<'_> {
             candidates,
             eye,
             rounding,
+            rounding_of_axes,
         } = self;
         for block in 0..candidates.planes[0].len() / BLOCK {
-            candidates.find_faces(block, eye, rounding);
+            candidates.find_faces(block, eye, rounding, rounding_of_axes);
         }
     }
 }

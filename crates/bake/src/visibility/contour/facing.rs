@@ -43,6 +43,8 @@ pub(super) struct Facing {
     /// Bounds the rounding of the planes in single precision for an eye at the origin;
     /// grows with the eye's distance from it.
     rounding: f32,
+    /// Largest coordinates, without their signs.
+    extent: DVec3,
     cones: Vec<Cones>,
     blocks: usize,
     /// Edges between two triangles of one block, block after block, and where each block's
@@ -111,6 +113,9 @@ impl Facing {
                 .map(|&triangle| triangles[triangle as usize])
                 .collect(),
             rounding: 0.0,
+            extent: (positions.iter()).fold(DVec3::ZERO, |extent, position| {
+                extent.max(position.as_dvec3().abs())
+            }),
             cones: vec![Cones::default(); blocks.div_ceil(LANES)],
             blocks,
             inner: Edges::new(),
@@ -258,6 +263,12 @@ impl Facing {
     #[inline(always)]
     pub(super) fn rounding_at(&self, eye: Vec3) -> f32 {
         self.rounding + PLANE_ROUNDING * eye.abs().element_sum()
+    }
+
+    /// The same along each axis, for planes along which it vanishes: however wide a floor is, it is as flat as its
+    /// heights are exact.
+    pub(super) fn rounding_of_axes(&self, eye: Vec3) -> DVec3 {
+        f64::from(PLANE_ROUNDING) * (self.extent + eye.as_dvec3().abs())
     }
 }
 

@@ -429,7 +429,7 @@ fn refined_figures(data: &Path) -> Outcome {
         let mesh = import::mesh(&data.join("meshes").join(file))?;
         let before = open_edges(&mesh);
         let (old_vertices, old_triangles) = (mesh.vertices.len(), mesh.triangles.len());
-        let refined = refine(mesh, max_edge, usize::MAX);
+        let refined = refine(mesh, |a, b| a.distance(b) / max_edge, usize::MAX);
         println!(
             "{file}: {old_vertices} to {} vertices, {old_triangles} to {} triangles",
             refined.vertices.len(),

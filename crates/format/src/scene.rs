@@ -113,7 +113,7 @@ pub struct BakeReport {
 #[serde(deny_unknown_fields)]
 pub struct VisibilityErrors {
     /// All over the surface, of stored distances, interpolated between vertices: what is
-    /// shaded.
+    /// shaded. Where things are small beside the scene, area counts in that of what is there.
     pub surface: f32,
     /// The same of distances that are exact at vertices: what compression has no part in.
     pub interpolation: f32,

@@ -48,9 +48,10 @@ pub const ALL_BOUNCES: u32 = 64;
 /// Random numbers of everything that asks for no others.
 pub const SEED: u32 = 0;
 
-/// Distance that rays start from a surface, in diagonals of the scene's bounding box: less than that at which
-/// visibility is sampled, so that the error of that is measured.
+/// Distance that rays start from a surface, in diagonals of the scene's bounding box, or as a part of that at which
+/// visibility is sampled: less than that, so that its error is measured.
 const RAY_OFFSET: f32 = 2e-6;
+const OF_SAMPLES: f32 = 0.2;
 
 /// How much work to do and where.
 #[derive(Clone, Copy, Debug)]
@@ -127,7 +128,14 @@ impl Trees {
         let mut places = corners.iter().flatten();
         let first = places.next().copied().unwrap_or_default();
         let bounds = places.fold([first; 2], |[low, high], &p| [low.min(p), high.max(p)]);
-        Self::with(occluders, ray_offset(bounds, RAY_OFFSET), scene, eye)
+        // Small things in a wide scene are sampled more closely.
+        let of_scene = RAY_OFFSET * bounds[0].distance(bounds[1]);
+        let offset = match scene.visibility.ray_offset {
+            samples if samples > 0.0 => of_scene.min(OF_SAMPLES * samples),
+            _ => of_scene,
+        };
+        let offset = offset.max(ray_offset(bounds, 0.0));
+        Self::with(occluders, offset, scene, eye)
     }
 
     /// Those of the same scene for another eye.

@@ -219,7 +219,8 @@ pub struct SceneArguments {
           value_parser = clap::value_parser!(u32).range(1..=i64::from(format::MAX_TILES_PER_CLUSTER)))]
     max_tiles: Option<u32>,
     /// Divide edges of triangles that are longer than this, as a fraction of the scene's diagonal without
-    /// its ground, above 0. Shadows are stored at vertices, so a finer mesh has finer shadows. A bound
+    /// its ground, above 0. Shadows are stored at vertices, so a finer mesh has finer shadows. Beside what
+    /// is less than a twentieth as large as the scene, as a figure on a field, it is a fraction of that. A bound
     /// in the scene file takes precedence [default: 0.08 for draft, 0.02 for standard, 0.06 for
     /// high].
     #[arg(long, value_name = "FRACTION", value_parser = positive, allow_negative_numbers = true)]

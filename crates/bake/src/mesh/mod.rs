@@ -5,6 +5,7 @@ pub(crate) mod cluster;
 pub mod ground;
 pub(crate) mod orient;
 pub(crate) mod refine;
+pub(crate) mod size;
 pub(crate) mod tangent;
 
 use glam::{Vec2, Vec3};

@@ -19,6 +19,7 @@ use super::overlaps;
 use super::queue::Queue;
 use super::sample::{CHUNK_VERTICES, Placed, Prepared};
 use super::statistics::{Statistics, add_time, load};
+use crate::mesh::size::SizeFunction;
 use crate::mesh::{Mesh, cluster, refine};
 use crate::monitor::{Interrupted, Monitor};
 use crate::transfer::radiosity::Radiosity;
@@ -26,12 +27,12 @@ use crate::transfer::surfaces::Surfaces;
 use crate::visibility::contour::ContourMesh;
 use crate::visibility::ray::{self, RayCaster};
 
-/// Edges up to this part of the object's diagonal are not cut for their error: shadows of
-/// contacts have no finest scale.
+/// Edges up to this part of what they belong to or stand beside are not cut for their error:
+/// shadows of contacts have no finest scale.
 const RELATIVE_MIN_EDGE: f32 = 0.004;
-/// The part of the object's diagonal that errors of edges are told for.
+/// The part of the same that errors of edges are told for.
 const RELATIVE_EDGE: f32 = 0.02;
-/// Distance of a visibility sample from its surface, in diagonals of the scene: far above
+/// Distance of a visibility sample from its surface, as a part of the size of things: far above
 /// the rounding of coordinates, far below anything that casts a visible shadow.
 const RELATIVE_RAY_OFFSET: f32 = 1e-5;
 /// Triangles in which interpolation is checked, about, but for small scenes one of so many.
@@ -89,12 +90,13 @@ impl<'a> Bake<'a> {
         let contours = ContourMesh::new(&input.mesh.soup());
         stages.push(("build bvh", clock.elapsed()));
 
-        let (ray_offset, far_off) = ray_offset(&input.mesh);
+        let sizes = SizeFunction::new(&input.mesh.positions(), input.object_diagonal);
+        let (ray_offset, far_off) = ray_offset(&input.mesh, &sizes);
         let (radiosity, reflections) = bounces(
             &input.mesh,
             contours.caster(),
             options,
-            ray_offset,
+            (&sizes, ray_offset),
             monitor,
             &mut stages,
         )?;
@@ -108,12 +110,11 @@ impl<'a> Bake<'a> {
             ..Default::default()
         };
         let (name, camera) = (input.name.clone(), input.camera);
-        let object_diagonal = input.object_diagonal;
         let mut warnings = input.warnings.clone();
         warnings.extend(far_off.into_iter().chain(highlights::warnings(&input.mesh)));
         warnings.extend(overlaps::warning(&input.mesh, contours.caster()));
         warnings.extend(reflections);
-        let mut mesh = refined(input, options, &contours, ray_offset, monitor)?;
+        let mut mesh = refined(input, options, &contours, (&sizes, ray_offset), monitor)?;
         for warning in mesh.warnings.drain(..) {
             if !warnings.contains(&warning) {
                 warnings.push(warning);
@@ -142,7 +143,7 @@ impl<'a> Bake<'a> {
             transfer: (radiosity.as_ref()).map(|all| all.head(options.transfer.order)),
         };
         let spacing = options.sample_spacing;
-        let placed = Placed::new(&mut mesh, &contours, ray_offset, object_diagonal, spacing);
+        let placed = Placed::new(&mut mesh, &contours, ray_offset, sizes, spacing);
         head.report.warnings.extend(darkness::warning(
             &mesh,
             &|index| placed.origin(index),
@@ -309,13 +310,13 @@ fn bounces(
     mesh: &Mesh,
     caster: &RayCaster,
     options: &Options,
-    ray_offset: f32,
+    scale: (&SizeFunction, f32),
     monitor: Monitor,
     stages: &mut Vec<(&'static str, Duration)>,
 ) -> Result<(Option<Radiosity>, Vec<String>), Interrupted> {
     monitor.step("bounces", 0.0)?;
     let surfaces = Surfaces::new(mesh);
-    let Some(radiosity) = Radiosity::new(surfaces, caster, &options.transfer, ray_offset, monitor)?
+    let Some(radiosity) = Radiosity::new(surfaces, caster, &options.transfer, scale, monitor)?
     else {
         return Ok((None, Vec::new()));
     };
@@ -329,10 +330,11 @@ fn bounces(
 
 /// Distance of samples from their surface, metres, and a warning if coordinates are so large that
 /// their rounding, not the size of the scene, tells it.
-fn ray_offset(mesh: &Mesh) -> (f32, Option<String>) {
+fn ray_offset(mesh: &Mesh, sizes: &SizeFunction) -> (f32, Option<String>) {
     let (low, high) = mesh.bounds().unwrap_or_default();
-    let offset = ray::ray_offset([low, high], RELATIVE_RAY_OFFSET);
-    if offset <= RELATIVE_RAY_OFFSET * mesh.diagonal() {
+    let diagonal = mesh.diagonal();
+    let offset = ray::ray_offset([low, high], RELATIVE_RAY_OFFSET * sizes.least_part());
+    if offset <= RELATIVE_RAY_OFFSET * diagonal {
         return (offset, None);
     }
     let largest = low.abs().max(high.abs()).max_element();
@@ -350,10 +352,10 @@ fn refined(
     input: SceneInput,
     options: &Options,
     contours: &ContourMesh,
-    ray_offset: f32,
+    (sizes, ray_offset): (&SizeFunction, f32),
     monitor: Monitor,
 ) -> Result<Mesh, Error> {
-    let (max_edge, bound) = refinement(&input, options, ray_offset);
+    let (max_edge, bound) = refinement(&input, options, sizes, ray_offset);
     let by_error = bound.error.is_finite();
     // Of the vertices that may be added, half are kept for where shadows fall.
     let even_vertices = if by_error {
@@ -361,31 +363,36 @@ fn refined(
     } else {
         bound.max_vertices
     };
-    let mesh = refine::refine(input.mesh, max_edge, even_vertices);
+    let length = |a, b| sizes.length(a, b, max_edge) / max_edge;
+    let mesh = refine::refine(input.mesh, length, even_vertices);
     if by_error {
         return Ok(refine::refine_wrong(mesh, contours, bound, monitor)?);
     }
     Ok(mesh)
 }
 
-/// Edge bound in metres, and the bounds on cuts by error: the scene file's, else the
-/// options'.
-fn refinement(input: &SceneInput, options: &Options, ray_offset: f32) -> (f32, refine::Bound) {
+/// The longest edge as a part of the size of things, and the bounds on cuts by error: the scene
+/// file's, else the options'.
+fn refinement<'a>(
+    input: &SceneInput,
+    options: &Options,
+    sizes: &'a SizeFunction,
+    ray_offset: f32,
+) -> (f32, refine::Bound<'a>) {
     let file = input.refinement.as_ref();
     let max_edge = file.and_then(|refinement| refinement.max_edge);
     let bound = refine::Bound {
         error: file
             .and_then(|refinement| refinement.error)
             .unwrap_or(options.refine_error),
-        edge: RELATIVE_EDGE * input.object_diagonal,
-        min_edge: RELATIVE_MIN_EDGE * input.object_diagonal,
+        edge: RELATIVE_EDGE,
+        min_edge: RELATIVE_MIN_EDGE,
+        sizes,
         max_vertices: file
             .and_then(|refinement| refinement.max_vertices)
             .unwrap_or(options.max_vertices),
         ray_offset,
     };
-    (
-        max_edge.unwrap_or(options.max_edge * input.object_diagonal),
-        bound,
-    )
+    let of_whole = |metres: f32| metres / input.object_diagonal;
+    (max_edge.map_or(options.max_edge, of_whole), bound)
 }

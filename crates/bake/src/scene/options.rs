@@ -35,7 +35,7 @@ pub struct Options {
     /// Global: components besides the mean.
     pub global_rank: u32,
     /// Longest edge after refinement, as a fraction of the diagonal of the scene without
-    /// its ground. A scene file may set its own in metres. Vertices that lie closer together
+    /// its ground, or of what is small beside that (`crate::mesh::size`). A scene file may set its own in metres. Vertices that lie closer together
     /// also see more alike, and share more of what is stored: half of the length costs twice
     /// the bytes.
     pub max_edge: f32,

@@ -13,6 +13,7 @@ use super::options::Options;
 use super::statistics::{Counters, add_time, load};
 use crate::compress::{Normal, Samples, Weighting};
 use crate::memory;
+use crate::mesh::size::SizeFunction;
 use crate::mesh::{Mesh, cluster};
 use crate::monitor::{Interrupted, Monitor};
 use crate::ssdf::{Sampled, Sampler};
@@ -49,9 +50,10 @@ pub(super) struct Placed {
     sparse: Sparse,
     sparse_light: Sparse,
     ray_offset: f32,
+    sizes: SizeFunction,
 }
 
-/// Distance of places, in diagonals of the object, below which their errors count by their surface: about that of scans of
+/// Distance of places, in sizes of what is there, below which their errors count by their surface: about that of scans of
 /// a hundred thousand triangles.
 const EVEN_SPACING: f32 = 0.004;
 /// Least that errors at a place count for: a small thing in a large scene may be looked at closely.
@@ -74,21 +76,24 @@ impl Placed {
         self.origins[self.triangles[triangle][0] as usize]
     }
 
-    /// Copies vertices that see different things from different sides. `spacing` of samples is in diagonals of the
-    /// object, 0 for all places.
+    /// Copies vertices that see different things from different sides. `spacing` of samples is in sizes of what is
+    /// there, 0 for all places.
     pub(super) fn new(
         mesh: &mut Mesh,
         contours: &ContourMesh,
         ray_offset: f32,
-        object_diagonal: f32,
+        sizes: SizeFunction,
         spacing: f32,
     ) -> Self {
         let triangles = mesh.indices();
         let positions = mesh.positions();
         let places = Places::new(&positions, &triangles, contours.caster(), ray_offset);
+        let sizes_at: Vec<f32> = (places.origins.par_iter())
+            .map(|&origin| sizes.at(origin))
+            .collect();
         let [sparse, sparse_light] = if spacing > 0.0 {
-            let spacing = spacing * object_diagonal;
-            spread(&positions, &triangles, &places, ray_offset, spacing)
+            let spacings: Vec<f32> = sizes_at.iter().map(|size| spacing * size).collect();
+            spread(&positions, &triangles, &places, ray_offset, &spacings)
         } else {
             [(); 2].map(|()| Sparse::all(places.origins.len()))
         };
@@ -99,15 +104,17 @@ impl Placed {
         for vertex in divided.copied {
             mesh.vertices.push(mesh.vertices[vertex as usize]);
         }
-        let even = EVEN_SPACING * object_diagonal;
         Self {
-            counts: counts(&places.origins, &places.corners, even),
+            counts: counts(&places.origins, &places.corners, |place| {
+                EVEN_SPACING * sizes_at[place as usize]
+            }),
             origins: places.origins,
             places: divided.places,
             triangles: places.corners,
             sparse,
             sparse_light,
             ray_offset,
+            sizes,
         }
     }
 }
@@ -119,7 +126,7 @@ fn spread(
     triangles: &[[u32; 3]],
     places: &Places,
     ray_offset: f32,
-    spacing: f32,
+    spacings: &[f32],
 ) -> [Sparse; 2] {
     let mut moved = vec![false; places.origins.len()];
     let corners = triangles.as_flattened().iter();
@@ -131,23 +138,24 @@ fn spread(
     let kinds = [(1.0, SMOOTH), (LIGHT_SPACING, LIGHT_SMOOTH)];
     kinds.map(|(factor, smooth)| {
         let spacing = Spacing {
-            distance: factor * spacing,
+            distances: spacings.iter().map(|spacing| factor * spacing).collect(),
             smooth,
         };
         let kept = |place: u32| moved[place as usize];
-        Sparse::new(&places.origins, &places.corners, spacing, kept)
+        Sparse::new(&places.origins, &places.corners, &spacing, kept)
     })
 }
 
-/// Of every place, what its errors count for beside those of one at the ordinary distance from others, `spacing`:
+/// Of every place, what its errors count for beside those of one at the ordinary distance from others, its `spacing`:
 /// where places lie closer together, they count by their surface.
-fn counts(origins: &[Vec3], triangles: &[[u32; 3]], spacing: f32) -> Vec<f32> {
+fn counts(origins: &[Vec3], triangles: &[[u32; 3]], spacing: impl Fn(u32) -> f32) -> Vec<f32> {
     let mut counts = vec![0.0; origins.len()];
-    let ordinary = EVEN_AREA * spacing * spacing;
     for triangle in triangles {
         let [a, b, c] = triangle.map(|place| origins[place as usize]);
         let area = 0.5 * (b - a).cross(c - a).length();
         for &place in triangle {
+            let spacing = spacing(place);
+            let ordinary = EVEN_AREA * spacing * spacing;
             counts[place as usize] += area / (3.0 * ordinary);
         }
     }
@@ -185,6 +193,7 @@ pub(super) struct Prepared<'a> {
     pub(super) contours: ContourMesh,
     /// Distance of samples from the surface, metres.
     pub(super) ray_offset: f32,
+    pub(super) sizes: SizeFunction,
     /// Where light is not gathered at every vertex, what is gathered at those that stand for others: irradiance, and
     /// with radiance.
     pub(super) gathered: [Vec<OnceLock<Gathered>>; 2],
@@ -258,6 +267,7 @@ impl<'a> Prepared<'a> {
             sparse: placed.sparse,
             sparse_light: placed.sparse_light,
             ray_offset: placed.ray_offset,
+            sizes: placed.sizes,
             mesh,
             chunks,
             contours,
@@ -481,7 +491,7 @@ mod tests {
             for origin in &mut origins {
                 *origin *= 12.0 / n as f32;
             }
-            let counts = counts(&origins, &triangles, spacing);
+            let counts = counts(&origins, &triangles, |_| spacing);
             assert!(counts.iter().all(|count| (0.0..=1.0).contains(count)));
             (counts.iter().sum(), counts.len())
         };

@@ -1,7 +1,8 @@
 //! How far visibility is off where it is shaded: between vertices.
 //!
 //! Points all over the surface are sampled as vertices are. What interpolation makes of the
-//! vertices around them is compared with what they see.
+//! vertices around them is compared with what they see. Errors count by area, in that of what
+//! is there: those on a figure do not vanish among square kilometres of field.
 
 use std::sync::atomic::Ordering;
 
@@ -28,9 +29,10 @@ pub(super) struct Probe {
     weights: [f32; 3],
     /// Where rays from it begin.
     origin: Vec3,
-    /// Unit normal of the triangle, and its area.
+    /// Unit normal of the triangle.
     face: Vec3,
-    area: f32,
+    /// What its errors count: the triangle's area, in that of what is there.
+    weight: f32,
     exact: Vec<f32>,
     normal: Normal,
     /// Mean square of the angle from the boundary to where `exact`, interpolated, vanishes.
@@ -41,12 +43,12 @@ pub(super) struct Probe {
 #[derive(Clone, Copy, Debug, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
 pub struct ErrorSums {
-    /// Sums of squared errors at probes, radians², times the area of their triangles, m².
+    /// Sums of squared errors at probes, radians², times what they count.
     surface: f64,
     interpolation: f64,
     resolution: f64,
-    /// Of the probes' triangles, m².
-    area: f64,
+    /// Of what probes count.
+    weight: f64,
     /// Sum of squared errors of vertices, radians².
     compression: f64,
     vertices: f64,
@@ -69,7 +71,7 @@ impl ErrorSums {
         [stored, exact]: [(&DMatrix<f32>, &[usize]); 2],
         weighting: &Weighting,
     ) {
-        let area = f64::from(probe.area);
+        let weight = f64::from(probe.weight);
         let squared_error = |(ssdfs, columns): (&DMatrix<f32>, &[usize])| {
             let mut found = vec![0.0; probe.exact.len()];
             for (index, weight) in columns.iter().zip(probe.weights) {
@@ -79,10 +81,10 @@ impl ErrorSums {
             }
             f64::from(weighting.squared_displacement(&found, &probe.exact, probe.normal))
         };
-        self.surface += area * squared_error(stored);
-        self.interpolation += area * squared_error(exact);
-        self.resolution += area * f64::from(probe.resolution);
-        self.area += area;
+        self.surface += weight * squared_error(stored);
+        self.interpolation += weight * squared_error(exact);
+        self.resolution += weight * f64::from(probe.resolution);
+        self.weight += weight;
     }
 
     /// Adds another set's sums.
@@ -90,7 +92,7 @@ impl ErrorSums {
         self.surface += other.surface;
         self.interpolation += other.interpolation;
         self.resolution += other.resolution;
-        self.area += other.area;
+        self.weight += other.weight;
         self.compression += other.compression;
         self.vertices += other.vertices;
     }
@@ -99,10 +101,10 @@ impl ErrorSums {
     pub(crate) fn errors(&self) -> VisibilityErrors {
         let mean = |sum: f64, count: f64| (sum / count.max(f64::MIN_POSITIVE)).sqrt() as f32;
         VisibilityErrors {
-            surface: mean(self.surface, self.area),
-            interpolation: mean(self.interpolation, self.area),
+            surface: mean(self.surface, self.weight),
+            interpolation: mean(self.interpolation, self.weight),
             compression: mean(self.compression, self.vertices),
-            resolution: mean(self.resolution, self.area),
+            resolution: mean(self.resolution, self.weight),
         }
     }
 }
@@ -175,15 +177,17 @@ impl Prepared<'_> {
         } else {
             [u, v]
         };
+        let point = a * (1.0 - u - v) + b * u + c * v;
+        let part = self.sizes.part(point);
         let offset = self.ray_offset * area_normal.normalize_or_zero();
         Probe {
             triangle,
             places: self.triangles[triangle as usize],
             vertices: corners.vertices,
             weights: [1.0 - u - v, u, v],
-            origin: a * (1.0 - u - v) + b * u + c * v + offset,
+            origin: point + offset,
             face: area_normal.normalize_or_zero(),
-            area: 0.5 * area_normal.length(),
+            weight: 0.5 * area_normal.length() / part.powi(2),
             exact: Vec::new(),
             normal: Normal {
                 direction: Vec3::ZERO,

@@ -1,8 +1,9 @@
-//! Points spread evenly over a scene's surface, and which of them is nearest.
+//! Points spread over a scene's surface, evenly or closer together about what is small, and which of them is nearest.
 
 use glam::{IVec3, Vec3};
 
-use super::surfaces::{Place, Surfaces};
+use super::surfaces::{Piece, Place, Surfaces};
+use crate::mesh::size::SizeFunction;
 
 /// A point with a side.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -23,6 +24,9 @@ const NORMAL_DISTANCE: f32 = 2.0;
 /// Squared distances are compared with this much to spare.
 const ROUNDING: f32 = 1.001;
 
+/// Sizes at places a spacing apart differ by this factor at most, nearly always.
+const NEAR_PART: f32 = 0.8;
+
 /// Hashes per point, about.
 const HASHES: usize = 16;
 /// What a normal has along the face that one within a spacing of it looks through, at least:
@@ -33,13 +37,15 @@ const LEAST_ALONG: f32 = 0.07;
 pub(crate) struct Points {
     /// The points, in the order of the tree.
     all: Vec<Point>,
-    /// Mean distance of neighbours, metres.
+    /// Mean distance of neighbours where things are as large as the scene, metres; elsewhere it is as much smaller as
+    /// things are.
     spacing: f32,
+    sizes: SizeFunction,
     /// Position and scaled normal, in the same order: median splits along the axis in
     /// `axes`, left half before the median, right half after it.
     keys: Vec<[f32; 6]>,
     axes: Vec<u8>,
-    /// By the hash of a cube of one spacing and of a face that its normals look through, the
+    /// By the hash of a cube of one spacing, or up to twice that, and of a face that its normals look through, the
     /// points in it and in its neighbours, among which the nearest one nearly always is; those of
     /// others with this hash do no harm (Teschner et al. 2003, "Optimized spatial hashing for
     /// collision detection").
@@ -49,19 +55,18 @@ pub(crate) struct Points {
 }
 
 impl Points {
-    /// About `count` points in proportion to area, on fronts, and on backs too if `both` sides
-    /// are asked for.
-    pub(crate) fn new(surfaces: &Surfaces, count: usize, both: bool) -> Self {
-        let triangles: Vec<usize> = in_z_order(surfaces);
-        let total: f64 = triangles
-            .iter()
-            .map(|&triangle| surfaces.area(triangle))
-            .sum();
+    /// About `count` points in proportion to area, in that of what is there, on fronts, and on backs
+    /// too if `both` sides are asked for.
+    pub(crate) fn new(surfaces: &Surfaces, sizes: &SizeFunction, count: usize, both: bool) -> Self {
+        let pieces: Vec<Piece> = (in_z_order(surfaces).into_iter())
+            .flat_map(|triangle| surfaces.pieces(triangle, sizes))
+            .collect();
+        let total: f64 = pieces.iter().map(|piece| piece.weight).sum();
         let sides = if both { 2.0 } else { 1.0 };
         let step = total * sides / count.max(1) as f64;
         let spacing = step.sqrt() as f32;
         let mut points = Vec::new();
-        for place in surfaces.spread(&triangles, step) {
+        for place in surfaces.spread(pieces.into_iter(), step) {
             let Place {
                 triangle,
                 barycentrics,
@@ -84,8 +89,8 @@ impl Points {
                 });
             }
         }
-        let scale = NORMAL_DISTANCE * spacing;
         let key = |point: &Point| {
+            let scale = NORMAL_DISTANCE * (spacing * sizes.part(point.position));
             let normal = point.geometric_normal * scale;
             let place = point.position;
             [place.x, place.y, place.z, normal.x, normal.y, normal.z]
@@ -95,6 +100,7 @@ impl Points {
             axes: vec![0; points.len()],
             all: points,
             spacing,
+            sizes: sizes.clone(),
             near: Vec::new(),
             starts: Vec::new(),
         };
@@ -111,12 +117,17 @@ impl Points {
         let buckets = (HASHES * self.all.len()).next_power_of_two();
         let mut pairs: Vec<(u32, u32)> = Vec::with_capacity(27 * self.all.len());
         for (index, point) in self.all.iter().enumerate() {
-            let cube = cube(point.position, self.spacing);
-            for (face, along) in faces(point.geometric_normal).into_iter().enumerate() {
-                for offset in (0..27).filter(|_| along > LEAST_ALONG) {
-                    let beside = IVec3::new(offset % 3, offset / 3 % 3, offset / 9) - 1;
-                    let bucket = bucket(cube.wrapping_add(beside), face as u32, buckets);
-                    pairs.push((bucket, index as u32));
+            let part = self.sizes.part(point.position);
+            // Places of the next level may be near.
+            let levels = [(part / NEAR_PART).min(1.0), part * NEAR_PART].map(level);
+            for level in levels[0]..=levels[1] {
+                let cube = cube(point.position, side(self.spacing, level));
+                for (face, along) in faces(point.geometric_normal).into_iter().enumerate() {
+                    for offset in (0..27).filter(|_| along > LEAST_ALONG) {
+                        let beside = IVec3::new(offset % 3, offset / 3 % 3, offset / 9) - 1;
+                        let cube = cube.wrapping_add(beside);
+                        pairs.push((bucket(cube, (face, level), buckets), index as u32));
+                    }
                 }
             }
         }
@@ -133,9 +144,9 @@ impl Points {
         &self.all
     }
 
-    /// Mean distance of neighbours, metres.
-    pub(crate) fn spacing(&self) -> f32 {
-        self.spacing
+    /// Mean distance of neighbours at a place, metres.
+    pub(crate) fn spacing_at(&self, place: Vec3) -> f32 {
+        self.spacing * self.sizes.part(place)
     }
 
     /// Sorts the part of the tree that begins at `start`.
@@ -182,13 +193,16 @@ impl Points {
         alike: f32,
     ) -> Option<usize> {
         let squared = reach * reach + NORMAL_DISTANCE * NORMAL_DISTANCE * 2.0 * (1.0 - alike);
-        let squared = ROUNDING * squared * self.spacing * self.spacing;
+        let spacing = self.spacing_at(position);
+        let squared = ROUNDING * squared * spacing * spacing;
         self.nearest_within(position, normal, squared)
     }
 
     /// The nearest, if it is nearer than a squared distance.
     fn nearest_within(&self, position: Vec3, normal: Vec3, squared: f32) -> Option<usize> {
-        let scaled = normal * (NORMAL_DISTANCE * self.spacing);
+        let part = self.sizes.part(position);
+        let spacing = self.spacing * part;
+        let scaled = normal * (NORMAL_DISTANCE * spacing);
         let key = [
             position.x, position.y, position.z, scaled.x, scaled.y, scaled.z,
         ];
@@ -203,8 +217,9 @@ impl Points {
                 best
             }
         });
-        let cube = cube(position, self.spacing);
-        let bucket = bucket(cube, face as u32, self.starts.len() - 1) as usize;
+        let level = level(part);
+        let cube = cube(position, side(self.spacing, level));
+        let bucket = bucket(cube, (face, level), self.starts.len() - 1) as usize;
         let near = &self.near[self.starts[bucket] as usize..self.starts[bucket + 1] as usize];
         // Distances are not negative, so that their bits are in order: the least without a branch.
         let packed = (near.iter())
@@ -219,7 +234,7 @@ impl Points {
             best = (distance, Some(packed as u32 as usize));
         }
         // What lies in no neighbouring cube is farther than this.
-        if best.0 > self.spacing * self.spacing {
+        if best.0 > spacing * spacing {
             self.search(&key, 0, self.keys.len(), &mut best);
         }
         best.1
@@ -265,8 +280,20 @@ fn faces(normal: Vec3) -> [f32; 6] {
     [x, -x, y, -y, z, -z]
 }
 
-/// The hash of a cube and a face.
-fn bucket(cube: IVec3, face: u32, buckets: usize) -> u32 {
+/// How often the whole has to be halved at most to be as small as a part of it in (0, 1]; to the least normal number.
+fn level(part: f32) -> i32 {
+    let below = (part.to_bits() - 1) >> 23;
+    (126 - below as i32).max(0)
+}
+
+/// Side of the cubes of a level.
+fn side(spacing: f32, level: i32) -> f32 {
+    spacing * f32::from_bits((127 - level.min(126) as u32) << 23)
+}
+
+/// The hash of a cube and a face, of a level.
+fn bucket(cube: IVec3, (face, level): (usize, i32), buckets: usize) -> u32 {
+    let face = (face as i32 + 6 * level) as u32;
     let [x, y, z] = cube.to_array().map(|x| x as u32);
     let mixed =
         x.wrapping_mul(73_856_093) ^ y.wrapping_mul(19_349_663) ^ z.wrapping_mul(83_492_791);
@@ -318,7 +345,8 @@ mod tests {
             0.5,
             0.0,
         );
-        let points = Points::new(&Surfaces::new(&mesh), 800, true);
+        let sizes = SizeFunction::even(mesh.diagonal());
+        let points = Points::new(&Surfaces::new(&mesh), &sizes, 800, true);
         let number = |seed: u32| (hash(seed, 9) >> 8) as f32 / 16_777_216.0;
         for query in 0..4000 {
             let [x, y, z, u, v] = [0, 1, 2, 3, 4].map(|k| number(8 * query + k));
@@ -331,7 +359,7 @@ mod tests {
                 Vec3::new(u - 0.5, v - 0.4, x - 0.5).normalize()
             };
             let found = points.nearest(position, normal).expect("there are points");
-            let normal = normal * (NORMAL_DISTANCE * points.spacing());
+            let normal = normal * (NORMAL_DISTANCE * points.spacing);
             let key = [
                 position.x, position.y, position.z, normal.x, normal.y, normal.z,
             ];

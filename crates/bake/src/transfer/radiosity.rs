@@ -13,6 +13,7 @@ use super::emitters::{Emitter, Emitters};
 use super::lamps::Emitted;
 use super::points::{Point, Points};
 use super::surfaces::{Met, Surfaces};
+use crate::mesh::size::SizeFunction;
 use crate::monitor::{Interrupted, Monitor};
 use crate::simd;
 use crate::visibility::ray::RayCaster;
@@ -113,7 +114,7 @@ impl Radiosity {
         surfaces: Surfaces,
         caster: &RayCaster,
         options: &Options,
-        ray_offset: f32,
+        (sizes, ray_offset): (&SizeFunction, f32),
         monitor: Monitor,
     ) -> Result<Option<Self>, Interrupted> {
         if options.bounces == Some(0) {
@@ -121,7 +122,7 @@ impl Radiosity {
         }
         let harmonics = Harmonics::new(options.order);
         let columns = harmonics.count() + usize::from(surfaces.emit());
-        let points = Points::new(&surfaces, options.points, false);
+        let points = Points::new(&surfaces, sizes, options.points, false);
         if points.as_slice().is_empty() {
             return Ok(None);
         }
@@ -152,7 +153,7 @@ impl Radiosity {
             time: Duration::ZERO,
         };
         if all.look_around(caster, options.point_rays / FEW) > BACKS {
-            all.points = Points::new(&all.surfaces, 2 * options.points, true);
+            all.points = Points::new(&all.surfaces, sizes, 2 * options.points, true);
             all.look_around(caster, options.point_rays / FEW);
         }
         let (direct, senders) = all.first(caster, options, monitor)?;
@@ -299,9 +300,9 @@ impl Radiosity {
         if !self.surfaces.emit() {
             return Emitters::default();
         }
-        // An equilateral triangle as large as the part of the surface that a point stands for.
-        let side = (4.0 / 3f32.sqrt()).sqrt() * self.points.spacing();
         let relay = |(index, point): (usize, &Point)| {
+            // An equilateral triangle as large as the part of the surface that a point stands for.
+            let side = (4.0 / 3f32.sqrt()).sqrt() * self.points.spacing_at(point.position);
             let (x, y) = point.geometric_normal.any_orthonormal_pair();
             let corner =
                 |turn: Vec2| point.position + side / 3f32.sqrt() * (turn.x * x + turn.y * y);
@@ -391,15 +392,15 @@ impl Radiosity {
     /// The point that stands for what a ray met: one of those about it, by chance, that has the
     /// same side and from which nothing parts it.
     fn standing_for(&self, caster: &RayCaster, met: &Met, number: u32) -> Option<usize> {
-        let radius = BLUR * self.points.spacing() * unit(hash(number, 1)).sqrt();
+        let spacing = self.points.spacing_at(met.position);
+        let radius = BLUR * spacing * unit(hash(number, 1)).sqrt();
         let aside = radius * self.aside(met.normal, hash(number, 2));
         [1.0, -0.5, 0.0].into_iter().find_map(|part| {
             let place = met.position + part * aside;
             let index = (self.points).nearest_alike(place, met.normal, REACH + BLUR, ALIKE)?;
             let point = &self.points.as_slice()[index];
             let distance = point.position.distance(met.position);
-            let near = distance < REACH * self.points.spacing()
-                && point.geometric_normal.dot(met.normal) > ALIKE;
+            let near = distance < REACH * spacing && point.geometric_normal.dot(met.normal) > ALIKE;
             let clearance = self.clearances[index];
             let alike =
                 || distance < UNCHANGED * clearance || self.is_close(caster, met, clearance);
@@ -621,7 +622,8 @@ pub(crate) mod tests {
             ..Options::standard()
         };
         let surfaces = Surfaces::new(mesh);
-        let solved = Radiosity::new(surfaces, &caster, &options, 1e-4, SILENT);
+        let sizes = SizeFunction::even(mesh.diagonal());
+        let solved = Radiosity::new(surfaces, &caster, &options, (&sizes, 1e-4), SILENT);
         (solved.unwrap().expect("light bounces"), caster)
     }
 
@@ -813,7 +815,8 @@ pub(crate) mod tests {
         let caster = RayCaster::new(&mesh.soup());
         let surfaces = Surfaces::new(&mesh);
         let options = Options::standard();
-        let solved = Radiosity::new(surfaces, &caster, &options, 1e-4, SILENT);
+        let sizes = SizeFunction::even(1.0);
+        let solved = Radiosity::new(surfaces, &caster, &options, (&sizes, 1e-4), SILENT);
         assert!(solved.unwrap().is_none());
     }
 }

@@ -56,7 +56,12 @@ impl Radiosity {
         let triangles = self.surfaces.of_material(material);
         let area = |&triangle: &usize| self.surfaces.area(triangle);
         let step = triangles.iter().map(area).sum::<f64>() / POINTS as f64;
-        let places = self.surfaces.spread(&triangles, step);
+        let places = self.surfaces.spread(
+            triangles
+                .iter()
+                .map(|&triangle| self.surfaces.whole(triangle)),
+            step,
+        );
         let views: Vec<Vec<View>> = (places.par_iter().enumerate())
             .map(|(index, place)| self.look_at(caster, place, index as u32))
             .collect();

@@ -7,6 +7,7 @@ use relight_shading::transfer::albedo;
 
 use super::emitters::{Emitter, Emitters};
 use crate::mesh::Mesh;
+use crate::mesh::size::SizeFunction;
 
 /// The imported mesh with its materials and textures.
 pub(crate) struct Surfaces {
@@ -43,6 +44,22 @@ pub(crate) struct Place {
     /// World space, metres.
     pub position: Vec3,
 }
+
+/// A part of a triangle.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Piece {
+    /// Of the mesh.
+    triangle: usize,
+    /// Barycentrics of its corners.
+    corners: [Vec3; 3],
+    /// What it counts where places are spread.
+    pub(crate) weight: f64,
+}
+
+/// Longest side of a piece of a wide triangle, in sizes of what is there.
+const PIECE: f32 = 0.25;
+/// As often is a triangle halved at most: its sides to a 65,536th.
+const MOST_HALVINGS: u32 = 32;
 
 impl Surfaces {
     /// Copies what shading reads.
@@ -106,27 +123,77 @@ impl Surfaces {
         &self.scene
     }
 
-    /// Places evenly over some triangles, one for every `step` of their area, square metres.
-    pub(crate) fn spread(&self, triangles: &[usize], step: f64) -> Vec<Place> {
+    /// Places evenly over some pieces, one for every `step` of what they count.
+    pub(crate) fn spread(&self, pieces: impl Iterator<Item = Piece>, step: f64) -> Vec<Place> {
         let mut places = Vec::new();
-        // Systematic sampling: every `step` of area, from half of it on.
+        // Systematic sampling: every `step`, from half of it on.
         let mut due = 0.5 * step;
-        for &triangle in triangles {
-            let area = self.area(triangle);
+        for piece in pieces {
             let mut number = 0;
-            while due < area && step > 0.0 {
-                let barycentrics = spread(number);
+            while due < piece.weight && step > 0.0 {
+                let within = spread(number);
+                let [a, b, c] = piece.corners;
+                let barycentrics = a * within.x + b * within.y + c * within.z;
                 places.push(Place {
-                    triangle,
+                    triangle: piece.triangle,
                     barycentrics,
-                    position: self.position(triangle, barycentrics),
+                    position: self.position(piece.triangle, barycentrics),
                 });
                 number += 1;
                 due += step;
             }
-            due -= area;
+            due -= piece.weight;
         }
         places
+    }
+
+    /// All of a triangle, which counts its area.
+    pub(crate) fn whole(&self, triangle: usize) -> Piece {
+        Piece {
+            triangle,
+            corners: [Vec3::X, Vec3::Y, Vec3::Z],
+            weight: self.area(triangle),
+        }
+    }
+
+    /// A triangle in pieces in each of which things are about equally large, and which count their area in that of
+    /// what is there. One that is not wide beside what is small is one piece.
+    pub(crate) fn pieces(&self, triangle: usize, sizes: &SizeFunction) -> Vec<Piece> {
+        if sizes.is_even() {
+            return vec![self.whole(triangle)];
+        }
+        let mut left = vec![(self.whole(triangle), 0)];
+        let mut pieces = Vec::new();
+        while let Some((piece, halvings)) = left.pop() {
+            let corners = piece.corners.map(|at| self.position(triangle, at));
+            let length = |k: usize| sizes.length(corners[k], corners[(k + 1) % 3], PIECE);
+            let longest = (1..3).fold(0, |longest, k| {
+                if length(k) > length(longest) {
+                    k
+                } else {
+                    longest
+                }
+            });
+            if length(longest) <= PIECE || halvings == MOST_HALVINGS {
+                let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
+                let part = f64::from(sizes.part(middle));
+                let weight = piece.weight / (part * part);
+                pieces.push(Piece { weight, ..piece });
+                continue;
+            }
+            let [a, b, c] = [0, 1, 2].map(|k| piece.corners[(longest + k) % 3]);
+            let middle = (a + b) * 0.5;
+            for corners in [[a, middle, c], [middle, b, c]] {
+                let weight = 0.5 * piece.weight;
+                let half = Piece {
+                    corners,
+                    weight,
+                    ..piece
+                };
+                left.push((half, halvings + 1));
+            }
+        }
+        pieces
     }
 
     /// Area of a triangle, square metres.

@@ -27,10 +27,10 @@ pub(crate) struct Sparse {
 }
 
 /// How far apart, and over what.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Spacing {
-    /// Metres.
-    pub distance: f32,
+    /// About every place, metres.
+    pub distances: Vec<f32>,
     /// Cosine between the normals of a place and of what stands for it, and between those of triangles that
     /// make no crease, at least.
     pub smooth: f32,
@@ -45,12 +45,12 @@ impl Sparse {
         }
     }
 
-    /// Sampled places are at most about `spacing`, in metres, apart. `triangles` have places for corners; `kept`
+    /// Sampled places are at most about `spacing` apart. `triangles` have places for corners; `kept`
     /// says which are sampled in any case.
     pub(crate) fn new(
         origins: &[Vec3],
         triangles: &[[u32; 3]],
-        spacing: Spacing,
+        spacing: &Spacing,
         kept: impl Fn(u32) -> bool,
     ) -> Self {
         let surface = Surface::new(origins, triangles, spacing.smooth);
@@ -67,8 +67,9 @@ impl Sparse {
                 continue;
             }
             sampled[place as usize] = true;
-            walk.from(&surface, place, REACH * spacing.distance, |other, way| {
-                covered[other as usize] |= way <= spacing.distance;
+            let distance = spacing.distances[place as usize];
+            walk.from(&surface, place, REACH * distance, |other, way| {
+                covered[other as usize] |= way <= distance;
                 reached[other as usize].push((way, place));
             });
         }
@@ -83,10 +84,9 @@ impl Sparse {
                 around.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
                 around.truncate(MOST);
                 let normal = surface.normals[place as usize];
-                let reach = REACH * spacing.distance;
-                sparse
-                    .sources
-                    .extend(weights(origins, place, normal, &around, reach));
+                let reach = |place: u32| REACH * spacing.distances[place as usize];
+                let weights = weights(origins, place, normal, &around, reach);
+                sparse.sources.extend(weights);
             }
             sparse.first.push(sparse.sources.len() as u32);
         }
@@ -110,26 +110,26 @@ impl Sparse {
     }
 }
 
-/// The weights of those `around` a place, with their ways from it.
+/// The weights of those `around` a place, with their ways from it, each of which reaches so far.
 fn weights(
     origins: &[Vec3],
     place: u32,
     normal: Vec3,
     around: &[(f32, u32)],
-    reach: f32,
+    reach: impl Fn(u32) -> f32,
 ) -> Vec<(u32, f32)> {
     let centre = origins[place as usize];
     let normal = normal.as_dvec3();
     let basis = (normal.try_normalize()).unwrap_or(DVec3::Y);
     let (x, y) = basis.any_orthonormal_pair();
-    let near = |way: f32| {
-        let way = f64::from(way / reach);
+    let near = |way: f32, source: u32| {
+        let way = f64::from(way / reach(source));
         (1.0 - way).max(1e-3).powi(2) / (way * way + 1e-4)
     };
     let rows: Vec<(f64, DVec3)> = (around.iter())
         .map(|&(way, source)| {
-            let away = (origins[source as usize] - centre).as_dvec3() / f64::from(reach);
-            (near(way), DVec3::new(1.0, away.dot(x), away.dot(y)))
+            let away = (origins[source as usize] - centre).as_dvec3() / f64::from(reach(place));
+            (near(way, source), DVec3::new(1.0, away.dot(x), away.dot(y)))
         })
         .collect();
     let mut normal_matrix = DMat3::ZERO;
@@ -303,9 +303,9 @@ mod tests {
     use super::*;
     use crate::mesh::cluster::tests::grid;
 
-    fn spacing(distance: f32) -> Spacing {
+    fn spacing(distance: f32, origins: &[Vec3]) -> Spacing {
         Spacing {
-            distance,
+            distances: vec![distance; origins.len()],
             smooth: 0.9,
         }
     }
@@ -320,7 +320,7 @@ mod tests {
     fn few_stand_for_a_fine_plane_and_linear_functions_come_out() {
         let n = 60;
         let (origins, triangles) = grid(n, |_, _| 0.0);
-        let sparse = Sparse::new(&origins, &triangles, spacing(4.0), |_| false);
+        let sparse = Sparse::new(&origins, &triangles, &spacing(4.0, &origins), |_| false);
         let count = origins.len() as u32;
         let sampled = sampled(&sparse, count);
         let border = 4 * n as usize;
@@ -351,7 +351,9 @@ mod tests {
     #[test]
     fn creases_are_sampled_and_not_crossed() {
         let (origins, triangles) = grid(20, |x, _| x.abs_diff(10) as f32);
-        let sparse = Sparse::new(&origins, &triangles, spacing(5.0), |place| place == 30);
+        let sparse = Sparse::new(&origins, &triangles, &spacing(5.0, &origins), |place| {
+            place == 30
+        });
         let count = origins.len() as u32;
         let sampled = sampled(&sparse, count);
         assert!(sampled.len() < 220, "{}", sampled.len());
@@ -372,11 +374,11 @@ mod tests {
         let (origins, triangles) = grid(10, |_, _| 0.0);
         let count = origins.len();
         assert_eq!(
-            Sparse::new(&origins, &triangles, spacing(0.5), |_| false),
+            Sparse::new(&origins, &triangles, &spacing(0.5, &origins), |_| false),
             Sparse::all(count)
         );
         assert_eq!(
-            Sparse::new(&[], &[], spacing(1.0), |_| false),
+            Sparse::new(&[], &[], &spacing(1.0, &origins), |_| false),
             Sparse::all(0)
         );
     }

@@ -297,6 +297,24 @@ fn figure() -> Shape {
     Shape::of(&mesh)
 }
 
+/// A level square that reaches so far from zero, in rows of cells.
+fn square(half: f32, cells: usize) -> Shape {
+    let mut square = Shape::default();
+    let row = cells + 1;
+    for corner in 0..row * row {
+        let [x, z] =
+            [corner % row, corner / row].map(|k| (2.0 * k as f32 / cells as f32 - 1.0) * half);
+        square.positions.push(Vec3::new(x, 0.0, z));
+    }
+    for cell in 0..cells * cells {
+        let a = cell / cells * row + cell % cells;
+        square
+            .triangles
+            .extend([[a, a + row, a + row + 1], [a, a + row + 1, a + 1]]);
+    }
+    square
+}
+
 fn boxes(count: usize) -> Shape {
     let mut all = Shape::default();
     for index in 0..count {
@@ -421,6 +439,27 @@ fn made(folder: &Path) -> anyhow::Result<Vec<Case>> {
     let positions = bowl.positions.clone();
     (bowl.triangles).retain(|triangle| triangle.iter().all(|&index| positions[index].y < 0.501));
     add("open_bowl", &bowl.obj(plain), None)?;
+    // On grounds far wider than the figure, of two triangles and of many; and two of them far apart.
+    let beside = figure.clone().moved(1.0, Vec3::new(700.0, 0.0, 300.0));
+    let mut two = figure.clone();
+    two.add(&beside);
+    for (name, mut shape, half, cells) in [
+        ("ground_of_100_m", figure.clone(), 50.0, 1),
+        ("ground_of_10_km", figure.clone(), 5000.0, 1),
+        ("ground_of_10_km_in_cells", figure.clone(), 5000.0, 20),
+        ("two_on_a_ground", two, 1000.0, 1),
+    ] {
+        shape.add(&square(half, cells));
+        let file = folder.join(name).with_extension("obj");
+        write_file(&file, shape.obj(plain).as_bytes())?;
+        cases.push(Case {
+            name: name.into(),
+            file,
+            ground: false,
+            eye: Some([Vec3::new(1.3, 1.2, -1.6), Vec3::new(0.0, 0.3, 0.0)]),
+            like: None,
+        });
+    }
     for mode in ["MASK", "BLEND"] {
         let name = format!("alpha_{}", mode.to_lowercase());
         let file = folder.join(&name).with_extension("gltf");

@@ -1,11 +1,12 @@
-//! Divides a mesh until no edge is longer than a bound, so that visibility, which lives at
-//! vertices, is sampled finely enough.
+//! Divides a mesh until no edge is longer than it may be there, so that visibility, which lives
+//! at vertices, is sampled finely enough.
 
 mod wrong;
 
 use std::collections::HashMap;
 
 use glam::Vec3;
+use rayon::prelude::*;
 
 use super::{Mesh, Triangle, Vertex};
 
@@ -20,36 +21,41 @@ fn key(a: Vec3, b: Vec3) -> Key {
     if a <= b { [a, b] } else { [b, a] }
 }
 
-/// Halves edges longer than `max_edge` (metres) until none is left, or until another round
-/// would give more than `max_vertices` vertices, which adds a warning.
+/// Halves edges whose `length` is above 1 until none is left, or until another round would give
+/// more than `max_vertices` vertices, which adds a warning. `length` is that between two ends, in
+/// any order, in lengths that an edge may have there.
 ///
 /// Whether and where an edge is cut depends on its two end positions alone, and not on their
 /// order, so triangles that meet at an edge cut it alike even if they share no vertex there:
 /// the mesh gets no crack and no T-junction. A triangle with one, two or three cut edges
 /// becomes two, three or four. New vertices hold plain averages, normals included, so that
 /// interpolation across a triangle gives what it gave before.
-pub fn refine(mut mesh: Mesh, max_edge: f32, max_vertices: usize) -> Mesh {
+pub fn refine(
+    mut mesh: Mesh,
+    length: impl Fn(Vec3, Vec3) -> f32 + Sync,
+    max_vertices: usize,
+) -> Mesh {
     // Coarse triangles shrink by half per round, so rounds are few.
     loop {
-        let lengths = long_edges(&mesh, max_edge);
+        let lengths = long_edges(&mesh, &length);
         if lengths.is_empty() {
             return mesh;
         }
         let room = max_vertices.saturating_sub(mesh.vertices.len());
         if lengths.len() <= room {
-            divide(&mut mesh, |a, b| cut(a, b, max_edge));
+            divide(&mut mesh, |a, b| cut(a, b, length(a, b) > 1.0));
             continue;
         }
         // Spend what is left on the longest edges. Edges of one length are cut together or
         // not at all, or neighbours would disagree.
         let bound = lengths[room];
         if lengths[0] > bound {
-            divide(&mut mesh, |a, b| cut(a, b, bound));
+            divide(&mut mesh, |a, b| cut(a, b, length(a, b) > bound));
         }
-        let left = long_edges(&mesh, max_edge);
+        let left = long_edges(&mesh, &length);
         mesh.warnings.push(format!(
-            "refinement stopped at {} of at most {max_vertices} vertices; the longest of {} \
-             edges left is {} m, the bound {max_edge} m",
+            "refinement stopped at {} of at most {max_vertices} vertices; of {} edges left that are \
+             too long for what stands there, one is {:.1} times as long as it should be",
             mesh.vertices.len(),
             left.len(),
             left.first().unwrap_or(&0.0),
@@ -58,29 +64,29 @@ pub fn refine(mut mesh: Mesh, max_edge: f32, max_vertices: usize) -> Mesh {
     }
 }
 
-/// The point where an edge longer than `bound` is cut, or `None`. Symmetric in its ends to
-/// the last bit.
-fn cut(a: Vec3, b: Vec3, bound: f32) -> Option<Vec3> {
+/// The point where an edge that is `long` is cut, or `None`. Symmetric in its ends to the last
+/// bit.
+fn cut(a: Vec3, b: Vec3, long: bool) -> Option<Vec3> {
     let middle = (a + b) * 0.5;
     // Near the resolution of f32 the middle may be one of the ends.
-    (a.distance(b) > bound && middle != a && middle != b).then_some(middle)
+    (long && middle != a && middle != b).then_some(middle)
 }
 
-/// Lengths of edges to cut, longest first, one per pair of vertex indices: as many as
+/// Lengths above 1 of edges to cut, longest first, one per pair of vertex indices: as many as
 /// cutting them adds vertices.
-fn long_edges(mesh: &Mesh, max_edge: f32) -> Vec<f32> {
+fn long_edges(mesh: &Mesh, length: &(impl Fn(Vec3, Vec3) -> f32 + Sync)) -> Vec<f32> {
     let position = |index: u32| mesh.vertices[index as usize].position;
-    let mut edges: Vec<[u32; 2]> = (mesh.triangles.iter())
-        .flat_map(|triangle| sides(triangle.vertices))
-        .filter(|&[a, b]| cut(position(a), position(b), max_edge).is_some())
-        .map(|[a, b]| [a.min(b), a.max(b)])
+    let long = |[a, b]: [u32; 2]| {
+        let [from, to] = [a.min(b), a.max(b)];
+        let length = length(position(a), position(b));
+        cut(position(a), position(b), length > 1.0).map(|_| ([from, to], length))
+    };
+    let mut edges: Vec<([u32; 2], f32)> = (mesh.triangles.par_iter())
+        .flat_map_iter(|triangle| sides(triangle.vertices).into_iter().filter_map(long))
         .collect();
-    edges.sort_unstable();
-    edges.dedup();
-    let mut lengths: Vec<f32> = edges
-        .iter()
-        .map(|&[a, b]| position(a).distance(position(b)))
-        .collect();
+    edges.sort_unstable_by_key(|&(edge, _)| edge);
+    edges.dedup_by_key(|(edge, _)| *edge);
+    let mut lengths: Vec<f32> = edges.into_iter().map(|(_, length)| length).collect();
     lengths.sort_unstable_by(|a, b| b.total_cmp(a));
     lengths
 }
@@ -165,6 +171,11 @@ mod tests {
     /// Areas and interpolated values go through about ten halvings, each rounded once.
     const TOLERANCE: f32 = 1e-5;
 
+    /// Edges may be of the same length everywhere, metres.
+    fn even(max_edge: f32) -> impl Fn(Vec3, Vec3) -> f32 {
+        move |a, b| a.distance(b) / max_edge
+    }
+
     fn vertex(position: Vec3) -> Vertex {
         Vertex {
             position,
@@ -239,7 +250,7 @@ mod tests {
     fn neighbours_without_common_vertices_stay_joined() {
         assert_closed(&soup());
         for max_edge in [1.5, 0.7, 0.3, 0.05] {
-            let mesh = refine(soup(), max_edge, usize::MAX);
+            let mesh = refine(soup(), even(max_edge), usize::MAX);
             assert_closed(&mesh);
             assert!(mesh.warnings.is_empty());
             for triangle in &mesh.triangles {
@@ -253,7 +264,7 @@ mod tests {
     #[test]
     fn area_material_and_attributes_are_kept() {
         let before = areas(&soup());
-        let mesh = refine(soup(), 0.1, usize::MAX);
+        let mesh = refine(soup(), even(0.1), usize::MAX);
         let after = areas(&mesh);
         assert_eq!(before.len(), after.len());
         for (material, area) in before {
@@ -282,7 +293,7 @@ mod tests {
 
     #[test]
     fn orientation_is_kept() {
-        let mesh = refine(soup(), 0.2, usize::MAX);
+        let mesh = refine(soup(), even(0.2), usize::MAX);
         for triangle in &mesh.triangles {
             let [a, b, c] = mesh.corners(triangle);
             assert!((b - a).cross(c - a).dot(a + b + c) > 0.0);
@@ -292,7 +303,7 @@ mod tests {
     #[test]
     fn the_vertex_bound_holds_and_leaves_no_crack() {
         for bound in [0, 24, 31, 100, 1000] {
-            let mesh = refine(soup(), 0.05, bound);
+            let mesh = refine(soup(), even(0.05), bound);
             assert!(
                 mesh.vertices.len() <= bound.max(24),
                 "{} of {bound}",
@@ -302,19 +313,19 @@ mod tests {
             assert_closed(&mesh);
         }
         // What is left of the bound goes to the longest edges.
-        assert!(refine(soup(), 0.05, 31).vertices.len() > 24);
+        assert!(refine(soup(), even(0.05), 31).vertices.len() > 24);
     }
 
     #[test]
     fn nothing_happens_to_short_edges_or_to_edges_that_cannot_be_halved() {
-        assert_eq!(refine(soup(), 10.0, usize::MAX), soup());
+        assert_eq!(refine(soup(), even(10.0), usize::MAX), soup());
         let mut tiny = soup();
         let up = |x: f32| f32::from_bits(x.to_bits() + 1);
         tiny.triangles.truncate(1);
         tiny.vertices[0].position = Vec3::splat(1e6);
         tiny.vertices[1].position = Vec3::new(up(1e6), 1e6, 1e6);
         tiny.vertices[2].position = Vec3::new(1e6, up(1e6), 1e6);
-        let refined = refine(tiny.clone(), 1e-9, usize::MAX);
+        let refined = refine(tiny.clone(), even(1e-9), usize::MAX);
         assert!(refined.triangles.len() < 100);
     }
 }

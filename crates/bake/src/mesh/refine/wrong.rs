@@ -13,6 +13,7 @@ use rayon::prelude::*;
 use super::{Key, cut, divide, key, sides};
 use crate::compress::{Normal, Weighting};
 use crate::mesh::Mesh;
+use crate::mesh::size::SizeFunction;
 use crate::monitor::{Interrupted, Monitor};
 use crate::ssdf;
 use crate::visibility::contour::ContourMesh;
@@ -28,20 +29,29 @@ const MAX_ROUNDS: usize = 12;
 
 /// What is wrong, and how far to go.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Bound {
+pub(crate) struct Bound<'a> {
     /// Edges are cut whose middle is more wrong than this: the angle by which a wall's edge
     /// would have to be off for the same effect, radians. That holds at the length `edge`.
     /// What is wrong shows on an area that shrinks with the square of the length, and so do
     /// squared errors count: an edge of half the length may be twice as wrong.
     pub error: f32,
-    /// Metres.
+    /// Part of the size of what an edge belongs to or stands beside.
     pub edge: f32,
-    /// Edges up to this length are left alone, metres.
-    pub(crate) min_edge: f32,
+    /// Edges up to this part of that size are left alone.
+    pub min_edge: f32,
+    /// Those sizes.
+    pub sizes: &'a SizeFunction,
     /// Cuts stop before the mesh has more vertices.
     pub max_vertices: usize,
     /// Distance of visibility samples from the surface, metres.
     pub ray_offset: f32,
+}
+
+impl Bound<'_> {
+    /// Length of an edge as a part of the size there.
+    fn length(&self, a: Vec3, b: Vec3) -> f32 {
+        self.sizes.length(a, b, self.min_edge)
+    }
 }
 
 /// A clamped SSDF, coarsely.
@@ -93,7 +103,8 @@ pub(crate) fn refine(
         let edges: Vec<Edge> = (edges(&mesh).into_iter())
             .filter(|edge| {
                 let [a, b] = ends(&mesh, edge);
-                cut(a, b, bound.min_edge).is_some() && known.insert(edge.vertices)
+                let long = bound.length(a, b) > bound.min_edge;
+                cut(a, b, long).is_some() && known.insert(edge.vertices)
             })
             .collect();
         sample_ends(&mesh, &edges, &mut ssdfs, &comparison, bound, monitor)?;
@@ -103,7 +114,7 @@ pub(crate) fn refine(
             .collect();
         let length = |edge: &Edge| {
             let [a, b] = ends(&mesh, edge);
-            a.distance(b)
+            bound.length(a, b)
         };
         let found = comparison.sample(&points, monitor, |index, middle, normal| {
             let edge = &edges[index];
@@ -133,7 +144,7 @@ pub(crate) fn refine(
         };
         let chosen: HashSet<Key> = wrong[..count].iter().map(at).collect();
         let middles = divide(&mut mesh, |a, b| {
-            chosen.contains(&key(a, b)).then(|| cut(a, b, 0.0))?
+            chosen.contains(&key(a, b)).then(|| cut(a, b, true))?
         });
         wrong.retain_mut(|edge| {
             let vertex = middles.get(&edge.vertices);
@@ -146,7 +157,7 @@ pub(crate) fn refine(
     if !wrong.is_empty() {
         mesh.warnings.push(format!(
             "refinement stopped at {} of at most {} vertices; {} edges are left that are off by \
-             more than {} rad, at {} m",
+             more than {} rad, at {} of their things' size",
             mesh.vertices.len(),
             bound.max_vertices,
             wrong.len(),
@@ -289,6 +300,8 @@ impl<'a> Comparison<'a> {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::LazyLock;
+
     use glam::Vec3Swizzles;
 
     use super::*;
@@ -346,11 +359,14 @@ mod tests {
         mesh
     }
 
-    fn bound(error: f32) -> Bound {
+    /// Of a scene of one size, 10 metres.
+    fn bound(error: f32) -> Bound<'static> {
+        static SIZES: LazyLock<SizeFunction> = LazyLock::new(|| SizeFunction::even(10.0));
         Bound {
             error,
-            edge: 1.0,
-            min_edge: 0.2,
+            edge: 0.1,
+            min_edge: 0.02,
+            sizes: &SIZES,
             max_vertices: 100_000,
             ray_offset: 1e-3,
         }

@@ -21,6 +21,8 @@ const DIAGONALS: f32 = 4.0;
 /// Things above this part of the whole are divided as the whole is, whose edges are then at most two fifths as long as they
 /// are: to divide them further costs up to three times the bytes, for less than it does for smaller things.
 const WHOLE: f32 = 0.05;
+/// Nothing is taken to be smaller than this part of the whole: coordinates hardly tell it from a point.
+const POINT: f32 = 1e-6;
 /// How much sizes grow with every metre of distance, metres.
 const GROWTH: f32 = 5.0;
 
@@ -47,6 +49,9 @@ impl SizeFunction {
         let whole = whole.max(f32::MIN_POSITIVE);
         let mut balls = balls(positions);
         balls.retain(|ball| ball.size < WHOLE * whole);
+        for ball in &mut balls {
+            ball.size = ball.size.max(POINT * whole);
+        }
         balls.sort_by(|a, b| a.size.total_cmp(&b.size));
         let mut kept: Vec<Ball> = Vec::new();
         for ball in balls {

@@ -231,4 +231,20 @@ mod tests {
         let doubled: Vec<Vec3> = points.iter().flat_map(|&point| [point; 3]).collect();
         assert_eq!(SizeFunction::new(&doubled, 2828.0), sizes);
     }
+    #[test]
+    fn a_knot_of_vertices_is_no_smaller_than_a_millionth_of_all() {
+        let mut points: Vec<Vec3> = (0..12)
+            .map(|index| 1e-25 * Vec3::new(index as f32, 0.0, (index * 5 % 7) as f32))
+            .collect();
+        points.extend(square(9.0).map(|corner| corner - Vec3::Y));
+        let whole = 25.5;
+        let sizes = SizeFunction::new(&points, whole);
+        assert_eq!(sizes.at(Vec3::ZERO), POINT * whole);
+        assert!(sizes.at(points[12]) > WHOLE * whole);
+        let length = sizes.length(Vec3::ZERO, points[12], 0.5);
+        assert!(
+            length < 1.01 * points[12].length() / (POINT * whole),
+            "{length}"
+        );
+    }
 }

@@ -14,6 +14,7 @@ use crate::simd;
 use super::Contour;
 use super::batch::{Batch, LANES};
 use super::facing::{BLOCK, Facing, IrregularEdge, Sides, block_of, for_each_where};
+use super::loose::Bundle;
 use super::parts::Parts;
 
 /// Numbers below this stand for triangles that face no point of the group, or every point, and
@@ -62,6 +63,8 @@ pub(super) struct Candidates {
     edge_ends: Vec<[[f32; 3]; 2]>,
     /// Edges of more triangles than two, or of two that do not fit each other.
     pub(super) irregular: Vec<IrregularEdge>,
+    /// Per bundle of loose triangles, their numbers.
+    pub(super) loose: Vec<[u32; LANES]>,
     /// Per number, 1 if the triangle faces the point looked at last, −1 if not, 0 if it is absent.
     faces: Vec<i8>,
     /// Triangles whose planes that point lies in, but for rounding.
@@ -95,6 +98,7 @@ impl Default for Candidates {
             edge_triangles: Vec::new(),
             edge_ends: Vec::new(),
             irregular: Vec::new(),
+            loose: Vec::new(),
             faces: Vec::new(),
             in_plane: Vec::new(),
             touched: Vec::new(),
@@ -121,7 +125,7 @@ impl Candidates {
         let distances = origins.iter().map(|origin| origin.distance(self.centre));
         self.radius = distances.fold(0.0, f32::max);
         let mut sides = std::mem::take(&mut self.sides);
-        facing.find_candidates(self.centre, self.radius, &mut sides, self);
+        facing.find_candidates(self.centre, self.radius, parts, &mut sides, self);
         self.sides = sides;
         self.arrange(parts, positions);
     }
@@ -172,6 +176,11 @@ impl Candidates {
         }
     }
 
+    /// What all parts take to count, see [`Self::contours_of`].
+    pub(super) fn expected(&self) -> usize {
+        self.sure.len() + self.loose.len() * LANES
+    }
+
     /// Parts of the mesh: those that look largest from the group come first.
     pub(super) fn parts_in_order(&self) -> &[u32] {
         &self.order
@@ -182,10 +191,27 @@ impl Candidates {
         &self.boxes
     }
 
-    /// How many contours of a part every point sees: lanes in use and those left free.
-    pub(super) fn contours_of(&self, place: u32) -> usize {
+    /// What a part takes to count, in contours that every point sees: lanes in use and those left free. A bundle
+    /// takes one batch.
+    pub(super) fn contours_of(&self, parts: &Parts, place: u32) -> usize {
         let batches = &self.first_batch[place as usize..][..2];
-        (batches[1] - batches[0]) as usize * LANES
+        let bundle = parts.bundle_of(self.order[place as usize]).is_some();
+        ((batches[1] - batches[0]) as usize + usize::from(bundle)) * LANES
+    }
+
+    /// The loose triangles of the parts at these places, and which way each faces, as seen from the point looked at
+    /// last: 1 or −1, and 0 if it does not count.
+    pub(super) fn loose<'a>(
+        &'a self,
+        parts: &'a Parts,
+        places: &'a [u32],
+    ) -> impl Iterator<Item = (&'a Bundle, impl Fn(usize) -> i8)> {
+        places.iter().filter_map(|&place| {
+            let bundle = parts.bundle_of(self.order[place as usize])?;
+            let (bundle, numbers) = (&parts.bundles[bundle], &self.loose[bundle]);
+            let face = |lane: usize| self.faces[numbers[lane] as usize];
+            Some((bundle, face))
+        })
     }
 
     /// The contours of the parts at these places: those that every point sees, and those that
@@ -219,7 +245,7 @@ impl Candidates {
     }
 
     /// Contours of the triangles that the point looked at last lies on.
-    pub(super) fn contours_of_touched(&mut self, positions: &[Vec3]) -> &[Batch<3>] {
+    pub(super) fn contours_of_touched(&mut self, parts: &Parts, positions: &[Vec3]) -> &[Batch<3>] {
         self.found_batches.clear();
         for &(index, face) in &self.touched {
             self.faces[KNOWN + index as usize] = face;
@@ -241,7 +267,15 @@ impl Candidates {
             let mut triangles = edge.triangles.iter();
             (triangles.any(|(triangle, _)| is_touched(*triangle))).then(|| edge.contour(face))?
         });
-        for contour in regular.chain(irregular) {
+        let loose = self.touched.iter().flat_map(|&(index, face)| {
+            let corners = self.corners[index as usize];
+            let loose = parts.bundle_of(parts.of_vertex(corners[0])).is_some();
+            let edges =
+                loose.then(|| [[0, 1], [1, 2], [2, 0]].map(|edge| edge.map(|i| corners[i])));
+            let step = i32::from(face);
+            (edges.into_iter().flatten()).map(move |vertices| Contour { vertices, step })
+        });
+        for contour in regular.chain(irregular).chain(loose) {
             append(&mut self.found_batches, contour, positions);
         }
         &self.found_batches
@@ -259,6 +293,7 @@ impl Candidates {
         self.corners.clear();
         self.edges.clear();
         self.irregular.clear();
+        self.loose.clear();
     }
 
     /// The triangle's number.

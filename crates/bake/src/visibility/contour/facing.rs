@@ -11,7 +11,9 @@ use glam::{DVec3, Vec3};
 use pulp::{Simd, WithSimd};
 
 use super::Contour;
+use super::batch;
 use super::candidates::{ABSENT, CandidateEdge, Candidates};
+use super::parts::Parts;
 use crate::simd;
 use crate::visibility;
 
@@ -55,6 +57,8 @@ pub(super) struct Facing {
     outer: Edges<u32>,
     /// Edges of one triangle, or of several that do not pair up.
     irregular: Vec<IrregularEdge>,
+    /// Where the planes of the triangles are, by their numbers in the list that this was made of.
+    places: Vec<u32>,
 }
 
 /// Normal cones of [`LANES`] blocks: for every triangle of a block, `n·(p − c)` of a point
@@ -100,8 +104,8 @@ impl IrregularEdge {
 }
 
 impl Facing {
-    /// `triangles` index `positions`; each has an area.
-    pub(super) fn new(positions: &[Vec3], triangles: &[[u32; 3]]) -> Self {
+    /// `triangles` index `positions`; each has an area. Of those that are loose, edges are left out.
+    pub(super) fn new(positions: &[Vec3], triangles: &[[u32; 3]], parts: &Parts) -> Self {
         let order = group(positions, triangles);
         let blocks = order.len().div_ceil(BLOCK);
         let mut facing = Self {
@@ -122,11 +126,13 @@ impl Facing {
             first_inner: Vec::new(),
             outer: Edges::new(),
             irregular: Vec::new(),
+            places: vec![0; order.len()],
         };
         // Edge from lower to higher vertex, triangle, whether it is wound along that.
         let mut halves: Vec<([u32; 2], u32, bool)> = Vec::with_capacity(3 * order.len());
         for (index, &triangle) in order.iter().enumerate() {
             let vertices = triangles[triangle as usize];
+            facing.places[triangle as usize] = index as u32;
             let [a, b, c] = vertices.map(|vertex| positions[vertex as usize].as_dvec3());
             let normal = (b - a).cross(c - a);
             facing.precise[index] = normal.extend(normal.dot(a)).to_array();
@@ -136,6 +142,9 @@ impl Facing {
                 out[index] = value;
             }
             facing.rounding = facing.rounding.max(PLANE_ROUNDING * plane.w.abs());
+            if parts.bundle_of(parts.of_vertex(vertices[0])).is_some() {
+                continue;
+            }
             for i in 0..3 {
                 let (from, to) = (vertices[i], vertices[(i + 1) % 3]);
                 halves.push(([from.min(to), from.max(to)], index as u32, from < to));
@@ -193,6 +202,7 @@ impl Facing {
         &self,
         centre: Vec3,
         radius: f32,
+        parts: &Parts,
         sides: &mut Sides,
         candidates: &mut Candidates,
     ) {
@@ -257,6 +267,14 @@ impl Facing {
                 candidates.irregular.push(edge);
             }
         }
+        candidates.loose.extend(parts.bundles.iter().map(|bundle| {
+            let mut numbers = [ABSENT; batch::LANES];
+            for (out, triangle) in numbers.iter_mut().zip(bundle.triangles()) {
+                let triangle = self.places[*triangle as usize];
+                *out = known_number(side(triangle)).unwrap_or_else(|| number(triangle));
+            }
+            numbers
+        }));
     }
 
     /// Bounds the rounding of heights above planes, in single precision.

@@ -11,6 +11,8 @@ use glam::Vec3;
 use pulp::{Simd, WithSimd};
 
 use super::batch::{Batch, CLEARANCE, LANES, Lines, whole};
+use super::loose::Bundle;
+use super::rounds::Open;
 use crate::simd;
 use crate::visibility::{Bitmap, ones, pack_bits};
 
@@ -80,6 +82,22 @@ impl Layers {
             layers: self,
             eye,
             contours,
+        });
+    }
+
+    /// Adds the steps of loose triangles, seen from `eye`, with what tells which way each faces. Those that lie behind
+    /// others, where no texel is `open`, are left out.
+    pub(super) fn count_loose<'a, F: Fn(usize) -> i8>(
+        &mut self,
+        eye: Vec3,
+        bundles: impl Iterator<Item = (&'a Bundle, F)>,
+        open: Option<&Open>,
+    ) {
+        simd::arch().dispatch(CountLoose {
+            layers: self,
+            eye,
+            bundles,
+            open,
         });
     }
 
@@ -167,6 +185,23 @@ impl Layers {
             }
         }
         true
+    }
+
+    /// Adds the steps of those of all segments that come from a batch on.
+    #[inline(always)]
+    fn add_from(&mut self, first: usize, segments: Vec<Batch<2>>) {
+        for batch in &segments[first..] {
+            self.add(batch);
+        }
+        self.segments = segments;
+    }
+
+    /// All segments, to append some, and the batch from which on that is done: what was added before stays as it is.
+    #[inline(always)]
+    fn take_segments(&mut self) -> (usize, Vec<Batch<2>>) {
+        let mut segments = std::mem::take(&mut self.segments);
+        segments.push(Batch::EMPTY);
+        (segments.len() - 1, segments)
     }
 
     /// Adds segments' steps.
@@ -329,99 +364,201 @@ impl<'a, I: Iterator<Item = &'a [Batch<3>]>> WithSimd for Count<'_, I> {
             contours,
         } = self;
         let half = layers.n as f32 * 0.5;
-        let mut segments = std::mem::take(&mut layers.segments);
-        let begun = segments.len();
-        // What was added before stays as it is.
-        segments.push(Batch::EMPTY);
+        let (first, mut segments) = layers.take_segments();
         for batches in contours {
             for batch in batches {
-                let edges = Edges::project(batch, eye, half);
-                for lane in ones(edges.cross_lines()) {
-                    let step = batch.steps[lane];
-                    let mut add = |a, b| Batch::append(&mut segments, [a, b], step);
-                    if let Some([a, b]) = edges.segment(lane) {
-                        add(a, b);
-                    } else {
-                        let [from, to] = edges.ends(lane);
-                        for_pieces(from, to, half, add);
+                let [from, to] = &batch.ends;
+                let (from, to) = (Points::new(from, eye, half), Points::new(to, eye, half));
+                for lane in ones(cross_lines(&from, &to) & batch.lanes()) {
+                    append(&mut segments, &from, &to, lane, batch.steps[lane], half);
+                }
+            }
+        }
+        layers.add_from(first, segments);
+    }
+}
+
+/// The vectorised part of [`Layers::count_loose`].
+struct CountLoose<'a, I> {
+    layers: &'a mut Layers,
+    eye: Vec3,
+    bundles: I,
+    open: Option<&'a Open>,
+}
+
+impl<'a, F: Fn(usize) -> i8, I: Iterator<Item = (&'a Bundle, F)>> WithSimd for CountLoose<'_, I> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self {
+            layers,
+            eye,
+            bundles,
+            open,
+        } = self;
+        let half = layers.n as f32 * 0.5;
+        let (first, mut segments) = layers.take_segments();
+        for (bundle, face) in bundles {
+            let [a, b, c] = &bundle.corners;
+            let (a, b) = (Points::new(a, eye, half), Points::new(b, eye, half));
+            let c = Points::new(c, eye, half);
+            let bounds = Bounds::of(&a, &b, &c);
+            let [ab, bc, ca] = [
+                cross_lines(&a, &b),
+                cross_lines(&b, &c),
+                cross_lines(&c, &a),
+            ];
+            for lane in ones(bounds.around_centres() & bundle.lanes()) {
+                let step = i32::from(face(lane));
+                let behind = |open: &Open| {
+                    if bounds.within[lane] == 1 {
+                        return bounds.behind(lane, open);
+                    }
+                    let [a, b, c] = [&a, &b, &c].map(|corner| corner.coordinates(lane));
+                    !open.any_in(a.min(b).min(c), a.max(b).max(c))
+                };
+                if step == 0 || open.is_some_and(behind) {
+                    continue;
+                }
+                for (from, to, crossing) in [(&a, &b, ab), (&b, &c, bc), (&c, &a, ca)] {
+                    if crossing >> lane & 1 == 1 {
+                        append(&mut segments, from, to, lane, step, half);
                     }
                 }
             }
         }
-        for batch in &segments[begun..] {
-            layers.add(batch);
-        }
-        layers.segments = segments;
+        layers.add_from(first, segments);
     }
 }
 
-/// Contours side by side, projected.
-struct Edges {
+/// Points side by side, projected.
+struct Points {
     /// Relative to the eye.
-    ends: [[[f32; LANES]; 3]; 2],
-    points: [[[f32; LANES]; 2]; 2],
-    octants: [[u8; LANES]; 2],
-    /// Those in use.
-    lanes: u64,
+    coordinates: [[f32; LANES]; 3],
+    /// In texels.
+    texels: [[f32; LANES]; 2],
+    octants: [u8; LANES],
 }
 
-impl Edges {
+impl Points {
     #[inline(always)]
-    fn project(batch: &Batch<3>, eye: Vec3, half: f32) -> Self {
-        let mut edges = Self {
-            ends: [[[0.0; LANES]; 3]; 2],
-            points: [[[0.0; LANES]; 2]; 2],
-            octants: [[0; LANES]; 2],
-            lanes: batch.lanes(),
+    fn new(points: &[[f32; LANES]; 3], eye: Vec3, half: f32) -> Self {
+        let mut projected = Self {
+            coordinates: [[0.0; LANES]; 3],
+            texels: [[0.0; LANES]; 2],
+            octants: [0; LANES],
         };
-        for i in 0..2 {
-            let vertices = &batch.ends[i];
-            let end = &mut edges.ends[i];
-            let point = &mut edges.points[i];
-            let octants = &mut edges.octants[i];
+        let [xs, ys, zs] = &mut projected.coordinates;
+        let [us, vs] = &mut projected.texels;
+        for lane in 0..LANES {
+            let x = points[0][lane] - eye.x;
+            let y = points[1][lane] - eye.y;
+            let z = points[2][lane] - eye.z;
+            (xs[lane], ys[lane], zs[lane]) = (x, y, z);
+            projected.octants[lane] =
+                u8::from(x < 0.0) | u8::from(y < 0.0) << 1 | u8::from(z < 0.0) << 2;
+            let sign = |x: f32| if x < 0.0 { -1.0 } else { 1.0 };
+            let absolute = Vec3::new(x.abs(), y.abs(), z.abs());
+            [us[lane], vs[lane]] = project(absolute, Vec3::new(sign(x), sign(y), sign(z)), half);
+        }
+        projected
+    }
+
+    /// Relative to the eye.
+    #[inline(always)]
+    fn coordinates(&self, lane: usize) -> Vec3 {
+        Vec3::from(self.coordinates.map(|axis| axis[lane]))
+    }
+
+    #[inline(always)]
+    fn texel(&self, lane: usize) -> Point {
+        self.texels.map(|axis| axis[lane])
+    }
+}
+
+/// Adds an edge's segments: one if it lies within one octant.
+#[inline(always)]
+fn append(
+    segments: &mut Vec<Batch<2>>,
+    from: &Points,
+    to: &Points,
+    lane: usize,
+    step: i32,
+    half: f32,
+) {
+    let mut add = |a, b| Batch::append(segments, [a, b], step);
+    if from.octants[lane] == to.octants[lane] {
+        add(from.texel(lane), to.texel(lane));
+    } else {
+        for_pieces(from.coordinates(lane), to.coordinates(lane), half, add);
+    }
+}
+
+/// Lanes of edges that come near a line of texel centres.
+#[inline(always)]
+fn cross_lines(from: &Points, to: &Points) -> u64 {
+    let mut crossing = [0; LANES];
+    let ([u0, v0], [u1, v1]) = (&from.texels, &to.texels);
+    for lane in 0..LANES {
+        // Written so that NaN crosses.
+        let between = between_lines(u0[lane], u1[lane]) && between_lines(v0[lane], v1[lane]);
+        let within = from.octants[lane] == to.octants[lane];
+        crossing[lane] = u8::from(!(between && within));
+    }
+    pack_bits(&crossing)
+}
+
+/// Rectangles around triangles side by side, in texels, where each lies within one octant.
+struct Bounds {
+    low: [[f32; LANES]; 2],
+    high: [[f32; LANES]; 2],
+    within: [u8; LANES],
+}
+
+impl Bounds {
+    #[inline(always)]
+    fn of(a: &Points, b: &Points, c: &Points) -> Self {
+        let mut bounds = Self {
+            low: [[0.0; LANES]; 2],
+            high: [[0.0; LANES]; 2],
+            within: [0; LANES],
+        };
+        // Where one is NaN, both are.
+        let less = |a: f32, b: f32| if a < b || a.is_nan() { a } else { b };
+        let more = |a: f32, b: f32| if a > b || a.is_nan() { a } else { b };
+        for axis in 0..2 {
+            let (a, b, c) = (&a.texels[axis], &b.texels[axis], &c.texels[axis]);
             for lane in 0..LANES {
-                let x = vertices[0][lane] - eye.x;
-                let y = vertices[1][lane] - eye.y;
-                let z = vertices[2][lane] - eye.z;
-                (end[0][lane], end[1][lane], end[2][lane]) = (x, y, z);
-                octants[lane] = u8::from(x < 0.0) | u8::from(y < 0.0) << 1 | u8::from(z < 0.0) << 2;
-                let sign = |x: f32| if x < 0.0 { -1.0 } else { 1.0 };
-                let absolute = Vec3::new(x.abs(), y.abs(), z.abs());
-                let [u, v] = project(absolute, Vec3::new(sign(x), sign(y), sign(z)), half);
-                point[0][lane] = u;
-                point[1][lane] = v;
+                bounds.low[axis][lane] = less(less(a[lane], b[lane]), c[lane]);
+                bounds.high[axis][lane] = more(more(a[lane], b[lane]), c[lane]);
             }
         }
-        edges
-    }
-
-    /// Both ends, relative to the eye.
-    #[inline(always)]
-    fn ends(&self, lane: usize) -> [Vec3; 2] {
-        [0, 1].map(|end| Vec3::from(self.ends[end].map(|axis| axis[lane])))
-    }
-
-    /// The edge in texels, if it lies within one octant.
-    #[inline(always)]
-    fn segment(&self, lane: usize) -> Option<[Point; 2]> {
-        let [[u0, v0], [u1, v1]] = &self.points;
-        let within = self.octants[0][lane] == self.octants[1][lane];
-        within.then_some([[u0[lane], v0[lane]], [u1[lane], v1[lane]]])
-    }
-
-    /// Lanes of edges that come near a line of texel centres.
-    #[inline(always)]
-    fn cross_lines(&self) -> u64 {
-        let mut crossing = [0; LANES];
-        let [[u0, v0], [u1, v1]] = &self.points;
-        let [from, to] = &self.octants;
         for lane in 0..LANES {
-            // Written so that NaN crosses.
-            let between = between_lines(u0[lane], u1[lane]) && between_lines(v0[lane], v1[lane]);
-            let within = from[lane] == to[lane];
-            crossing[lane] = u8::from(!(between && within));
+            let (a, b, c) = (a.octants[lane], b.octants[lane], c.octants[lane]);
+            bounds.within[lane] = u8::from(a == b) & u8::from(b == c);
         }
-        pack_bits(&crossing) & self.lanes
+        bounds
+    }
+
+    /// Lanes that a texel's centre may lie in or near.
+    #[inline(always)]
+    fn around_centres(&self) -> u64 {
+        let mut around = [0; LANES];
+        for (lane, around) in around.iter_mut().enumerate() {
+            // Written so that NaN is.
+            let u = between_lines(self.low[0][lane], self.high[0][lane]);
+            let v = between_lines(self.low[1][lane], self.high[1][lane]);
+            *around = 1 - (self.within[lane] & (u8::from(u) | u8::from(v)));
+        }
+        pack_bits(&around)
+    }
+
+    /// Whether nothing around is open, where a triangle lies within one octant.
+    #[inline(always)]
+    fn behind(&self, lane: usize, open: &Open) -> bool {
+        let [low, high] = [&self.low, &self.high].map(|corner| corner.map(|axis| axis[lane]));
+        !open.any_between(low, high)
     }
 }
 

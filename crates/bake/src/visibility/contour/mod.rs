@@ -21,6 +21,7 @@ mod candidates;
 mod crossings;
 mod facing;
 mod layers;
+mod loose;
 mod parts;
 mod rounds;
 
@@ -109,10 +110,11 @@ impl ContourMesh {
                 again.push(vertices);
             }
         }
+        let parts = Parts::new(&positions, &welded);
         Self {
             caster: RayCaster::new(triangles),
-            facing: Facing::new(&positions, &welded),
-            parts: Parts::new(&positions, &welded),
+            facing: Facing::new(&positions, &welded, &parts),
+            parts,
             vertices: all_vertices,
             repeated,
             near,
@@ -190,7 +192,7 @@ impl ContourMesh {
             }
         }
         // Where they end counts for `crossings`.
-        let contours = candidates.contours_of_touched(&self.positions);
+        let contours = candidates.contours_of_touched(&self.parts, &self.positions);
         layers.count(eye, [contours].into_iter());
     }
 
@@ -215,9 +217,10 @@ impl ContourMesh {
         layers.begin();
         rounds.begin(candidates, at_once);
         loop {
-            rounds.choose(candidates, chosen);
+            rounds.choose(candidates, &self.parts, chosen);
             candidates.find(&self.parts, &self.positions, chosen);
             layers.count(eye, candidates.contours(chosen));
+            layers.count_loose(eye, candidates.loose(&self.parts, chosen), rounds.open());
             let counted = |triangle: usize| {
                 let vertices = self.vertices[triangle];
                 let alike = |touched| ascending(touched) == ascending(vertices);
@@ -517,7 +520,7 @@ mod tests {
         assert!(rays < 60 * 64 * 64 / 4, "{rays} rays");
     }
 
-    /// A town: boxes, each of which hangs together, among loose triangles.
+    /// A town: boxes, each of which hangs together, among loose triangles and cards of two.
     fn town(state: &mut u64) -> Vec<[Vec3; 3]> {
         let mut triangles = Vec::new();
         for _ in 0..150 {
@@ -541,6 +544,13 @@ mod tests {
             let centre = random_point(state) * Vec3::new(4.0, 1.0, 4.0);
             [0; 3].map(|_| centre + 0.1 * random_point(state))
         }));
+        // Cards, bent along a diagonal; some are wound two ways.
+        for i in 0..300 {
+            let centre = random_point(state) * Vec3::new(4.0, 1.0, 4.0);
+            let [a, b, c, d] = [0; 4].map(|_| centre + 0.2 * random_point(state));
+            let other = if i % 10 == 0 { [a, d, c] } else { [a, c, d] };
+            triangles.extend([[a, b, c], other]);
+        }
         triangles
     }
 

@@ -6,15 +6,22 @@
 use glam::Vec3;
 
 use super::batch::LANES;
+use super::loose::Bundle;
 use crate::visibility;
 
+/// Pieces of at most so many triangles are loose.
+const MOST_LOOSE: usize = 2;
+
 /// Pieces of a mesh that hang together are parts; the small ones are gathered, with others near
-/// by, to parts that fill a batch of contours.
+/// by, to parts that fill a batch of contours. Those of one or two triangles are *loose*: their
+/// parts are bundles of triangles, and come last.
 pub(super) struct Parts {
     /// Per welded vertex.
     of_vertex: Vec<u32>,
     /// Corners of the boxes that bound them.
     pub(super) boxes: Vec<[Vec3; 2]>,
+    /// The triangles of the last parts.
+    pub(super) bundles: Vec<Bundle>,
 }
 
 impl Parts {
@@ -40,35 +47,55 @@ impl Parts {
                 boxes[piece] = joined(boxes[piece], [positions[*vertex as usize]; 2]);
             }
         }
-        let mut pieces: Vec<u32> = (0..positions.len() as u32)
-            .filter(|&piece| sizes[piece as usize] > 0)
-            .collect();
-        visibility::arrange(&mut pieces, 1, &|&piece| {
-            let [low, high] = boxes[piece as usize];
-            (low.midpoint(high).to_array(), piece)
-        });
+        let pieces = (0..positions.len() as u32).filter(|&piece| sizes[piece as usize] > 0);
+        let (mut loose, mut others): (Vec<u32>, Vec<u32>) =
+            pieces.partition(|&piece| sizes[piece as usize] <= MOST_LOOSE);
+        for pieces in [&mut loose, &mut others] {
+            visibility::arrange(pieces, 1, &|&piece| {
+                let [low, high] = boxes[piece as usize];
+                (low.midpoint(high).to_array(), piece)
+            });
+        }
         let mut parts = Self {
             of_vertex: vec![0; positions.len()],
             boxes: Vec::new(),
+            bundles: Vec::new(),
         };
         // Per piece, the part that it belongs to.
         let mut part = vec![0; positions.len()];
-        let mut filled = usize::MAX;
-        for piece in pieces.into_iter().map(|piece| piece as usize) {
-            let contours = expected_contours(sizes[piece]);
-            filled = filled.saturating_add(contours);
-            if filled > LANES {
-                filled = contours;
-                parts.boxes.push([Vec3::INFINITY, Vec3::NEG_INFINITY]);
+        let mut gather = |pieces: Vec<u32>, lanes: &dyn Fn(usize) -> usize| {
+            let mut filled = usize::MAX;
+            for piece in pieces.into_iter().map(|piece| piece as usize) {
+                let more = lanes(sizes[piece]);
+                filled = filled.saturating_add(more);
+                if filled > LANES {
+                    filled = more;
+                    parts.boxes.push([Vec3::INFINITY, Vec3::NEG_INFINITY]);
+                }
+                let number = parts.boxes.len() - 1;
+                part[piece] = number as u32;
+                parts.boxes[number] = joined(parts.boxes[number], boxes[piece]);
             }
-            let number = parts.boxes.len() - 1;
-            part[piece] = number as u32;
-            parts.boxes[number] = joined(parts.boxes[number], boxes[piece]);
-        }
+            parts.boxes.len()
+        };
+        let first_loose = gather(others, &expected_contours);
+        let count = gather(loose, &|triangles| triangles);
         for (of_vertex, piece) in parts.of_vertex.iter_mut().zip(piece) {
             *of_vertex = part[piece as usize];
         }
+        (parts.bundles).resize_with(count - first_loose, Bundle::default);
+        for (number, triangle) in (0..).zip(triangles) {
+            let corners = triangle.map(|vertex| positions[vertex as usize]);
+            if let Some(bundle) = parts.bundle_of(parts.of_vertex(triangle[0])) {
+                parts.bundles[bundle].push(number, corners);
+            }
+        }
         parts
+    }
+
+    /// The bundle that a part is, if what belongs to it is loose.
+    pub(super) fn bundle_of(&self, part: u32) -> Option<usize> {
+        (part as usize).checked_sub(self.boxes.len() - self.bundles.len())
     }
 
     pub(super) fn count(&self) -> usize {
@@ -106,7 +133,7 @@ mod tests {
 
     #[test]
     fn pieces_near_one_another_share_parts_and_large_ones_do_not() {
-        // A fan of 40 triangles, and 20 loose ones far away.
+        // A fan of 40 triangles, 20 loose ones far away, and strips of three farther still.
         let mut positions = vec![Vec3::ZERO];
         let mut triangles = Vec::new();
         for i in 0..41 {
@@ -121,15 +148,34 @@ mod tests {
             positions.extend([at, at + 0.5 * Vec3::X, at + 0.5 * Vec3::Y]);
             triangles.push([first, first + 1, first + 2]);
         }
+        for i in 0..9 {
+            let first = positions.len() as u32;
+            let at = Vec3::new(200.0 + i as f32, 0.0, 0.0);
+            positions.extend([0.0, 0.1, 0.2, 0.3, 0.4].map(|x| at + Vec3::new(x, x * x, 0.0)));
+            triangles.extend((first..first + 3).map(|vertex| [vertex, vertex + 1, vertex + 2]));
+        }
         let parts = Parts::new(&positions, &triangles);
-        assert_eq!(parts.count(), 1 + 4);
+        assert_eq!(parts.count(), 1 + 3 + 2);
+        let loose = |vertex| parts.bundle_of(parts.of_vertex(vertex));
+        let of_bundles: Vec<&[u32]> = parts.bundles.iter().map(Bundle::triangles).collect();
+        assert_eq!(of_bundles.concat(), (40..60).collect::<Vec<u32>>());
+        for (number, triangle) in (0..).zip(&triangles) {
+            assert_eq!(
+                loose(triangle[0]).is_some(),
+                (40..60).contains(&number),
+                "triangle {number}"
+            );
+            if let Some(bundle) = loose(triangle[0]) {
+                assert!(of_bundles[bundle].contains(&number));
+            }
+        }
         let fan = parts.of_vertex(0);
         for (vertex, position) in positions.iter().enumerate() {
             let part = parts.of_vertex(vertex as u32);
             assert_eq!(part == fan, vertex <= 41, "vertex {vertex}");
             let [low, high] = parts.boxes[part as usize];
             assert_eq!(position.clamp(low, high), *position);
-            assert!(high.x - low.x < 5.0, "{low} {high}");
+            assert!(high.x - low.x < 16.0, "{low} {high}");
         }
         for triangle in &triangles[40..] {
             let [a, b, c] = triangle.map(|vertex| parts.of_vertex(vertex));

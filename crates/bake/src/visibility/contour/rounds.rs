@@ -9,6 +9,7 @@ use pulp::{Simd, WithSimd};
 
 use super::batch::LANES;
 use super::candidates::Candidates;
+use super::parts::Parts;
 use crate::simd;
 use crate::visibility::Bitmap;
 
@@ -16,7 +17,7 @@ use crate::visibility::Bitmap;
 const FEW: usize = 3000;
 /// The share of all contours that the first round counts; each further one counts twice as many
 /// as the one before.
-const FIRST_SHARE: usize = 16;
+const FIRST_SHARE: usize = 8;
 /// Texels that are added around a part's box, far more than rounding.
 const MARGIN: f32 = 0.01;
 
@@ -35,6 +36,7 @@ impl Rounds {
     /// `at_once`: all parts in one round.
     pub(super) fn begin(&mut self, candidates: &Candidates, at_once: bool) {
         let parts = candidates.parts_in_order();
+        self.open.rows.clear();
         self.counted.clear();
         self.counted.resize(parts.len(), false);
         self.waiting.clear();
@@ -42,7 +44,7 @@ impl Rounds {
         self.budget = if at_once {
             usize::MAX
         } else {
-            candidates.sure.len() / FIRST_SHARE
+            candidates.expected() / FIRST_SHARE
         };
     }
 
@@ -52,10 +54,10 @@ impl Rounds {
     }
 
     /// Chooses what is counted next: places of parts in the group's order, which grow.
-    pub(super) fn choose(&mut self, candidates: &Candidates, chosen: &mut Vec<u32>) {
+    pub(super) fn choose(&mut self, candidates: &Candidates, parts: &Parts, chosen: &mut Vec<u32>) {
         chosen.clear();
         let left: usize = (self.waiting.iter())
-            .map(|&place| candidates.contours_of(place))
+            .map(|&place| candidates.contours_of(parts, place))
             .sum();
         let limit = if left <= self.budget.max(FEW) {
             usize::MAX
@@ -65,7 +67,7 @@ impl Rounds {
         let mut contours = 0;
         let mut taken = 0;
         while taken < self.waiting.len() && contours < limit {
-            contours += candidates.contours_of(self.waiting[taken]);
+            contours += candidates.contours_of(parts, self.waiting[taken]);
             taken += 1;
         }
         chosen.extend(self.waiting.drain(..taken));
@@ -73,6 +75,11 @@ impl Rounds {
             self.counted[candidates.parts_in_order()[place as usize] as usize] = true;
         }
         self.budget = self.budget.saturating_mul(2);
+    }
+
+    /// What is visible with what was counted in the rounds before, if any.
+    pub(super) fn open(&self) -> Option<&Open> {
+        (!self.open.rows.is_empty()).then_some(&self.open)
     }
 
     /// Whether a part is counted.
@@ -102,7 +109,7 @@ impl Rounds {
 
 /// The visible texels of a map, for asking whether a rectangle has some.
 #[derive(Default)]
-struct Open {
+pub(super) struct Open {
     n: usize,
     /// Columns that share a bit.
     columns: usize,
@@ -163,23 +170,32 @@ impl Open {
         bits >> left << left << (127 - right) != 0
     }
 
+    /// Whether what lies between two points of the map, in texels, may have to do with a visible texel.
+    #[inline(always)]
+    pub(super) fn any_between(&self, low: [f32; 2], high: [f32; 2]) -> bool {
+        self.any(
+            low.map(|x| (x - MARGIN).floor()),
+            high.map(|x| (x + MARGIN).ceil()),
+        )
+    }
+
     /// Whether a part within a box, relative to the eye, may have to do with a visible texel.
     #[inline(always)]
-    fn any_in(&self, low: Vec3, high: Vec3) -> bool {
+    pub(super) fn any_in(&self, low: Vec3, high: Vec3) -> bool {
         let half = self.n as f32 * 0.5;
-        // Per axis, the distances from the coordinate plane on both of its sides.
-        let sides = [0, 1, 2].map(|axis| {
+        // The distances from the coordinate plane on both of its sides.
+        let sides = |axis: usize| {
             let (low, high) = (low[axis], high[axis]);
-            [(low.max(0.0), high, 1.0), ((-high).max(0.0), -low, -1.0)]
-        });
-        for x in sides[0].into_iter().filter(|side| side.1 >= 0.0) {
-            for y in sides[1].into_iter().filter(|side| side.1 >= 0.0) {
-                for z in sides[2].into_iter().filter(|side| side.1 >= 0.0) {
-                    let [low, high] =
-                        rectangle([x.0, y.0, z.0], [x.1, y.1, z.1], [x.2, y.2, z.2], half);
-                    if self.any(low, high) {
-                        return true;
-                    }
+            [
+                ([low.max(0.0), high], 1.0),
+                ([(-high).max(0.0), -low], -1.0),
+            ]
+        };
+        for (x, x_sign) in sides(0).into_iter().filter(|([_, far], _)| *far >= 0.0) {
+            for (z, z_sign) in sides(2).into_iter().filter(|([_, far], _)| *far >= 0.0) {
+                let [low, high] = rectangle(x, [low.y, high.y], z, [x_sign, z_sign], half);
+                if self.any(low, high) {
+                    return true;
                 }
             }
         }
@@ -187,27 +203,36 @@ impl Open {
     }
 }
 
-/// The lowest and the highest texel around where a box of an octant, given by its distances from
-/// the coordinate planes, lies in the map: `octahedral::encode` grows with one coordinate and falls
-/// with the others.
+/// The lowest and the highest texel around where a box lies in the map, given by the least and the largest of `|x|`, `y`
+/// and `|z|` in it, and the signs of its x and z: without these, coordinates that `octahedral::encode` gives grow
+/// with their own axis, and fall with the other and with y, above and below the plane y = 0 alike.
 #[inline(always)]
-fn rectangle(near: [f32; 3], far: [f32; 3], sign: [f32; 3], half: f32) -> [[f32; 2]; 2] {
-    let ([x0, y0, z0], [x1, y1, z1]) = (near, far);
-    // Of x and of z, what share of the sum of all coordinates it is at least and at most.
-    let x = [x0 / (x0 + y1 + z1), x1 / (x1 + y0 + z0)];
-    let z = [z0 / (z0 + x1 + y1), z1 / (z1 + x0 + y0)];
-    let (u, v) = if sign[1] > 0.0 {
-        (x, z)
-    } else {
-        ([1.0 - z[1], 1.0 - z[0]], [1.0 - x[1], 1.0 - x[0]])
+fn rectangle(x: [f32; 2], y: [f32; 2], z: [f32; 2], sign: [f32; 2], half: f32) -> [[f32; 2]; 2] {
+    let share = |of: f32, y: f32, other: f32| {
+        let above = y > 0.0;
+        let share = if above { of } else { other } / (of + y.abs() + other);
+        if above { share } else { 1.0 - share }
     };
+    let u = [share(x[0], y[1], z[1]), share(x[1], y[0], z[0])];
+    let v = [share(z[0], y[1], x[1]), share(z[1], y[0], x[0])];
     let texels = |[from, to]: [f32; 2], sign: f32| {
-        let (from, to) = if sign > 0.0 { (from, to) } else { (-to, -from) };
-        let [from, to] = [from, to].map(|at| half * at + (half - 0.5));
-        [(from - MARGIN).floor(), (to + MARGIN).ceil()]
+        let low = if sign > 0.0 { from } else { -to };
+        let high = if sign > 0.0 { to } else { -from };
+        let [low, high] = [half * low + (half - 0.5), half * high + (half - 0.5)];
+        [(low - MARGIN).floor(), (high + MARGIN).ceil()]
     };
-    let ([left, right], [top, bottom]) = (texels(u, sign[0]), texels(v, sign[2]));
+    let ([left, right], [top, bottom]) = (texels(u, sign[0]), texels(v, sign[1]));
     [[left, top], [right, bottom]]
+}
+
+/// Distances of an interval from zero, its sign, and 1 if it lies to one side.
+#[inline(always)]
+fn distances(low: f32, high: f32) -> ([f32; 2], f32, u8) {
+    let negative = high < 0.0;
+    let near = if negative { -high } else { low };
+    let far = if negative { -low } else { high };
+    let sign = if negative { -1.0 } else { 1.0 };
+    ([near, far], sign, u8::from(low > 0.0) | u8::from(negative))
 }
 
 /// The vectorised part of [`Rounds::cull`].
@@ -242,26 +267,20 @@ impl WithSimd for Cull<'_> {
                     corners[1][axis][lane] = high[axis] - eye[axis];
                 }
             }
+            let ([x_low, y_low, z_low], [x_high, y_high, z_high]) = (&corners[0], &corners[1]);
             let (mut lows, mut highs) = ([[0.0; LANES]; 2], [[0.0; LANES]; 2]);
-            let mut within = [false; LANES];
+            let mut within = [0; LANES];
             for lane in 0..LANES {
-                let (mut near, mut far, mut sign) = ([0.0; 3], [0.0; 3], [1.0; 3]);
-                within[lane] = true;
-                for axis in 0..3 {
-                    let (low, high) = (corners[0][axis][lane], corners[1][axis][lane]);
-                    within[lane] &= low > 0.0 || high < 0.0;
-                    let negative = high < 0.0;
-                    sign[axis] = if negative { -1.0 } else { 1.0 };
-                    near[axis] = if negative { -high } else { low };
-                    far[axis] = if negative { -low } else { high };
-                }
-                let [low, high] = rectangle(near, far, sign, half);
-                for i in 0..2 {
-                    (lows[i][lane], highs[i][lane]) = (low[i], high[i]);
-                }
+                let (x, x_sign, one_x) = distances(x_low[lane], x_high[lane]);
+                let (z, z_sign, one_z) = distances(z_low[lane], z_high[lane]);
+                within[lane] = one_x & one_z;
+                let y = [y_low[lane], y_high[lane]];
+                let [low, high] = rectangle(x, y, z, [x_sign, z_sign], half);
+                (lows[0][lane], lows[1][lane]) = (low[0], low[1]);
+                (highs[0][lane], highs[1][lane]) = (high[0], high[1]);
             }
             for lane in 0..count {
-                let stays = if within[lane] {
+                let stays = if within[lane] == 1 {
                     open.any(lows.map(|low| low[lane]), highs.map(|high| high[lane]))
                 } else {
                     let [low, high] =

@@ -231,6 +231,7 @@ mod tests {
         let doubled: Vec<Vec3> = points.iter().flat_map(|&point| [point; 3]).collect();
         assert_eq!(SizeFunction::new(&doubled, 2828.0), sizes);
     }
+
     #[test]
     fn a_knot_of_vertices_is_no_smaller_than_a_millionth_of_all() {
         let mut points: Vec<Vec3> = (0..12)

@@ -15,7 +15,7 @@ use relight_shading::gpu::MAX_BATCH;
 use crate::support::attachment;
 use crate::{
     DIFFERENT_PIXELS, DISPLAY_CODES, FRAME_RELATIVE_RMSE, OTHER_RAYS, Outcome, POLAR, frame,
-    lights, relative_rmse, render, scenes, sources, stripes, target, with_options,
+    lights, looseness, relative_rmse, render, scenes, sources, stripes, target, with_options,
 };
 
 const SIZE: [u32; 2] = [160, 120];
@@ -403,7 +403,14 @@ pub fn antialiasing_matches_twin(gpu: &mut Gpu) -> Outcome {
             let different = pairs.filter(differs).count();
             println!("{name}: {different} pixels differ, {partly} show background in part");
             assert!(partly > 50, "{name}: {partly} pixels");
-            assert!(different as f32 <= DIFFERENT_SAMPLES * found.pixels.len() as f32);
+            if gpu.is_software() {
+                assert!(different as f32 <= DIFFERENT_SAMPLES * found.pixels.len() as f32);
+            } else {
+                // A card's weights and its edges, which it rounds to 256ths of a pixel, are seen in more of them.
+                let error = relative_rmse(&found, &expected);
+                println!("{name}: relative RMSE {error:e}");
+                assert!(error <= looseness(gpu) * FRAME_RELATIVE_RMSE, "{error}");
+            }
         }
     }
     Ok(())

@@ -16,7 +16,7 @@ const NODE_COST: f32 = 1.0;
 /// A triangle's bounds, padded so that rounding in the box test loses no hit.
 struct Padded {
     corners: [Vec3A; 3],
-    padding: f32,
+    padding: Vec3A,
 }
 
 impl Boundable for Padded {
@@ -41,14 +41,15 @@ fn of_triangles(triangles: &[[Vec3; 3]]) -> Occluders {
     if triangles.is_empty() {
         return Occluders::default();
     }
-    let extent = triangles.iter().flatten().fold(0f32, |extent, corner| {
-        extent.max(corner.abs().max_element())
-    });
+    // Along each axis for itself: rays that start on wide flat ground are not in its boxes.
+    let extent =
+        (triangles.iter().flatten()).fold(Vec3::ZERO, |extent, corner| extent.max(corner.abs()));
+    let padding = Vec3A::from(extent * 16.0 * f32::EPSILON);
     let padded: Vec<Padded> = triangles
         .iter()
         .map(|corners| Padded {
             corners: corners.map(Vec3A::from),
-            padding: extent * 16.0 * f32::EPSILON,
+            padding,
         })
         .collect();
     let tree = tree(&padded);

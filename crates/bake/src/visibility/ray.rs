@@ -56,7 +56,7 @@ pub(crate) struct Crossing {
 /// A triangle's bounds, padded so that rounding in the box test loses no hit.
 struct Padded {
     vertices: [Vec3A; 3],
-    padding: f32,
+    padding: Vec3A,
 }
 
 impl Boundable for Padded {
@@ -69,12 +69,12 @@ impl Boundable for Padded {
 impl RayCaster {
     /// Builds the tree. Triangles may be degenerate; coordinates must be finite.
     pub fn new(triangles: &[[Vec3; 3]]) -> Self {
-        let extent = triangles.iter().flatten().fold(0f32, |extent, vertex| {
-            extent.max(vertex.abs().max_element())
-        });
+        let extent = (triangles.iter().flatten())
+            .fold(Vec3::ZERO, |extent, vertex| extent.max(vertex.abs()));
         // The box test loses up to three units in the last place of the distance to the
-        // ray's origin, which lies within a few extents of the scene.
-        let padding = extent * 16.0 * f32::EPSILON;
+        // ray's origin, which lies within a few extents of the scene. Along each axis for itself: boxes of ground that is
+        // kilometres wide would reach above the origins of rays that start there, and go along all of it.
+        let padding = Vec3A::from(extent * 16.0 * f32::EPSILON);
         let padded: Vec<Padded> = triangles
             .iter()
             .map(|triangle| Padded {
@@ -276,6 +276,16 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn boxes_of_wide_ground_end_below_the_rays_that_start_on_it() {
+        let [low, high] = [-5000.0, 5000.0].map(|side| Vec3::new(side, 1.0, side));
+        let corner = Vec3::new(low.x, 1.0, high.z);
+        let caster = RayCaster::new(&[[low, high, corner]]);
+        let root = caster.bvh.nodes[0].aabb();
+        assert!(root.max.y < 1.0 + ray_offset([low, high], 0.0), "{root:?}");
+        assert!(root.min.y <= 1.0 && root.max.y >= 1.0, "{root:?}");
     }
 
     #[test]

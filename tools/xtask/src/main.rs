@@ -5,10 +5,9 @@ mod figures;
 mod results;
 mod web;
 
-use std::cell::Cell;
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitCode, Stdio};
+use std::process::{Command, ExitCode, Stdio};
 use std::time::Instant;
 
 const USAGE: &str = "usage: cargo xtask test | results | figures | web [--serve] | gpu-cost [KERNEL...]
@@ -105,7 +104,6 @@ fn test() -> ExitCode {
         None => println!("xtask: no test data; tests on real input are skipped"),
     }
     let mut counts = Counts::default();
-    let deny = Cell::new(None::<Deny>);
     let steps: [(&str, &mut dyn FnMut() -> Outcome); 7] = [
         ("install", &mut || install(&root)),
         ("format", &mut || {
@@ -130,17 +128,13 @@ fn test() -> ExitCode {
             pages
         }),
         ("tests", &mut || {
-            deny.set(Some(Deny::start(&root)));
             let all = format!("test {TESTED} --no-fail-fast");
             let own = "test --release --package relight-xtask";
             let outcomes = [&all, own].map(|tests| run_tests(&mut cargo(tests), &mut counts));
             let failed = |outcome: &Outcome| matches!(outcome, Outcome::Failed(_));
             outcomes.into_iter().find(failed).unwrap_or(Outcome::Passed)
         }),
-        ("dependencies", &mut || {
-            let mut deny = deny.take().unwrap_or_else(|| Deny::start(&root));
-            deny.check()
-        }),
+        ("dependencies", &mut || dependencies(&root)),
     ];
     let mut summary = Vec::new();
     let mut failed = false;
@@ -424,67 +418,41 @@ fn run_tests(command: &mut Command, counts: &mut Counts) -> Outcome {
     }
 }
 
-/// `cargo deny`, installed where it is missing.
-struct Deny {
-    root: PathBuf,
-    /// What installs it: begun before the tests, which leave a processor idle now and then.
-    installs: Option<Child>,
-}
-
-impl Deny {
-    fn start(root: &Path) -> Self {
-        let mut deny = Self {
-            root: root.to_owned(),
-            installs: None,
-        };
-        if !succeeds(&mut deny.command("--version")) {
-            println!("xtask: installing cargo-deny");
-            let tools = deny.tools();
-            // Without optimisation: it runs for seconds.
-            let mut install = cargo(root, "install --quiet --locked --debug cargo-deny --root");
-            install.arg(&tools).env("CARGO_PROFILE_DEV_DEBUG", "0");
-            install.env("CARGO_TARGET_DIR", tools.join("target"));
-            deny.installs = install.spawn().ok();
-        }
-        deny
-    }
-
-    fn tools(&self) -> PathBuf {
-        self.root.join("target/tools")
-    }
-
-    fn command(&self, arguments: &str) -> Command {
-        let own = self.tools().join("bin/cargo-deny");
+/// `cargo deny`, without the advisories where their database cannot be had. It is built if it is
+/// missing, without optimisation: it runs for seconds.
+fn dependencies(root: &Path) -> Outcome {
+    let tools = root.join("target/tools");
+    let own = tools.join("bin/cargo-deny");
+    let deny = |arguments: &str| {
         let mut command = if own.exists() {
             let mut command = Command::new(&own);
-            command.current_dir(&self.root).stdin(Stdio::null());
+            command.current_dir(root).stdin(Stdio::null());
             command
         } else {
-            cargo(&self.root, "deny")
+            cargo(root, "deny")
         };
         command.args(arguments.split(' '));
         command
+    };
+    if !succeeds(&mut deny("--version")) {
+        println!("xtask: installing cargo-deny");
+        let mut install = cargo(root, "install --quiet --locked --debug cargo-deny --root");
+        let install = install.arg(&tools).env("CARGO_PROFILE_DEV_DEBUG", "0");
+        if !succeeds(install.env("CARGO_TARGET_DIR", tools.join("target"))) {
+            let why = "no cargo-deny, and cargo cannot install it";
+            return Outcome::Skipped(why.to_owned());
+        }
+        // Half a gigabyte that nobody needs again.
+        let _ = std::fs::remove_dir_all(tools.join("target"));
     }
-
-    /// Checks dependencies, without the advisories where their database cannot be had.
-    fn check(&mut self) -> Outcome {
-        if let Some(mut installs) = self.installs.take() {
-            let _ = installs.wait();
-            // Half a gigabyte that nobody needs again.
-            let _ = std::fs::remove_dir_all(self.tools().join("target"));
+    match Outcome::of(&mut deny("check bans licenses sources")) {
+        Outcome::Passed if succeeds(&mut deny("fetch db")) => {
+            Outcome::of(&mut deny("check advisories"))
         }
-        if !succeeds(&mut self.command("--version")) {
-            return Outcome::Skipped("no cargo-deny, and cargo cannot install it".to_owned());
+        Outcome::Passed => {
+            Outcome::Skipped("advisories, for want of their database; the rest passed".to_owned())
         }
-        match Outcome::of(&mut self.command("check bans licenses sources")) {
-            Outcome::Passed if succeeds(&mut self.command("fetch db")) => {
-                Outcome::of(&mut self.command("check advisories"))
-            }
-            Outcome::Passed => Outcome::Skipped(
-                "advisories, for want of their database; the rest passed".to_owned(),
-            ),
-            failed => failed,
-        }
+        failed => failed,
     }
 }
 

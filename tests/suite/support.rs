@@ -171,14 +171,8 @@ pub fn binary(name: &str) -> Command {
             .to_owned();
         let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
         // With xtask, crates would have other features than the suite was compiled with.
-        cargo.args([
-            "build",
-            "--quiet",
-            "--workspace",
-            "--exclude",
-            "relight-xtask",
-        ]);
-        cargo.arg("--bins");
+        let arguments = "build --quiet --workspace --exclude relight-xtask --bins";
+        cargo.args(arguments.split(' '));
         if folder.file_name() == Some(OsStr::new("release")) {
             cargo.arg("--release");
         }

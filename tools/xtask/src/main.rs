@@ -38,7 +38,7 @@ environment:
 
 /// All packages but this one: with them its crates have other features than they were compiled with for
 /// `cargo xtask`, and would be compiled again.
-const TESTED: &str = "--release --workspace --exclude relight-xtask";
+const OTHERS: &str = "--release --workspace --exclude relight-xtask";
 
 fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -120,7 +120,7 @@ fn test() -> ExitCode {
         ("pages", &mut || {
             // A page is put together by one thread; the tests are compiled meanwhile. What fails there fails again
             // where they run.
-            let tests = cargo(&format!("test {TESTED} --no-run --quiet")).spawn();
+            let tests = cargo(&format!("test {OTHERS} --no-run --quiet")).spawn();
             let pages = web::for_tests(&root);
             if let Ok(mut tests) = tests {
                 let _ = tests.wait();
@@ -128,8 +128,8 @@ fn test() -> ExitCode {
             pages
         }),
         ("tests", &mut || {
-            let all = format!("test {TESTED} --no-fail-fast");
-            let own = "test --release --package relight-xtask";
+            let all = format!("test {OTHERS} --no-fail-fast");
+            let own = "test --release --package relight-xtask --no-fail-fast";
             let outcomes = [&all, own].map(|tests| run_tests(&mut cargo(tests), &mut counts));
             let failed = |outcome: &Outcome| matches!(outcome, Outcome::Failed(_));
             outcomes.into_iter().find(failed).unwrap_or(Outcome::Passed)
@@ -172,8 +172,7 @@ fn test() -> ExitCode {
 
 /// Builds all programs together, which compiles what they share once.
 fn build_programs(root: &Path) -> Result<(), String> {
-    let arguments = "build --release --workspace --exclude relight-xtask --bins";
-    let mut build = cargo(root, arguments);
+    let mut build = cargo(root, &format!("build {OTHERS} --bins"));
     match Outcome::of(&mut build) {
         Outcome::Failed(why) => Err(format!("cargo build: {why}")),
         Outcome::Passed | Outcome::Skipped(_) => Ok(()),

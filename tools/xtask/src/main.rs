@@ -127,13 +127,7 @@ fn test() -> ExitCode {
             }
             pages
         }),
-        ("tests", &mut || {
-            let all = format!("test {OTHERS} --no-fail-fast");
-            let own = "test --release --package relight-xtask --no-fail-fast";
-            let outcomes = [&all, own].map(|tests| run_tests(&mut cargo(tests), &mut counts));
-            let failed = |outcome: &Outcome| matches!(outcome, Outcome::Failed(_));
-            outcomes.into_iter().find(failed).unwrap_or(Outcome::Passed)
-        }),
+        ("tests", &mut || tests(&cargo, &mut counts)),
         ("dependencies", &mut || dependencies(&root)),
     ];
     let mut summary = Vec::new();
@@ -395,23 +389,55 @@ impl Counts {
     }
 }
 
-/// Runs `cargo test`, shows its report and counts along.
-fn run_tests(command: &mut Command, counts: &mut Counts) -> Outcome {
+/// Runs all tests. Software, which draws what those of the GPU ask for, does most of it by one thread: others run beside them.
+fn tests(cargo: &dyn Fn(&str) -> Command, counts: &mut Counts) -> Outcome {
+    // A target is in one of the two, whatever it is called.
+    let gpu = format!("test {OTHERS} --no-fail-fast --test g*");
+    let beside = format!("test {OTHERS} --no-fail-fast --lib --bins --test [!g]*");
+    let documentation = format!("test {OTHERS} --no-fail-fast --doc");
+    let own = "test --release --package relight-xtask --no-fail-fast";
+    let mut gpu = cargo(&gpu);
+    let outcomes = std::thread::scope(|scope| {
+        let gpu = scope.spawn(move || {
+            let mut report: Vec<String> = Vec::new();
+            let outcome = run_tests(&mut gpu, &mut |line| report.push(line.to_owned()));
+            (report, outcome)
+        });
+        let mut show = |line: &str| {
+            counts.read(line);
+            // Nobody may be listening any more; the exit status still counts.
+            let _ = writeln!(std::io::stdout(), "{line}");
+        };
+        let mut run = |tests| run_tests(&mut cargo(tests), &mut show);
+        let [beside, documentation, own] = [&beside, &documentation, own].map(&mut run);
+        let failed = |_| (Vec::new(), Outcome::Failed("a thread panicked".to_owned()));
+        let (report, gpu) = gpu.join().unwrap_or_else(failed);
+        for line in &report {
+            show(line);
+        }
+        [gpu, beside, documentation, own]
+    });
+    let failed = |outcome: &Outcome| matches!(outcome, Outcome::Failed(_));
+    let worst = outcomes.into_iter().find(failed);
+    worst.unwrap_or_else(|| match counts.passed {
+        0 => Outcome::Failed("no test ran".to_owned()),
+        _ => Outcome::Passed,
+    })
+}
+
+/// Runs `cargo test`, and hands on each line of its report.
+fn run_tests(command: &mut Command, read: &mut dyn FnMut(&str)) -> Outcome {
     let mut child = match command.stdout(Stdio::piped()).spawn() {
         Ok(child) => child,
         Err(error) => return Outcome::Failed(error.to_string()),
     };
     if let Some(report) = child.stdout.take() {
         for line in BufReader::new(report).split(b'\n').map_while(Result::ok) {
-            let line = String::from_utf8_lossy(&line);
-            counts.read(&line);
-            // Nobody may be listening any more; the exit status still counts.
-            let _ = writeln!(std::io::stdout(), "{line}");
+            read(&String::from_utf8_lossy(&line));
         }
     }
     match child.wait() {
         Ok(status) if !status.success() => Outcome::Failed(status.to_string()),
-        Ok(_) if counts.passed == 0 => Outcome::Failed("no test ran".to_owned()),
         Ok(_) => Outcome::Passed,
         Err(error) => Outcome::Failed(error.to_string()),
     }

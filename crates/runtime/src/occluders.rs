@@ -8,12 +8,12 @@ use obvhs::bvh2::reinsertion::ReinsertionOptimizer;
 use obvhs::ploc::PlocBuilder;
 use obvhs::{Boundable, BvhBuildParams};
 use relight_format::Scene;
-use relight_shading::occluders::{Node, Occluders};
+use relight_shading::occluders::{Node, Occluders, padding};
 
 /// What a node costs a walk, over what a triangle does.
 const NODE_COST: f32 = 1.0;
 
-/// A triangle's bounds, padded so that rounding in the box test loses no hit.
+/// A triangle's bounds with [`padding`].
 struct Padded {
     corners: [Vec3A; 3],
     padding: Vec3A,
@@ -41,10 +41,7 @@ fn of_triangles(triangles: &[[Vec3; 3]]) -> Occluders {
     if triangles.is_empty() {
         return Occluders::default();
     }
-    // Along each axis for itself: rays that start on wide flat ground are not in its boxes.
-    let extent =
-        (triangles.iter().flatten()).fold(Vec3::ZERO, |extent, corner| extent.max(corner.abs()));
-    let padding = Vec3A::from(extent * 16.0 * f32::EPSILON);
+    let padding = Vec3A::from(padding(triangles));
     let padded: Vec<Padded> = triangles
         .iter()
         .map(|corners| Padded {

@@ -42,6 +42,16 @@ pub struct Node {
     pub count: u32,
 }
 
+/// By how much a triangle's bounds are made larger along each axis, so that rounding in the box test loses no hit: it is
+/// off by up to three units in the last place of the distance to the ray's origin, which lies within a few extents of the
+/// scene. Along each axis for itself: boxes of ground that is kilometres wide would reach above the origins of rays that
+/// start there, and go along all of it.
+pub fn padding(triangles: &[[Vec3; 3]]) -> Vec3 {
+    let extent =
+        (triangles.iter().flatten()).fold(Vec3::ZERO, |extent, corner| extent.max(corner.abs()));
+    extent * 16.0 * f32::EPSILON
+}
+
 impl Occluders {
     /// Lays out a hierarchy: `nodes` with the root first, and triangles in the order in which its
     /// leaves name them.

@@ -7,6 +7,7 @@ use obvhs::{
     bvh2::{Bvh2, builder::build_bvh2},
     ray::{Ray, RayHit},
 };
+use relight_shading::occluders::padding;
 
 /// Where a ray first meets the scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -53,7 +54,7 @@ pub(crate) struct Crossing {
     pub triangle: usize,
 }
 
-/// A triangle's bounds, padded so that rounding in the box test loses no hit.
+/// A triangle's bounds with [`padding`].
 struct Padded {
     vertices: [Vec3A; 3],
     padding: Vec3A,
@@ -69,12 +70,7 @@ impl Boundable for Padded {
 impl RayCaster {
     /// Builds the tree. Triangles may be degenerate; coordinates must be finite.
     pub fn new(triangles: &[[Vec3; 3]]) -> Self {
-        let extent = (triangles.iter().flatten())
-            .fold(Vec3::ZERO, |extent, vertex| extent.max(vertex.abs()));
-        // The box test loses up to three units in the last place of the distance to the
-        // ray's origin, which lies within a few extents of the scene. Along each axis for itself: boxes of ground that is
-        // kilometres wide would reach above the origins of rays that start there, and go along all of it.
-        let padding = Vec3A::from(extent * 16.0 * f32::EPSILON);
+        let padding = Vec3A::from(padding(triangles));
         let padded: Vec<Padded> = triangles
             .iter()
             .map(|triangle| Padded {

@@ -409,6 +409,7 @@ impl<'a> Laboratory<'a> {
         Ok(())
     }
 
+    /// A plot; or a sentence, where nothing is above zero, as errors are not that noise may explain.
     fn plot(
         &self,
         section: &mut Section,
@@ -417,9 +418,12 @@ impl<'a> Laboratory<'a> {
         axes: [&str; 2],
         curves: &[relight_bake::internals::plot::Curve],
     ) -> anyhow::Result<()> {
+        let Some(svg) = relight_bake::internals::plot::svg(caption, axes, curves) else {
+            let sentence = format!("No plot of {caption}: nothing in it is above noise.");
+            section.text.push(sentence);
+            return Ok(());
+        };
         let file = format!("{name}.svg");
-        let svg = relight_bake::internals::plot::svg(caption, axes, curves)
-            .with_context(|| format!("{file}: nothing to plot"))?;
         format::write_file(&self.folder.join(&file), svg.as_bytes())?;
         section.figures.push(Figure {
             file,

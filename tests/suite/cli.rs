@@ -164,7 +164,6 @@ fn summary(input: &Path, output: &Path, arguments: &[&str]) -> Result<Value, Fai
     let mut bake = binary("bake");
     bake.arg("scene").arg(input).arg("-o").arg(output);
     bake.args(["--sample-resolution", "32", "--basis-resolution", "32"]);
-    bake.args(["--bounces", "0"]);
     if !arguments.contains(&"--max-edge") {
         bake.args(["--max-edge", "1"]);
     }

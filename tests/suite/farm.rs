@@ -119,7 +119,7 @@ fn parts_of(asset: &Path) -> PathBuf {
 
 fn killed_at_random_points() -> Outcome {
     /// Kills; each is of a process that has lived up to an undisturbed bake's time.
-    const KILLS: u32 = 12;
+    const KILLS: u32 = 20;
     let fixture = Fixture::new(STEPS)?;
     let asset = fixture.path("killed.relight");
     std::fs::write(&asset, "what was there before")?;

@@ -24,6 +24,29 @@ pub(crate) fn arch() -> Arch {
     *ARCH.get_or_init(|| chosen().unwrap_or_default())
 }
 
+/// Runs a block, compiled for the widest vectors, with the variables that it names.
+///
+/// Not a closure given to [`Arch::dispatch`]: that is compiled for any processor unless it is so small that the compiler
+/// puts it where it is called.
+macro_rules! vectorised {
+    (<$of:lifetime> $($name:ident: $type:ty = $value:expr),+ => $output:ty $body:block) => {{
+        struct Run<$of> {
+            $($name: $type),+
+        }
+        impl<$of> pulp::WithSimd for Run<$of> {
+            type Output = $output;
+
+            #[inline(always)]
+            fn with_simd<S: pulp::Simd>(self, _: S) -> $output {
+                let Self { $($name),+ } = self;
+                $body
+            }
+        }
+        $crate::simd::arch().dispatch(Run { $($name: $value),+ })
+    }};
+}
+pub(crate) use vectorised;
+
 /// What [`VARIABLE`] asks for, or the widest; what is there instead if this processor or
 /// build has no such instructions.
 pub fn chosen() -> Result<Arch, String> {
@@ -165,17 +188,26 @@ pub(crate) fn both_ways(
         for (index, column) in beside.chunks_exact_mut(padded).take(count).enumerate() {
             fill(first + index, &mut column[..rows]);
         }
-        arch().dispatch(|| {
-            for (row, turned) in (0..rows).step_by(PANEL).zip(panel.chunks_mut(SQUARE)) {
-                let start = row * columns + first * PANEL;
-                let square = &mut panels.values[start..][..count * PANEL];
-                let pairs = square.as_chunks_mut::<PANEL>().0.iter_mut();
-                for (to, from) in pairs.zip(beside.chunks_exact(padded)) {
-                    to.copy_from_slice(&from[row..row + PANEL]);
+        let values = &mut panels.values[first * PANEL..];
+        vectorised!(
+            <'a>
+            panel: &'a mut [f32] = panel,
+            values: &'a mut [f32] = values,
+            beside: &'a [f32] = &beside,
+            sizes: [usize; 4] = [rows, columns, padded, count],
+            other: &'a mut [f32; SQUARE] = &mut other
+            => () {
+                let [rows, columns, padded, count] = sizes;
+                for (row, turned) in (0..rows).step_by(PANEL).zip(panel.chunks_mut(SQUARE)) {
+                    let square = &mut values[row * columns..][..count * PANEL];
+                    let pairs = square.as_chunks_mut::<PANEL>().0.iter_mut();
+                    for (to, from) in pairs.zip(beside.chunks_exact(padded)) {
+                        to.copy_from_slice(&from[row..row + PANEL]);
+                    }
+                    transpose(square, turned, other);
                 }
-                transpose(square, turned, &mut other);
             }
-        });
+        );
     }
     [panels, transposed]
 }

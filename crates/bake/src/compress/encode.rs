@@ -8,7 +8,7 @@ use relight_format::CHANNELS_PER_TILE;
 use super::fit::{Images, solve_each, triangle};
 use super::samples::{Fitted, LANES, column};
 use crate::memory;
-use crate::simd::{self, Of, write_product};
+use crate::simd::{Of, vectorised, write_product};
 
 /// What rounding may add to the error, as a part of the error allowed: about where a byte more lowers the error
 /// by as much here as in another image or a smaller cluster.
@@ -75,16 +75,23 @@ pub(crate) fn decode(coefficients: &[i16], basis: &[i8], coefficient_scale: f32)
     let texels = images.len() / coefficients.len();
     let mut ssdf = vec![0.0; texels];
     let scale = coefficient_scale / (MAX_COEFFICIENT * 127.0);
-    simd::arch().dispatch(|| {
-        for (coefficients, tile) in coefficients.iter().zip(images.chunks_exact(texels)) {
-            let factors = coefficients.map(|coefficient| f32::from(coefficient) * scale);
-            for (distance, images) in ssdf.iter_mut().zip(tile) {
-                for (factor, image) in factors.iter().zip(images) {
-                    *distance += factor * f32::from(*image);
+    vectorised!(
+        <'a>
+        ssdf: &'a mut [f32] = &mut ssdf,
+        coefficients: &'a [[i16; CHANNELS_PER_TILE]] = coefficients,
+        images: &'a [[i8; CHANNELS_PER_TILE]] = images,
+        scale: f32 = scale
+        => () {
+            for (coefficients, tile) in coefficients.iter().zip(images.chunks_exact(ssdf.len())) {
+                let factors = coefficients.map(|coefficient| f32::from(coefficient) * scale);
+                for (distance, images) in ssdf.iter_mut().zip(tile) {
+                    for (factor, image) in factors.iter().zip(images) {
+                        *distance += factor * f32::from(*image);
+                    }
                 }
             }
         }
-    });
+    );
     ssdf
 }
 
@@ -145,11 +152,18 @@ pub fn encode(fitted: &Fitted, images: &Images, max_error: f32) -> (Compressed, 
     let rounded = integers.map(|value| f32::from(value) * finest);
     write_product(&Of(&decoded), &rounded, &mut stored);
     let stored = DMatrix::from_vec(texels, vertices, stored);
-    let squared_error = simd::arch().dispatch(|| {
-        (fitted.columns().zip(stored.as_slice().chunks_exact(texels)))
-            .map(|([exact, weights], found)| f64::from(squared_error(found, exact, weights)))
-            .sum()
-    });
+    let squared_error = vectorised!(
+        <'a> fitted: &'a Fitted<'a> = fitted, stored: &'a DMatrix<f32> = &stored
+        => f64 {
+            let mut sum = 0.0;
+            for ([exact, weights], found) in
+                fitted.columns().zip(stored.as_slice().chunks_exact(stored.nrows()))
+            {
+                sum += f64::from(squared_error(found, exact, weights));
+            }
+            sum
+        }
+    );
     let compressed = Compressed {
         tiles: tiles as u32,
         coefficient_scale,
@@ -210,7 +224,13 @@ fn quantise(images: &Images, rounding: f32, costs: &[f32]) -> DMatrix<i8> {
                 steps[lane] = (wanted[lane] * least).clamp(finest, MAX_STEP * finest);
             }
         }
-        let rounded = simd::arch().dispatch(|| round(&values, &coarseness, wanted, steps));
+        let rounded = vectorised!(
+            <'a>
+            values: &'a [[f32; LANES]] = &values,
+            coarseness: &'a [f32] = &coarseness,
+            scales: [[f32; LANES]; 2] = [wanted, steps]
+            => Vec<[i8; LANES]> { round(values, coarseness, scales[0], scales[1]) }
+        );
         for (lane, channel) in (first..channels.min(first + LANES)).enumerate() {
             for (to, from) in quantised.column_mut(channel).iter_mut().zip(&rounded) {
                 *to = from[lane];

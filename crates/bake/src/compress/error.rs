@@ -10,7 +10,7 @@ use glam::Vec3;
 use relight_format::math;
 
 use super::samples::LANES;
-use crate::simd;
+use crate::simd::vectorised;
 use crate::visibility::Directions;
 
 /// Half-width of the weight about the visibility boundary, radians: two texels of a basis
@@ -100,26 +100,34 @@ impl Weighting {
     /// How far the boundary of `found` is off, squared: as an error of light shows, which
     /// grows with the displacement until the boundary has passed all of a light.
     pub(crate) fn squared_displacement(&self, found: &[f32], exact: &[f32], normal: Normal) -> f32 {
-        simd::arch().dispatch(|| {
-            let squash = |distance: f32| distance / (1.0 + (distance / LIGHT_WIDTH).powi(2)).sqrt();
-            let [x, y, z] = self.coordinates.each_ref().map(|all| all.chunks(LANES));
-            let texels = x.zip(y).zip(z).zip(self.solid_angles.chunks(LANES));
-            // Side by side, as vector instructions want it.
-            let mut sums = [0.0; LANES];
-            for ((found, exact), (((x, y), z), solid_angles)) in
-                found.chunks(LANES).zip(exact.chunks(LANES)).zip(texels)
-            {
-                let directions = x.iter().zip(y).zip(z).zip(solid_angles);
-                let texels = found.iter().zip(exact).zip(directions);
-                for (sum, ((found, exact), (((x, y), z), solid_angle))) in
-                    sums.iter_mut().zip(texels)
-                {
-                    let difference = squash(*found) - squash(*exact);
-                    *sum += solid_angle * normal.seen([*x, *y, *z]) * difference.powi(2);
-                }
+        vectorised!(
+            <'a>
+            weighting: &'a Weighting = self,
+            found: &'a [f32] = found,
+            exact: &'a [f32] = exact,
+            normal: Normal = normal
+            => f32 { weighting.sum_of_squares(found, exact, normal) }
+        ) / self.wall
+    }
+
+    #[inline(always)]
+    fn sum_of_squares(&self, found: &[f32], exact: &[f32], normal: Normal) -> f32 {
+        let squash = |distance: f32| distance / (1.0 + (distance / LIGHT_WIDTH).powi(2)).sqrt();
+        let [x, y, z] = self.coordinates.each_ref().map(|all| all.chunks(LANES));
+        let texels = x.zip(y).zip(z).zip(self.solid_angles.chunks(LANES));
+        // Side by side, as vector instructions want it.
+        let mut sums = [0.0; LANES];
+        for ((found, exact), (((x, y), z), solid_angles)) in
+            found.chunks(LANES).zip(exact.chunks(LANES)).zip(texels)
+        {
+            let directions = x.iter().zip(y).zip(z).zip(solid_angles);
+            let texels = found.iter().zip(exact).zip(directions);
+            for (sum, ((found, exact), (((x, y), z), solid_angle))) in sums.iter_mut().zip(texels) {
+                let difference = squash(*found) - squash(*exact);
+                *sum += solid_angle * normal.seen([*x, *y, *z]) * difference.powi(2);
             }
-            sums.iter().sum::<f32>() / self.wall
-        })
+        }
+        sums.iter().sum()
     }
 
     /// Weight of a squared error at every texel of an SSDF.

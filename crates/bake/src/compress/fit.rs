@@ -7,7 +7,7 @@ use nalgebra::DMatrix;
 
 use super::samples::{Fitted, column};
 use crate::memory;
-use crate::simd::{self, Panels, both_ways, product, product_of, write_product};
+use crate::simd::{Panels, both_ways, product, product_of, vectorised, write_product};
 
 /// Subspace iterations; two separate the spectrum of SSDFs to well below quantisation.
 const ITERATIONS: usize = 2;
@@ -326,25 +326,26 @@ pub(super) fn solve_each(systems: &DMatrix<f32>, channels: usize) -> DMatrix<f32
     let solved = solutions
         .as_mut_slice()
         .chunks_mut(SYSTEMS * channels.max(1));
-    simd::arch().dispatch(|| {
-        for (first, solved) in (0..).step_by(SYSTEMS).zip(solved) {
-            // Those beyond the last keep the values of others: what they give is not looked at.
-            let rows = first..count.min(first + SYSTEMS);
-            let columns = systems.as_slice().chunks_exact(count);
-            for (all, column) in system.iter_mut().zip(columns) {
-                for (number, value) in all.iter_mut().zip(&column[rows.clone()]) {
-                    *number = f64::from(*value);
-                }
-            }
-            let (normal, right) = system.split_at_mut(pairs);
-            solve(normal, right);
-            for (lane, solved) in solved.chunks_exact_mut(channels).enumerate() {
-                for (solved, all) in solved.iter_mut().zip(&*right) {
-                    *solved = all[lane] as f32;
-                }
+    for (first, solved) in (0..).step_by(SYSTEMS).zip(solved) {
+        // Those beyond the last keep the values of others: what they give is not looked at.
+        let rows = first..count.min(first + SYSTEMS);
+        let columns = systems.as_slice().chunks_exact(count);
+        for (all, column) in system.iter_mut().zip(columns) {
+            for (number, value) in all.iter_mut().zip(&column[rows.clone()]) {
+                *number = f64::from(*value);
             }
         }
-    });
+        let (normal, right) = system.split_at_mut(pairs);
+        vectorised!(
+            <'a> normal: &'a mut [Each] = normal, right: &'a mut [Each] = right
+            => () { solve(normal, right) }
+        );
+        for (lane, solved) in solved.chunks_exact_mut(channels).enumerate() {
+            for (solved, all) in solved.iter_mut().zip(&system[pairs..]) {
+                *solved = all[lane] as f32;
+            }
+        }
+    }
     solutions
 }
 

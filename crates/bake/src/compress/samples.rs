@@ -6,7 +6,7 @@ use nalgebra::DMatrix;
 
 use super::error::{Normal, Weighting};
 use crate::memory;
-use crate::simd::{self, Panels, both_ways};
+use crate::simd::{Panels, both_ways, vectorised};
 
 /// Texels whose weight at every vertex is below this part of the largest are told by the
 /// [`SKIPPED`]th of them.
@@ -66,11 +66,16 @@ impl Samples {
         let mut weights = DMatrix::from_vec(texels, ssdfs.ncols(), weights);
         let columns = ssdfs.as_slice().chunks_exact(texels);
         let weighted = weights.as_mut_slice().chunks_exact_mut(texels);
-        simd::arch().dispatch(|| {
-            for ((weights, ssdf), normal) in weighted.zip(columns).zip(normals) {
-                weighting.weigh(ssdf, *normal, weights);
-            }
-        });
+        for ((weights, ssdf), normal) in weighted.zip(columns).zip(normals) {
+            vectorised!(
+                <'a>
+                weighting: &'a Weighting = weighting,
+                ssdf: &'a [f32] = ssdf,
+                normal: Normal = *normal,
+                weights: &'a mut [f32] = weights
+                => () { weighting.weigh(ssdf, normal, weights) }
+            );
+        }
         Self { ssdfs, weights }
     }
 

@@ -6,7 +6,7 @@ use glam::{Mat4, Vec3, Vec4};
 
 use super::lamps::Emitted;
 use super::radiosity::{End, Radiosity, add_colored, hash, limit};
-use crate::simd;
+use crate::simd::vectorised;
 use crate::visibility::ray::RayCaster;
 
 /// Pull of the radiance's slope towards none, as a part of what the rays weigh: where few rays
@@ -91,11 +91,19 @@ impl Radiosity {
                 weight * z,
             ];
             let (known, color) = self.radiance(&sender, &mut values);
-            simd::arch().dispatch(|| {
-                for (sums, factor) in sums.chunks_exact_mut(block).zip(factors) {
-                    add_colored(sums, known, factor * color);
+            vectorised!(
+                <'a>
+                sums: &'a mut [f32] = &mut sums,
+                known: &'a [f32] = known,
+                block: usize = block,
+                factors: [f32; 7] = factors,
+                color: Vec3 = color
+                => () {
+                    for (sums, factor) in sums.chunks_exact_mut(block).zip(factors) {
+                        add_colored(sums, known, factor * color);
+                    }
                 }
-            });
+            );
             if sender.beyond != Vec3::ZERO {
                 beyond.push((sender.beyond, weight));
                 beyond_factors.push(factors);

@@ -15,7 +15,7 @@ use super::points::{Point, Points};
 use super::surfaces::{Met, Surfaces};
 use crate::mesh::size::SizeFunction;
 use crate::monitor::{Interrupted, Monitor};
-use crate::simd;
+use crate::simd::vectorised;
 use crate::visibility::ray::RayCaster;
 
 /// Without a number given, bounces end where the next adds less than this to what is there,
@@ -270,12 +270,15 @@ impl Radiosity {
             monitor.step("bounces", 0.0)?;
             let mut next = vec![0.0; last.len()];
             (next.par_chunks_exact_mut(length).zip(senders)).for_each(|(sums, senders)| {
-                simd::arch().dispatch(|| {
-                    for (point, weight) in senders {
-                        let from = &last[*point as usize * length..][..length];
-                        add_colored(sums, from, weight / PI);
-                    }
-                });
+                for (point, weight) in senders {
+                    vectorised!(
+                        <'a>
+                        sums: &'a mut [f32] = sums,
+                        from: &'a [f32] = &last[*point as usize * length..][..length],
+                        weight: Vec3 = weight / PI
+                        => () { add_colored(sums, from, weight) }
+                    );
+                }
             });
             let squares = |values: &[f32]| -> f64 {
                 values.iter().map(|x| f64::from(*x) * f64::from(*x)).sum()

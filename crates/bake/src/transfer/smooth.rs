@@ -9,7 +9,7 @@
 use glam::{Mat3, Vec3};
 
 use super::gather::{Gathered, Receiver};
-use crate::simd;
+use crate::simd::vectorised;
 
 /// Most that a neighbour may differ by: how far away it is, over the distance of what sends light, plus how much it is
 /// turned (Ward et al., equation 5).
@@ -40,12 +40,19 @@ pub(crate) fn smoothed(receivers: &[Receiver], gathered: &[Gathered]) -> Vec<Vec
                 return own.clone();
             }
             let mut sum = vec![0.0; own.len()];
-            simd::arch().dispatch(|| {
-                for (neighbour, part) in parts {
-                    let other = &gathered[neighbour].outputs;
-                    (sum.iter_mut().zip(other)).for_each(|(sum, x)| *sum += part * x);
-                }
-            });
+            for (neighbour, part) in parts {
+                vectorised!(
+                    <'a>
+                    sum: &'a mut [f32] = &mut sum,
+                    other: &'a [f32] = &gathered[neighbour].outputs,
+                    part: f32 = part
+                    => () {
+                        for (sum, x) in sum.iter_mut().zip(other) {
+                            *sum += part * x;
+                        }
+                    }
+                );
+            }
             sum
         })
         .collect()

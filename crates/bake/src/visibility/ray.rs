@@ -100,7 +100,8 @@ impl RayCaster {
         }
         let ray = Ray::new_inf(origin.into(), direction.into());
         !self.bvh.ray_traverse_miss(ray, |ray, index| {
-            intersect(&self.triangles[index], ray).map_or(f32::INFINITY, |(t, _)| t)
+            intersect(&self.triangles[index], ray.origin, ray.direction)
+                .map_or(f32::INFINITY, |(t, _)| t)
         })
     }
 
@@ -117,7 +118,7 @@ impl RayCaster {
         }
         let ray = Ray::new_inf(origin.into(), direction.into());
         !self.bvh.ray_traverse_miss(ray, |ray, index| {
-            let hit = intersect(&self.triangles[index], ray);
+            let hit = intersect(&self.triangles[index], ray.origin, ray.direction);
             let hit = hit.filter(|_| counted(self.bvh.primitive_indices[index] as usize));
             hit.map_or(f32::INFINITY, |(t, _)| t)
         })
@@ -130,7 +131,8 @@ impl RayCaster {
         }
         let ray = Ray::new(from.into(), (to - from).into(), 0.0, 1.0);
         !self.bvh.ray_traverse_miss(ray, |ray, index| {
-            intersect(&self.triangles[index], ray).map_or(f32::INFINITY, |(t, _)| t)
+            intersect(&self.triangles[index], ray.origin, ray.direction)
+                .map_or(f32::INFINITY, |(t, _)| t)
         })
     }
 
@@ -143,7 +145,8 @@ impl RayCaster {
         let ray = Ray::new(origin.into(), direction.into(), 0.0, length);
         self.bvh.ray_traverse_anyhit(ray, |ray, index| {
             let triangle = &self.triangles[index];
-            if let Some((distance, _)) = intersect(triangle, ray).filter(|(t, _)| *t <= length) {
+            let hit = intersect(triangle, ray.origin, ray.direction);
+            if let Some((distance, _)) = hit.filter(|(t, _)| *t <= length) {
                 let [a, b, c] = *triangle;
                 crossings.push(Crossing {
                     distance,
@@ -165,7 +168,7 @@ impl RayCaster {
         let mut hit = RayHit::none();
         self.bvh.ray_traverse(ray, &mut hit, |ray, index| {
             let triangle = &self.triangles[index];
-            intersect(triangle, ray).map_or(f32::INFINITY, |(t, _)| {
+            intersect(triangle, ray.origin, ray.direction).map_or(f32::INFINITY, |(t, _)| {
                 // Of the two sides of a sheet, which lie on each other, the one that faces the ray.
                 let [a, b, c] = *triangle;
                 let behind = (b - a).cross(c - a).dot(ray.direction) > 0.0;
@@ -176,7 +179,8 @@ impl RayCaster {
             return None;
         }
         let index = hit.primitive_id as usize;
-        let (distance, barycentrics) = intersect(&self.triangles[index], &ray)?;
+        let (distance, barycentrics) =
+            intersect(&self.triangles[index], ray.origin, ray.direction)?;
         Some(Hit {
             triangle: self.bvh.primitive_indices[index] as usize,
             barycentrics,
@@ -188,8 +192,13 @@ impl RayCaster {
 /// Whether a ray meets one triangle, as a [`RayCaster`] of it says.
 #[inline(always)]
 pub(crate) fn meets(triangle: [Vec3; 3], origin: Vec3, direction: Vec3) -> bool {
-    let ray = Ray::new_inf(origin.into(), direction.into());
-    intersect(&triangle.map(Vec3A::from), &ray).is_some()
+    let [a, b, c] = triangle;
+    intersect(
+        &[a.into(), b.into(), c.into()],
+        origin.into(),
+        direction.into(),
+    )
+    .is_some()
 }
 
 /// What is met from behind lies so much farther, a few steps of rounding.
@@ -201,18 +210,19 @@ const BEHIND: f32 = 1.0 + 8.0 * f32::EPSILON;
 /// origin). `a × b` and `b × a` round to exact negatives, which makes shared edges
 /// consistent; double precision near zero makes the edges about a vertex consistent.
 #[inline(always)]
-fn intersect(triangle: &[Vec3A; 3], ray: &Ray) -> Option<(f32, Vec3)> {
-    let [a, b, c] = triangle.map(|vertex| vertex - ray.origin);
+fn intersect(triangle: &[Vec3A; 3], origin: Vec3A, direction: Vec3A) -> Option<(f32, Vec3)> {
+    let [a, b, c] = *triangle;
+    let (a, b, c) = (a - origin, b - origin, c - origin);
     let mut volumes = Vec3::new(
-        ray.direction.dot(b.cross(c)),
-        ray.direction.dot(c.cross(a)),
-        ray.direction.dot(a.cross(b)),
+        direction.dot(b.cross(c)),
+        direction.dot(c.cross(a)),
+        direction.dot(a.cross(b)),
     );
     // Bounds the rounding error of a volume: below it the sign is unknown.
     let scale = a.abs().max(b.abs()).max(c.abs()).max_element();
-    let uncertain = 16.0 * f32::EPSILON * scale * scale * ray.direction.abs().max_element();
+    let uncertain = 16.0 * f32::EPSILON * scale * scale * direction.abs().max_element();
     if volumes.abs().min_element() <= uncertain {
-        volumes = precise_volumes(triangle, ray);
+        volumes = precise_volumes(triangle, origin, direction);
     }
     if !(volumes.min_element() >= 0.0 || volumes.max_element() <= 0.0) {
         return None;
@@ -222,14 +232,13 @@ fn intersect(triangle: &[Vec3A; 3], ray: &Ray) -> Option<(f32, Vec3)> {
         return None;
     }
     let normal = (triangle[1] - triangle[0]).cross(triangle[2] - triangle[0]);
-    let t = normal.dot(a) / normal.dot(ray.direction);
+    let t = normal.dot(a) / normal.dot(direction);
     (t > 0.0 && t.is_finite()).then(|| (t, volumes / volume))
 }
 
 #[cold]
-fn precise_volumes(triangle: &[Vec3A; 3], ray: &Ray) -> Vec3 {
-    let origin = ray.origin.as_dvec3();
-    let direction = ray.direction.as_dvec3();
+fn precise_volumes(triangle: &[Vec3A; 3], origin: Vec3A, direction: Vec3A) -> Vec3 {
+    let (origin, direction) = (origin.as_dvec3(), direction.as_dvec3());
     let [a, b, c] = triangle.map(|vertex| vertex.as_dvec3() - origin);
     let volume = |p: glam::DVec3, q: glam::DVec3| direction.dot(p.cross(q)) as f32;
     Vec3::new(volume(b, c), volume(c, a), volume(a, b))
@@ -291,10 +300,11 @@ mod tests {
         for i in 0..500u32 {
             let direction = relight_shading::octahedral::texel_direction(i % 25, i / 25, 25);
             let origin = Vec3::new(0.1, 0.02, -0.07);
-            let ray = Ray::new_inf(origin.into(), direction.into());
             let brute = triangles
                 .iter()
-                .filter_map(|triangle| intersect(&triangle.map(Vec3A::from), &ray))
+                .filter_map(|triangle| {
+                    intersect(&triangle.map(Vec3A::from), origin.into(), direction.into())
+                })
                 .map(|(t, _)| t)
                 .min_by(f32::total_cmp);
             let hit = caster.closest_hit(origin, direction);

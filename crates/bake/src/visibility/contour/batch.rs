@@ -27,13 +27,21 @@ impl<const AXES: usize> Batch<AXES> {
     /// Adds a contour to the last of `batches`, or to a new one.
     #[inline(always)]
     pub(super) fn append(batches: &mut Vec<Self>, ends: [[f32; AXES]; 2], step: i32) {
-        if batches.last().is_none_or(|batch| batch.count == LANES) {
-            batches.push(Self::EMPTY);
+        match batches.last_mut() {
+            Some(batch) if batch.count < LANES => {
+                batch.set(batch.count, ends, step);
+                batch.count += 1;
+            }
+            _ => Self::begin(batches, ends, step),
         }
-        if let Some(batch) = batches.last_mut() {
-            batch.set(batch.count % LANES, ends, step);
-            batch.count += 1;
-        }
+    }
+
+    #[cold]
+    fn begin(batches: &mut Vec<Self>, ends: [[f32; AXES]; 2], step: i32) {
+        let mut batch = Self::EMPTY;
+        batch.set(0, ends, step);
+        batch.count = 1;
+        batches.push(batch);
     }
 
     #[inline(always)]
@@ -76,13 +84,13 @@ pub(super) fn whole(x: f32) -> u32 {
 /// from line to line at once. A segment begins where its coordinate across the lines is
 /// least.
 pub(super) struct Lines {
-    /// Lanes that come near to the line that they are at.
-    pub(super) crossing: u64,
+    /// The most lines that one of them comes near to.
+    pub(super) most: u32,
     /// Lanes of segments with finite ends.
     pub(super) finite: u64,
     /// The line that a segment is at, and one past its last.
     pub(super) line: [f32; LANES],
-    past: [f32; LANES],
+    pub(super) past: [f32; LANES],
     /// Coordinates across the lines.
     from: [f32; LANES],
     to: [f32; LANES],
@@ -102,7 +110,7 @@ impl Lines {
     #[inline(always)]
     pub(super) fn new(batch: &Batch<2>, axis: usize, count: usize) -> Self {
         let mut lines = Self {
-            crossing: 0,
+            most: 0,
             finite: 0,
             line: [0.0; LANES],
             past: [0.0; LANES],
@@ -115,7 +123,7 @@ impl Lines {
             steps: [0; LANES],
         };
         let count = count as f32;
-        let mut finite = [0; LANES];
+        let (mut finite, mut most) = ([0; LANES], 0);
         let ends = batch.ends.each_ref();
         let [[a, other_a], [b, other_b]] = ends.map(|end| [&end[axis], &end[1 - axis]]);
         for lane in 0..LANES {
@@ -124,10 +132,6 @@ impl Lines {
             let swap = a > b;
             let (p, other_p) = if swap { (b, other_b) } else { (a, other_a) };
             let (q, other_q) = if swap { (a, other_a) } else { (b, other_b) };
-            let first = (p - CLEARANCE).ceil();
-            let past = (q + CLEARANCE).floor() + 1.0;
-            lines.line[lane] = if first > 0.0 { first } else { 0.0 };
-            lines.past[lane] = if past < count { past } else { count };
             let length = q - p;
             let slope = (other_q - other_p) / if length > 1e-12 { length } else { 1e-12 };
             let (low, high) = if other_p < other_q {
@@ -135,7 +139,17 @@ impl Lines {
             } else {
                 (other_q, other_p)
             };
-            finite[lane] = u8::from((p + q + low + high).abs() < f32::INFINITY);
+            let is_finite = (p + q + low + high).abs() < f32::INFINITY;
+            let used = lane < batch.count;
+            let first = (p - CLEARANCE).ceil();
+            let first = if first > 0.0 { first } else { 0.0 };
+            let past = (q + CLEARANCE).floor() + 1.0;
+            let past = if past < count { past } else { count };
+            let crosses = u32::from(is_finite) & u32::from(used) & u32::from(first < past);
+            let past = if crosses == 1 { past } else { first };
+            most = most.max(whole(past - first));
+            finite[lane] = u8::from(is_finite);
+            (lines.line[lane], lines.past[lane]) = (first, past);
             (lines.from[lane], lines.to[lane]) = (p, q);
             lines.start[lane] = other_p;
             lines.slope[lane] = slope;
@@ -144,25 +158,24 @@ impl Lines {
             lines.steps[lane] = if swap { -step } else { step };
         }
         lines.finite = pack_bits(&finite) & batch.lanes();
-        lines.find_crossing();
+        lines.most = most;
         lines
     }
 
+    /// Lanes that come near to the line that they are at.
     #[inline(always)]
-    fn find_crossing(&mut self) {
+    pub(super) fn crossing(&self) -> u64 {
         let mut crossing = [0; LANES];
         for (lane, crossing) in crossing.iter_mut().enumerate() {
             *crossing = u8::from(self.line[lane] < self.past[lane]);
         }
-        // What is not finite crosses nothing.
-        self.crossing = pack_bits(&crossing) & self.finite;
+        pack_bits(&crossing)
     }
 
     /// Takes every segment to its next line.
     #[inline(always)]
     pub(super) fn advance(&mut self) {
         self.line.iter_mut().for_each(|line| *line += 1.0);
-        self.find_crossing();
     }
 
     /// Where segments cross their lines.
@@ -187,14 +200,21 @@ impl Lines {
         result
     }
 
-    /// Lanes whose line passes between the segment's ends, not only near one.
+    /// Whether the line passes between a segment's ends, not only near one.
+    #[inline(always)]
+    pub(super) fn separates(&self, lane: usize) -> bool {
+        let line = self.line[lane];
+        let is_near = u32::from(line < self.past[lane]);
+        is_near & u32::from(self.from[lane] <= line) & u32::from(line < self.to[lane]) == 1
+    }
+
+    /// Lanes of which that is so.
     #[inline(always)]
     pub(super) fn separating(&self) -> u64 {
         let mut separating = [0; LANES];
         for (lane, separating) in separating.iter_mut().enumerate() {
-            let line = self.line[lane];
-            *separating = u8::from(self.from[lane] <= line) & u8::from(line < self.to[lane]);
+            *separating = u8::from(self.separates(lane));
         }
-        self.crossing & pack_bits(&separating)
+        pack_bits(&separating)
     }
 }

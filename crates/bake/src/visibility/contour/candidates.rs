@@ -46,6 +46,8 @@ pub(super) struct Candidates {
     places: Vec<u32>,
     /// Boxes of the parts.
     boxes: Vec<[Vec3; 2]>,
+    /// What each one takes to count, see [`Self::contours_of`].
+    costs: Vec<u32>,
     /// Where each one's batches begin, and where the last one's end; the same of its edges.
     first_batch: Vec<u32>,
     first_edge: Vec<u32>,
@@ -87,6 +89,7 @@ impl Default for Candidates {
             order: Vec::new(),
             boxes: Vec::new(),
             places: Vec::new(),
+            costs: Vec::new(),
             first_batch: Vec::new(),
             first_edge: Vec::new(),
             sorted_contours: Vec::new(),
@@ -164,6 +167,13 @@ impl Candidates {
             gather(contours, positions, &mut self.sure_batches);
         }
         self.first_batch.push(self.sure_batches.len() as u32);
+        self.costs.clear();
+        let ends = self.first_batch.windows(2);
+        self.costs
+            .extend(ends.zip(&self.order).map(|(ends, &part)| {
+                let bundle = parts.bundle_of(part).is_some();
+                (ends[1] - ends[0] + u32::from(bundle)) * LANES as u32
+            }));
         let place = |edge: &CandidateEdge| place_at(edge.vertices[0]);
         let (sorted, first) = (&mut self.sorted_edges, &mut self.first_edge);
         sort(&mut self.edges, sorted, parts.count(), place, first);
@@ -193,24 +203,22 @@ impl Candidates {
 
     /// What a part takes to count, in contours that every point sees: lanes in use and those left free. A bundle
     /// takes one batch.
-    pub(super) fn contours_of(&self, parts: &Parts, place: u32) -> usize {
-        let batches = &self.first_batch[place as usize..][..2];
-        let bundle = parts.bundle_of(self.order[place as usize]).is_some();
-        ((batches[1] - batches[0]) as usize + usize::from(bundle)) * LANES
+    pub(super) fn contours_of(&self, place: u32) -> usize {
+        self.costs[place as usize] as usize
     }
 
-    /// The loose triangles of the parts at these places, and which way each faces, as seen from the point looked at
+    /// Bundles of loose triangles among the parts at these places, with their numbers, and which way each triangle faces, as seen from the point looked at
     /// last: 1 or −1, and 0 if it does not count.
     pub(super) fn loose<'a>(
         &'a self,
         parts: &'a Parts,
         places: &'a [u32],
-    ) -> impl Iterator<Item = (&'a Bundle, impl Fn(usize) -> i8)> {
+    ) -> impl Iterator<Item = (usize, &'a Bundle, impl Fn(usize) -> i8)> {
         places.iter().filter_map(|&place| {
-            let bundle = parts.bundle_of(self.order[place as usize])?;
-            let (bundle, numbers) = (&parts.bundles[bundle], &self.loose[bundle]);
-            let face = |lane: usize| self.faces[numbers[lane] as usize];
-            Some((bundle, face))
+            let number = parts.bundle_of(self.order[place as usize])?;
+            let triangles = &self.loose[number];
+            let face = |lane: usize| self.faces[triangles[lane] as usize];
+            Some((number, &parts.bundles[number], face))
         })
     }
 

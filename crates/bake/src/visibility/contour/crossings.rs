@@ -4,16 +4,24 @@
 use pulp::{Simd, WithSimd};
 
 use super::batch::{Batch, CLEARANCE, LANES, Lines, whole};
+use super::layers::{Layers, Point, for_pieces};
+use super::loose::{Bundle, SMALL};
 use crate::simd;
 use crate::visibility::{Bitmap, Crossings, ones, pack_bits};
 
-/// How many texels a short segment reaches from its middle to the first texel of a link that
+/// How many texels a short segment or a small triangle reaches from its middle to the first texel of a link that
 /// it crosses, at most: one to either side, and a link begins before it.
 const MARGIN: usize = 2;
 
-/// Finds the crossings of contours, given in texels of a map of `n` to a side, that
-/// `visible` shows.
-pub(super) fn locate(segments: &[Batch<2>], visible: &Bitmap, n: usize, crossings: &mut Crossings) {
+/// Finds the crossings that `visible` shows of the contours in `layers`, and of the edges of triangles drawn there, which
+/// are some of those in `bundles`.
+pub(super) fn locate(
+    layers: &Layers,
+    bundles: &[Bundle],
+    visible: &Bitmap,
+    crossings: &mut Crossings,
+) {
+    let n = layers.resolution();
     let positions = &mut crossings.positions;
     positions.resize(2 * n * n, f32::NAN);
     let mut near = Near::new(n);
@@ -22,7 +30,8 @@ pub(super) fn locate(segments: &[Batch<2>], visible: &Bitmap, n: usize, crossing
         positions[usize::from(below) * n * n + y * n + x] = f32::NAN;
     });
     simd::arch().dispatch(Locate {
-        segments,
+        layers,
+        bundles,
         near: &near,
         links: Links {
             n,
@@ -34,7 +43,8 @@ pub(super) fn locate(segments: &[Batch<2>], visible: &Bitmap, n: usize, crossing
 
 /// The vectorised part of [`locate`].
 struct Locate<'a> {
-    segments: &'a [Batch<2>],
+    layers: &'a Layers,
+    bundles: &'a [Bundle],
     near: &'a Near,
     links: Links<'a>,
 }
@@ -45,14 +55,25 @@ impl WithSimd for Locate<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
         let Self {
-            segments,
+            layers,
+            bundles,
             near,
             mut links,
         } = self;
         let mut chosen = Vec::new();
-        for batch in segments {
+        for batch in layers.segments() {
             for lane in ones(near.to(batch)) {
                 Batch::append(&mut chosen, batch.lane(lane), 0);
+            }
+        }
+        let half = layers.resolution() as f32 * 0.5;
+        for drawn in (layers.drawn().iter()).filter(|drawn| near.to_small(drawn.middle)) {
+            let triangle = bundles[drawn.bundle as usize].triangle(drawn.lane as usize);
+            let [a, b, c] = triangle.map(|corner| corner - layers.eye);
+            for (from, to) in [(a, b), (b, c), (c, a)] {
+                for_pieces(from, to, half, |from, to| {
+                    Batch::append(&mut chosen, [from, to], 0);
+                });
             }
         }
         for batch in &chosen {
@@ -96,7 +117,7 @@ impl Near {
             // Coordinates are above −1.
             let middle = |axis: usize| 0.5 * (a[axis][lane] + b[axis][lane]) + MARGIN as f32;
             texels[lane] = whole(middle(1).floor() * self.stride as f32 + middle(0).floor());
-            let long = |axis: usize| (a[axis][lane] - b[axis][lane]).abs() >= 2.0;
+            let long = |axis: usize| (a[axis][lane] - b[axis][lane]).abs() >= SMALL;
             wanted[lane] = u8::from(long(0) || long(1));
         }
         for lane in 0..LANES {
@@ -104,6 +125,14 @@ impl Near {
             wanted[lane] |= near.copied().unwrap_or(0);
         }
         pack_bits(&wanted) & batch.lanes()
+    }
+
+    /// Whether the middle of a small triangle is near.
+    #[inline(always)]
+    fn to_small(&self, middle: Point) -> bool {
+        // Coordinates are above −1.
+        let [x, y] = middle.map(|x| (x + MARGIN as f32) as usize);
+        self.texels[y * self.stride + x] == 1
     }
 }
 
@@ -118,7 +147,7 @@ impl Links<'_> {
     fn cross(&mut self, segments: &Batch<2>) {
         for axis in [0, 1] {
             let mut lines = Lines::new(segments, axis, self.n);
-            while lines.crossing != 0 {
+            for _ in 0..lines.most {
                 self.cross_lines(axis, &lines);
                 lines.advance();
             }
@@ -141,11 +170,12 @@ impl Links<'_> {
             within[lane] = u8::from(start >= 0.0) & u8::from(start < n - 1.0);
             also_next[lane] = u8::from(start != next) & u8::from(next < n - 1.0);
         }
-        for lane in ones(lines.crossing & pack_bits(&within)) {
+        let crossing = lines.crossing();
+        for lane in ones(crossing & pack_bits(&within)) {
             self.add(axis, texels[lane] as usize, positions[lane].min(1.0));
         }
         // Right at a texel's centre it belongs to the links on both sides.
-        for lane in ones(lines.crossing & pack_bits(&also_next)) {
+        for lane in ones(crossing & pack_bits(&also_next)) {
             let start = at[lane].round();
             let texel = start * along + lines.line[lane] * across;
             self.add(axis, texel as usize, (at[lane] - start).max(0.0));

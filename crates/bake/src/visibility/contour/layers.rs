@@ -11,18 +11,21 @@ use glam::Vec3;
 use pulp::{Simd, WithSimd};
 
 use super::batch::{Batch, CLEARANCE, LANES, Lines, whole};
-use super::loose::Bundle;
+use super::loose::{self, Bundle, Drawn};
 use super::rounds::Open;
-use crate::simd;
+use crate::simd::{self, vectorised};
 use crate::visibility::{Bitmap, ones, pack_bits};
 
-type Point = [f32; 2];
+/// In texels.
+pub(super) type Point = [f32; 2];
 
 /// Sums of steps, and the layers that they lead to.
 pub(super) struct Layers {
     n: usize,
+    /// The point that contours are seen from.
+    pub(super) eye: Vec3,
     /// Steps between rows j − 1 and j of every column, n + 1 rows of n. The outer two are
-    /// halves of links over the border.
+    /// halves of links over the border. Behind them is one for every lane without a step.
     steps: Vec<i32>,
     /// Steps between columns j − 1 and j along row 0.
     first_row: Vec<i32>,
@@ -36,6 +39,9 @@ pub(super) struct Layers {
     /// Contours in texels, cut at the borders of octants, but for those that pass between all
     /// lines of texel centres.
     segments: Vec<Batch<2>>,
+    /// Triangles that were drawn, and texels that they cover; some may be named twice.
+    pub(super) drawn: Vec<Drawn>,
+    pub(super) covered: Vec<u32>,
     /// Whether some contour could not be projected.
     broken: bool,
 }
@@ -44,13 +50,16 @@ impl Layers {
     pub(super) fn new(n: usize) -> Self {
         Self {
             n,
-            steps: vec![0; n * (n + 1)],
+            eye: Vec3::ZERO,
+            steps: vec![0; n * (n + 1) + LANES],
             first_row: vec![0; n + 1],
             totals: vec![0; n * n],
             uncertain: Vec::new(),
             traced: Bitmap::from_fn(n * n, |_| false),
             seen: Bitmap::from_fn(n * n, |_| false),
             segments: Vec::new(),
+            drawn: Vec::new(),
+            covered: Vec::new(),
             broken: false,
         }
     }
@@ -65,37 +74,44 @@ impl Layers {
         &self.segments
     }
 
-    /// Forgets all contours.
-    pub(super) fn begin(&mut self) {
+    /// All triangles that were drawn.
+    pub(super) fn drawn(&self) -> &[Drawn] {
+        &self.drawn
+    }
+
+    /// Forgets all contours: others are seen from `eye`.
+    pub(super) fn begin(&mut self, eye: Vec3) {
+        self.eye = eye;
         self.steps.fill(0);
         self.first_row.fill(0);
         self.uncertain.clear();
         self.traced.clear();
         self.seen.clear();
         self.segments.clear();
+        self.drawn.clear();
+        self.covered.clear();
         self.broken = false;
     }
 
-    /// Adds the steps of contours, seen from `eye`.
-    pub(super) fn count<'a>(&mut self, eye: Vec3, contours: impl Iterator<Item = &'a [Batch<3>]>) {
+    /// Adds the steps of contours.
+    pub(super) fn count<'a>(&mut self, contours: impl Iterator<Item = &'a [Batch<3>]>) {
         simd::arch().dispatch(Count {
             layers: self,
-            eye,
             contours,
         });
     }
 
-    /// Adds the steps of loose triangles, seen from `eye`, with what tells which way each faces. Those that lie behind
-    /// others, where no texel is `open`, are left out.
+    /// Adds loose triangles, given with the number of each bundle and with what tells which way each of it faces. Those
+    /// that lie behind others, where no texel is `open`, are left out. `directions` are those of all texels.
     pub(super) fn count_loose<'a, F: Fn(usize) -> i8>(
         &mut self,
-        eye: Vec3,
-        bundles: impl Iterator<Item = (&'a Bundle, F)>,
+        directions: &[Vec3],
+        bundles: impl Iterator<Item = (usize, &'a Bundle, F)>,
         open: Option<&Open>,
     ) {
-        simd::arch().dispatch(CountLoose {
+        simd::arch().dispatch(loose::Count {
             layers: self,
-            eye,
+            directions,
             bundles,
             open,
         });
@@ -112,13 +128,19 @@ impl Layers {
         clear: impl FnOnce(usize) -> bool,
         visible: impl Fn(usize) -> bool,
     ) -> Option<Bitmap> {
-        let fewest = simd::arch().dispatch(|| self.fewest())?;
+        let layers = &mut *self;
+        let fewest = vectorised!(<'a> layers: &'a mut Layers = layers => Option<i32> {
+            layers.fewest()
+        })?;
         let mut bitmap = None;
         if fewest < i32::MAX {
             let representative = self.totals.iter().position(|&layers| layers == fewest);
             *rays += 1;
             if representative.is_some_and(clear) {
-                bitmap = Some(simd::arch().dispatch(|| Bitmap::equal(&self.totals, fewest)));
+                bitmap = Some(vectorised!(
+                    <'a> totals: &'a [i32] = &self.totals, fewest: i32 = fewest
+                    => Bitmap { Bitmap::equal(totals, fewest) }
+                ));
             }
         }
         let mut bitmap = bitmap.unwrap_or_else(|| Bitmap::from_fn(self.n * self.n, |_| false));
@@ -136,14 +158,14 @@ impl Layers {
         Some(bitmap)
     }
 
-    /// The fewest layers at texels that need no ray of their own, `i32::MAX` where all do; nothing if contours tell
-    /// nothing. Those that do have as many.
+    /// The fewest layers at texels that are not covered and need no ray of their own, `i32::MAX` where none is left;
+    /// nothing if contours tell nothing. Those others have as many.
     #[inline(always)]
     fn fewest(&mut self) -> Option<i32> {
         if self.broken || !self.sum() {
             return None;
         }
-        for &texel in &self.uncertain {
+        for &texel in self.uncertain.iter().chain(&self.covered) {
             self.totals[texel as usize] = i32::MAX;
         }
         Some(self.totals.iter().copied().fold(i32::MAX, i32::min))
@@ -168,7 +190,7 @@ impl Layers {
             }
         }
         let (top, bottom) = (&self.totals[..n], &self.totals[(n - 1) * n..]);
-        let (over, under) = (&self.steps[..n], &self.steps[n * n..]);
+        let (over, under) = (&self.steps[..n], &self.steps[n * n..][..n]);
         let mut before = true;
         for x in 0..n / 2 {
             let other = n - 1 - x;
@@ -189,7 +211,7 @@ impl Layers {
 
     /// Adds the steps of those of all segments that come from a batch on.
     #[inline(always)]
-    fn add_from(&mut self, first: usize, segments: Vec<Batch<2>>) {
+    pub(super) fn add_from(&mut self, first: usize, segments: Vec<Batch<2>>) {
         for batch in &segments[first..] {
             self.add(batch);
         }
@@ -198,7 +220,7 @@ impl Layers {
 
     /// All segments, to append some, and the batch from which on that is done: what was added before stays as it is.
     #[inline(always)]
-    fn take_segments(&mut self) -> (usize, Vec<Batch<2>>) {
+    pub(super) fn take_segments(&mut self) -> (usize, Vec<Batch<2>>) {
         let mut segments = std::mem::take(&mut self.segments);
         segments.push(Batch::EMPTY);
         (segments.len() - 1, segments)
@@ -207,50 +229,71 @@ impl Layers {
     /// Adds segments' steps.
     #[inline(always)]
     fn add(&mut self, segments: &Batch<2>) {
-        let n = self.n;
-        let mut columns = Lines::new(segments, 0, n);
+        let mut columns = Lines::new(segments, 0, self.n);
         // Some edge ends at the eye.
         self.broken |= columns.finite != segments.lanes();
-        while columns.crossing != 0 {
-            let at = columns.at();
-            let (mut steps, mut close) = ([0; LANES], [0; LANES]);
-            for lane in 0..LANES {
-                let link = if at[lane] > 0.0 { at[lane].ceil() } else { 0.0 };
-                steps[lane] = whole(link * n as f32 + columns.line[lane]);
-                let (before, reach) = (link - at[lane], reach(columns.slope[lane]));
-                close[lane] = u8::from(before <= reach) | u8::from(1.0 - before <= reach);
-            }
-            for lane in ones(columns.crossing & pack_bits(&close)) {
-                let (at, reach) = (at[lane], reach(columns.slope[lane]));
-                let low = columns.low[lane] - CLEARANCE;
-                let high = columns.high[lane] + CLEARANCE;
-                // One past the last row within reach.
-                let past = ((at + reach).min(high) + 1.0) as usize;
-                for row in first_from((at - reach).max(low))..past.min(n) {
-                    let texel = row * n + columns.line[lane] as usize;
-                    self.uncertain.push(texel as u32);
-                }
-            }
-            for lane in ones(columns.separating()) {
-                self.steps[steps[lane] as usize] += columns.steps[lane];
-            }
+        for _ in 0..columns.most {
+            self.add_at(&columns);
             columns.advance();
         }
         // Few come near the first row.
-        let mut nearest = f32::INFINITY;
+        let mut near = 0;
         for end in &segments.ends {
             for y in end[1] {
-                nearest = if y < nearest { y } else { nearest };
+                near |= u32::from(y <= CLEARANCE);
             }
         }
-        if nearest > CLEARANCE {
+        if near == 0 {
             return;
         }
         let first_row = Lines::new(segments, 1, 1);
         let at = first_row.at();
         for lane in ones(first_row.separating()) {
             // Layers to the left of growing y are those of smaller x.
-            self.first_row[first_from(at[lane]).min(n)] -= first_row.steps[lane];
+            self.first_row[first_from(at[lane]).min(self.n)] -= first_row.steps[lane];
+        }
+    }
+
+    /// Adds the steps of segments at the columns that they are at.
+    #[inline(always)]
+    fn add_at(&mut self, columns: &Lines) {
+        let n = self.n as f32;
+        let at = columns.at();
+        let (mut links, mut steps) = ([0; LANES], [0; LANES]);
+        let mut close = 0;
+        for lane in 0..LANES {
+            let line = columns.line[lane];
+            let link = if at[lane] > 0.0 { at[lane].ceil() } else { 0.0 };
+            let (before, reach) = (link - at[lane], reach(columns.slope[lane]));
+            close |= u32::from(line < columns.past[lane])
+                & (u32::from(before <= reach) | u32::from(1.0 - before <= reach));
+            let separates = columns.separates(lane);
+            let unused = n * (n + 1.0) + lane as f32;
+            links[lane] = whole(if separates { link * n + line } else { unused });
+            steps[lane] = if separates { columns.steps[lane] } else { 0 };
+        }
+        if close != 0 {
+            self.doubt(columns, &at);
+        }
+        // All, as asking which ones takes longer.
+        for lane in 0..LANES {
+            self.steps[links[lane] as usize] += steps[lane];
+        }
+    }
+
+    /// Makes texels uncertain whose centres segments pass near, at the columns that they are at.
+    #[inline(always)]
+    fn doubt(&mut self, columns: &Lines, at: &[f32; LANES]) {
+        for lane in ones(columns.crossing()) {
+            let (at, reach) = (at[lane], reach(columns.slope[lane]));
+            let low = columns.low[lane] - CLEARANCE;
+            let high = columns.high[lane] + CLEARANCE;
+            // One past the last row within reach.
+            let past = ((at + reach).min(high) + 1.0) as usize;
+            for row in first_from((at - reach).max(low))..past.min(self.n) {
+                let texel = row * self.n + columns.line[lane] as usize;
+                self.uncertain.push(texel as u32);
+            }
         }
     }
 }
@@ -265,7 +308,7 @@ fn reach(slope: f32) -> f32 {
 /// Calls back with the straight segments that an edge, relative to the eye, maps to: one
 /// per octant.
 #[inline(always)]
-fn for_pieces(from: Vec3, to: Vec3, half: f32, mut call: impl FnMut(Point, Point)) {
+pub(super) fn for_pieces(from: Vec3, to: Vec3, half: f32, mut call: impl FnMut(Point, Point)) {
     let signs = |p: Vec3| [p.x < 0.0, p.y < 0.0, p.z < 0.0];
     if signs(from) == signs(to) {
         call(project_own(from, half), project_own(to, half));
@@ -349,7 +392,6 @@ fn max_zero(x: f32) -> f32 {
 /// centres and change nothing.
 struct Count<'a, I> {
     layers: &'a mut Layers,
-    eye: Vec3,
     contours: I,
 }
 
@@ -358,11 +400,8 @@ impl<'a, I: Iterator<Item = &'a [Batch<3>]>> WithSimd for Count<'_, I> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        let Self {
-            layers,
-            eye,
-            contours,
-        } = self;
+        let Self { layers, contours } = self;
+        let eye = layers.eye;
         let half = layers.n as f32 * 0.5;
         let (first, mut segments) = layers.take_segments();
         for batches in contours {
@@ -378,72 +417,21 @@ impl<'a, I: Iterator<Item = &'a [Batch<3>]>> WithSimd for Count<'_, I> {
     }
 }
 
-/// The vectorised part of [`Layers::count_loose`].
-struct CountLoose<'a, I> {
-    layers: &'a mut Layers,
-    eye: Vec3,
-    bundles: I,
-    open: Option<&'a Open>,
-}
-
-impl<'a, F: Fn(usize) -> i8, I: Iterator<Item = (&'a Bundle, F)>> WithSimd for CountLoose<'_, I> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) {
-        let Self {
-            layers,
-            eye,
-            bundles,
-            open,
-        } = self;
-        let half = layers.n as f32 * 0.5;
-        let (first, mut segments) = layers.take_segments();
-        for (bundle, face) in bundles {
-            let [a, b, c] = &bundle.corners;
-            let (a, b) = (Points::new(a, eye, half), Points::new(b, eye, half));
-            let c = Points::new(c, eye, half);
-            let bounds = Bounds::of(&a, &b, &c);
-            let [ab, bc, ca] = [
-                cross_lines(&a, &b),
-                cross_lines(&b, &c),
-                cross_lines(&c, &a),
-            ];
-            for lane in ones(bounds.around_centres() & bundle.lanes()) {
-                let step = i32::from(face(lane));
-                let behind = |open: &Open| {
-                    if bounds.within[lane] == 1 {
-                        return bounds.behind(lane, open);
-                    }
-                    let [a, b, c] = [&a, &b, &c].map(|corner| corner.coordinates(lane));
-                    !open.any_in(a.min(b).min(c), a.max(b).max(c))
-                };
-                if step == 0 || open.is_some_and(behind) {
-                    continue;
-                }
-                for (from, to, crossing) in [(&a, &b, ab), (&b, &c, bc), (&c, &a, ca)] {
-                    if crossing >> lane & 1 == 1 {
-                        append(&mut segments, from, to, lane, step, half);
-                    }
-                }
-            }
-        }
-        layers.add_from(first, segments);
-    }
-}
+/// The bit of octants below the equator.
+pub(super) const BELOW: u8 = 1 << 1;
 
 /// Points side by side, projected.
-struct Points {
+pub(super) struct Points {
     /// Relative to the eye.
     coordinates: [[f32; LANES]; 3],
     /// In texels.
-    texels: [[f32; LANES]; 2],
-    octants: [u8; LANES],
+    pub(super) texels: [[f32; LANES]; 2],
+    pub(super) octants: [u8; LANES],
 }
 
 impl Points {
     #[inline(always)]
-    fn new(points: &[[f32; LANES]; 3], eye: Vec3, half: f32) -> Self {
+    pub(super) fn new(points: &[[f32; LANES]; 3], eye: Vec3, half: f32) -> Self {
         let mut projected = Self {
             coordinates: [[0.0; LANES]; 3],
             texels: [[0.0; LANES]; 2],
@@ -457,7 +445,7 @@ impl Points {
             let z = points[2][lane] - eye.z;
             (xs[lane], ys[lane], zs[lane]) = (x, y, z);
             projected.octants[lane] =
-                u8::from(x < 0.0) | u8::from(y < 0.0) << 1 | u8::from(z < 0.0) << 2;
+                u8::from(x < 0.0) | (u8::from(y < 0.0) * BELOW) | u8::from(z < 0.0) << 2;
             let sign = |x: f32| if x < 0.0 { -1.0 } else { 1.0 };
             let absolute = Vec3::new(x.abs(), y.abs(), z.abs());
             [us[lane], vs[lane]] = project(absolute, Vec3::new(sign(x), sign(y), sign(z)), half);
@@ -465,21 +453,34 @@ impl Points {
         projected
     }
 
+    /// Where the equator is above or below them, in texels.
+    #[inline(always)]
+    pub(super) fn on_equator(&self, half: f32) -> [[f32; LANES]; 2] {
+        let mut texels = [[0.0; LANES]; 2];
+        let [xs, _, zs] = &self.coordinates;
+        for lane in 0..LANES {
+            let size = half / (xs[lane].abs() + zs[lane].abs());
+            texels[0][lane] = size * xs[lane] + (half - 0.5);
+            texels[1][lane] = size * zs[lane] + (half - 0.5);
+        }
+        texels
+    }
+
     /// Relative to the eye.
     #[inline(always)]
-    fn coordinates(&self, lane: usize) -> Vec3 {
+    pub(super) fn coordinates(&self, lane: usize) -> Vec3 {
         Vec3::from(self.coordinates.map(|axis| axis[lane]))
     }
 
     #[inline(always)]
-    fn texel(&self, lane: usize) -> Point {
+    pub(super) fn texel(&self, lane: usize) -> Point {
         self.texels.map(|axis| axis[lane])
     }
 }
 
 /// Adds an edge's segments: one if it lies within one octant.
 #[inline(always)]
-fn append(
+pub(super) fn append(
     segments: &mut Vec<Batch<2>>,
     from: &Points,
     to: &Points,
@@ -499,72 +500,25 @@ fn append(
 #[inline(always)]
 fn cross_lines(from: &Points, to: &Points) -> u64 {
     let mut crossing = [0; LANES];
-    let ([u0, v0], [u1, v1]) = (&from.texels, &to.texels);
-    for lane in 0..LANES {
-        // Written so that NaN crosses.
-        let between = between_lines(u0[lane], u1[lane]) && between_lines(v0[lane], v1[lane]);
-        let within = from.octants[lane] == to.octants[lane];
-        crossing[lane] = u8::from(!(between && within));
+    for (lane, crossing) in crossing.iter_mut().enumerate() {
+        *crossing = u8::from(crosses_lines(from, to, lane));
     }
     pack_bits(&crossing)
 }
 
-/// Rectangles around triangles side by side, in texels, where each lies within one octant.
-struct Bounds {
-    low: [[f32; LANES]; 2],
-    high: [[f32; LANES]; 2],
-    within: [u8; LANES],
-}
-
-impl Bounds {
-    #[inline(always)]
-    fn of(a: &Points, b: &Points, c: &Points) -> Self {
-        let mut bounds = Self {
-            low: [[0.0; LANES]; 2],
-            high: [[0.0; LANES]; 2],
-            within: [0; LANES],
-        };
-        // Where one is NaN, both are.
-        let less = |a: f32, b: f32| if a < b || a.is_nan() { a } else { b };
-        let more = |a: f32, b: f32| if a > b || a.is_nan() { a } else { b };
-        for axis in 0..2 {
-            let (a, b, c) = (&a.texels[axis], &b.texels[axis], &c.texels[axis]);
-            for lane in 0..LANES {
-                bounds.low[axis][lane] = less(less(a[lane], b[lane]), c[lane]);
-                bounds.high[axis][lane] = more(more(a[lane], b[lane]), c[lane]);
-            }
-        }
-        for lane in 0..LANES {
-            let (a, b, c) = (a.octants[lane], b.octants[lane], c.octants[lane]);
-            bounds.within[lane] = u8::from(a == b) & u8::from(b == c);
-        }
-        bounds
-    }
-
-    /// Lanes that a texel's centre may lie in or near.
-    #[inline(always)]
-    fn around_centres(&self) -> u64 {
-        let mut around = [0; LANES];
-        for (lane, around) in around.iter_mut().enumerate() {
-            // Written so that NaN is.
-            let u = between_lines(self.low[0][lane], self.high[0][lane]);
-            let v = between_lines(self.low[1][lane], self.high[1][lane]);
-            *around = 1 - (self.within[lane] & (u8::from(u) | u8::from(v)));
-        }
-        pack_bits(&around)
-    }
-
-    /// Whether nothing around is open, where a triangle lies within one octant.
-    #[inline(always)]
-    fn behind(&self, lane: usize, open: &Open) -> bool {
-        let [low, high] = [&self.low, &self.high].map(|corner| corner.map(|axis| axis[lane]));
-        !open.any_between(low, high)
-    }
+/// Whether one of these edges comes near a line of texel centres.
+#[inline(always)]
+pub(super) fn crosses_lines(from: &Points, to: &Points, lane: usize) -> bool {
+    let ([u0, v0], [u1, v1]) = (&from.texels, &to.texels);
+    // Written so that NaN crosses.
+    let between = between_lines(u0[lane], u1[lane]) && between_lines(v0[lane], v1[lane]);
+    let within = from.octants[lane] == to.octants[lane];
+    !(between && within)
 }
 
 /// Whether no texel centre's coordinate comes near to those between two.
 #[inline(always)]
-fn between_lines(a: f32, b: f32) -> bool {
+pub(super) fn between_lines(a: f32, b: f32) -> bool {
     let (low, high) = if a < b { (a, b) } else { (b, a) };
     (low - CLEARANCE).floor() == (high + CLEARANCE).floor()
 }

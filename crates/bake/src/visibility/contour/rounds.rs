@@ -7,9 +7,8 @@
 use glam::Vec3;
 use pulp::{Simd, WithSimd};
 
-use super::batch::LANES;
+use super::batch::{LANES, whole};
 use super::candidates::Candidates;
-use super::parts::Parts;
 use crate::simd;
 use crate::visibility::Bitmap;
 
@@ -54,10 +53,10 @@ impl Rounds {
     }
 
     /// Chooses what is counted next: places of parts in the group's order, which grow.
-    pub(super) fn choose(&mut self, candidates: &Candidates, parts: &Parts, chosen: &mut Vec<u32>) {
+    pub(super) fn choose(&mut self, candidates: &Candidates, chosen: &mut Vec<u32>) {
         chosen.clear();
         let left: usize = (self.waiting.iter())
-            .map(|&place| candidates.contours_of(parts, place))
+            .map(|&place| candidates.contours_of(place))
             .sum();
         let limit = if left <= self.budget.max(FEW) {
             usize::MAX
@@ -67,7 +66,7 @@ impl Rounds {
         let mut contours = 0;
         let mut taken = 0;
         while taken < self.waiting.len() && contours < limit {
-            contours += candidates.contours_of(parts, self.waiting[taken]);
+            contours += candidates.contours_of(self.waiting[taken]);
             taken += 1;
         }
         chosen.extend(self.waiting.drain(..taken));
@@ -105,6 +104,40 @@ impl Rounds {
             open: &self.open,
         });
     }
+}
+
+/// The bits from one on, and those up to one.
+static FROM: [u128; 128] = {
+    let mut bits = [0; 128];
+    let mut first = 0;
+    while first < 128 {
+        bits[first] = u128::MAX << first;
+        first += 1;
+    }
+    bits
+};
+static UP_TO: [u128; 128] = {
+    let mut bits = [0; 128];
+    let mut last = 0;
+    while last < 128 {
+        bits[last] = u128::MAX >> (127 - last);
+        last += 1;
+    }
+    bits
+};
+
+/// A whole number, put between 0 and `last`. What is not a number is 0, so that it begins before everything.
+#[inline(always)]
+fn first_within(x: f32, last: f32) -> u32 {
+    let x = if x > 0.0 { x } else { 0.0 };
+    whole(if x < last { x } else { last })
+}
+
+/// The same, but that what is not a number is `last`.
+#[inline(always)]
+fn last_within(x: f32, last: f32) -> u32 {
+    let x = if x < last { x } else { last };
+    whole(if x > 0.0 { x } else { 0.0 })
 }
 
 /// The visible texels of a map, for asking whether a rectangle has some.
@@ -152,22 +185,25 @@ impl Open {
     #[inline(always)]
     fn any(&self, low: [f32; 2], high: [f32; 2]) -> bool {
         let last = self.n as f32 - 1.0;
-        // What is not a number covers everything.
-        let first = |x: f32| if x > 0.0 { x.min(last) as usize } else { 0 };
-        let end = |x: f32| {
-            if x < last {
-                x.max(0.0) as usize
-            } else {
-                self.n - 1
-            }
-        };
-        let [left, top] = low.map(first);
-        let [right, bottom] = high.map(end);
-        let level = (bottom + 1 - top).max(1).ilog2() as usize;
-        let rows = &self.rows[level * self.n..][..self.n];
-        let bits = rows[top] | rows[bottom + 1 - (1 << level)];
-        let [left, right] = [left, right].map(|x| x / self.columns);
-        bits >> left << left << (127 - right) != 0
+        let [left, top] = [first_within(low[0], last), first_within(low[1], last)];
+        let [right, bottom] = [last_within(high[0], last), last_within(high[1], last)];
+        self.any_of([left, top], [right, bottom])
+    }
+
+    /// [`Self::any`] of texels that are all on the map.
+    #[inline(always)]
+    fn any_of(&self, [left, top]: [u32; 2], [right, bottom]: [u32; 2]) -> bool {
+        let [left, right] = [left, right].map(|x| (x as usize / self.columns) & 127);
+        let level = (bottom + 1).saturating_sub(top).max(1).ilog2();
+        let rows = &self.rows[level as usize * self.n..][..self.n];
+        let bits = rows[top as usize] | rows[bottom as usize + 1 - (1 << level)];
+        bits & FROM[left] & UP_TO[right] != 0
+    }
+
+    /// Whether a texel may be visible.
+    #[inline(always)]
+    pub(super) fn may_be(&self, x: usize, y: usize) -> bool {
+        self.rows[y] >> (x / self.columns) & 1 == 1
     }
 
     /// Whether what lies between two points of the map, in texels, may have to do with a visible texel.
@@ -255,6 +291,7 @@ impl WithSimd for Cull<'_> {
             open,
         } = self;
         let half = open.n as f32 * 0.5;
+        let last = open.n as f32 - 1.0;
         let boxes = candidates.boxes();
         let mut left = 0;
         for first in (0..waiting.len()).step_by(LANES) {
@@ -268,7 +305,7 @@ impl WithSimd for Cull<'_> {
                 }
             }
             let ([x_low, y_low, z_low], [x_high, y_high, z_high]) = (&corners[0], &corners[1]);
-            let (mut lows, mut highs) = ([[0.0; LANES]; 2], [[0.0; LANES]; 2]);
+            let (mut lows, mut highs) = ([[0; LANES]; 2], [[0; LANES]; 2]);
             let mut within = [0; LANES];
             for lane in 0..LANES {
                 let (x, x_sign, one_x) = distances(x_low[lane], x_high[lane]);
@@ -276,12 +313,17 @@ impl WithSimd for Cull<'_> {
                 within[lane] = one_x & one_z;
                 let y = [y_low[lane], y_high[lane]];
                 let [low, high] = rectangle(x, y, z, [x_sign, z_sign], half);
-                (lows[0][lane], lows[1][lane]) = (low[0], low[1]);
-                (highs[0][lane], highs[1][lane]) = (high[0], high[1]);
+                lows[0][lane] = first_within(low[0], last);
+                lows[1][lane] = first_within(low[1], last);
+                highs[0][lane] = last_within(high[0], last);
+                highs[1][lane] = last_within(high[1], last);
             }
             for lane in 0..count {
                 let stays = if within[lane] == 1 {
-                    open.any(lows.map(|low| low[lane]), highs.map(|high| high[lane]))
+                    open.any_of(
+                        [lows[0][lane], lows[1][lane]],
+                        [highs[0][lane], highs[1][lane]],
+                    )
                 } else {
                     let [low, high] =
                         corners.map(|corner| Vec3::from(corner.map(|axis| axis[lane])));

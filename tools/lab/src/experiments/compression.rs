@@ -23,10 +23,11 @@ use crate::compare::{Comparison, compare};
 const SCENES: [&str; 2] = ["bunny", "walk_1"];
 const LOBES: usize = 16;
 
-/// What fits into so many bytes, with at most so many vertices, where shadows fall. A mesh of
-/// more may have a quarter as many again.
+/// What fits into so many bytes, with at most so many vertices, where shadows fall, and so many times those of the mesh:
+/// a small mesh would be all of what is added. A mesh of more may have a quarter as many again.
 const TO_A_SIZE: &str = "clusters, refined, to a size";
 const SIZE: (u64, usize) = (5_000_000, 50_000);
+const FINER: usize = 20;
 
 /// Components of a basis for the whole scene.
 const GLOBAL_RANK: u32 = 24;
@@ -179,6 +180,9 @@ fn measure(
         let mut input = load::load_from(&Files::new(path, &Access::anywhere())?, path)?;
         // A bound below what the mesh has would leave nothing for shadows.
         let imported = input.mesh.vertices.len();
+        if curve == TO_A_SIZE {
+            options.max_vertices = options.max_vertices.min(FINER * imported);
+        }
         if imported > options.max_vertices {
             options.max_vertices = imported + imported / 4;
         }

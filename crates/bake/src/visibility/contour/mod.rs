@@ -623,6 +623,34 @@ mod tests {
         assert!(blocked > 0, "no point in a box");
     }
 
+    #[test]
+    fn litter_about_the_horizon_gives_the_same_bits() {
+        let mut state = 33;
+        let mut litter = |size: f32, height: f32| {
+            let angle = std::f32::consts::TAU * random(&mut state);
+            let distance = 0.5 + 2.0 * random(&mut state);
+            let centre = distance * Vec3::new(math::cos(angle), 0.0, math::sin(angle))
+                + height * random_point(&mut state).y * Vec3::Y;
+            [0; 3].map(|_| centre + size * random_point(&mut state))
+        };
+        let mut triangles: Vec<_> = (0..1500).map(|_| litter(0.02, 0.02)).collect();
+        // Slivers, and some that are too large to be drawn.
+        triangles.extend((0..300).map(|_| {
+            let [a, b, c] = litter(0.05, 0.05);
+            [a, b, a.lerp(b, 0.4) + 1e-4 * (c - a)]
+        }));
+        triangles.extend((0..300).map(|_| litter(0.3, 0.3)));
+        let mut state = 34;
+        let origins: Vec<Vec3> = (0..36)
+            .map(|_| random_point(&mut state) * Vec3::new(0.4, 0.02, 0.4))
+            .collect();
+        for resolution in [64, 128] {
+            let rays = assert_same_bits(&triangles, &origins, resolution);
+            let few = 36 * u64::from(resolution).pow(2) / 20;
+            assert!(rays < few, "{rays} rays at {resolution}");
+        }
+    }
+
     /// A sphere seen from outside: its direction and angular radius, the bitmap and where its
     /// contours cross.
     fn ball(directions: &Directions) -> (Vec3, f32, Bitmap, Crossings) {

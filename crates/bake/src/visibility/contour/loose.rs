@@ -108,9 +108,20 @@ impl<'a, F: Fn(usize) -> i8, I: Iterator<Item = (usize, &'a Bundle, F)>> WithSim
             let [a, b, c] = &corners;
             let bounds = Bounds::of(&corners, half);
             for lane in ones(bounds.around_centres() & bundle.lanes()) {
+                let [low, high] = bounds.rectangle(lane);
+                let behind = |open: &Open| {
+                    if bounds.within[lane] == 1 {
+                        return !open.any_between(low, high);
+                    }
+                    let [a, b, c] = corners.each_ref().map(|corner| corner.coordinates(lane));
+                    !open.any_in(a.min(b).min(c), a.max(b).max(c))
+                };
+                let step = i32::from(face(lane));
+                if step == 0 || open.is_some_and(behind) {
+                    continue;
+                }
                 if bounds.small[lane] == 1 {
-                    let [low, high] = bounds.rectangle(lane);
-                    if bounds.covers_none[lane] == 0 && face(lane) != 0 {
+                    if bounds.covers_none[lane] == 0 {
                         let flat = (bounds.flat[lane] == 1)
                             .then(|| Flat::new([a.texel(lane), b.texel(lane), c.texel(lane)]));
                         let texels =
@@ -128,18 +139,6 @@ impl<'a, F: Fn(usize) -> i8, I: Iterator<Item = (usize, &'a Bundle, F)>> WithSim
                         lane: lane as u32,
                         middle: [0, 1].map(|axis| 0.5 * (low[axis] + high[axis])),
                     });
-                    continue;
-                }
-                let step = i32::from(face(lane));
-                let behind = |open: &Open| {
-                    if bounds.within[lane] == 1 {
-                        let [low, high] = bounds.rectangle(lane);
-                        return !open.any_between(low, high);
-                    }
-                    let [a, b, c] = corners.each_ref().map(|corner| corner.coordinates(lane));
-                    !open.any_in(a.min(b).min(c), a.max(b).max(c))
-                };
-                if step == 0 || open.is_some_and(behind) {
                     continue;
                 }
                 for (from, to) in [(0, 1), (1, 2), (2, 0)] {

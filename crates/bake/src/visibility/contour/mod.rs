@@ -598,9 +598,10 @@ mod tests {
                 links.iter().all(|&link| some[link] == every[link]),
                 "{index}"
             );
-            // What is drawn is not asked whether it lies behind.
-            let contours = |layers: &Layers| -> usize {
-                layers.segments().iter().map(|batch| batch.count).sum()
+            // What is drawn is laid over the map by its three edges too, for crossings.
+            let laid = |layers: &Layers| {
+                let contours = layers.segments().iter().map(|batch| batch.count);
+                contours.sum::<usize>() + 3 * layers.drawn().len()
             };
             let parts = |scratch: &Scratch| {
                 let parts = 0..mesh.parts.count() as u32;
@@ -608,8 +609,8 @@ mod tests {
                     .filter(|&part| scratch.rounds.is_counted(part))
                     .count()
             };
-            segments += contours(&scratch.layers);
-            of_all += contours(&all.layers);
+            segments += laid(&scratch.layers);
+            of_all += laid(&all.layers);
             counted += parts(&scratch);
             of_all_parts += parts(&all);
             blocked += usize::from(links.is_empty());
@@ -618,8 +619,7 @@ mod tests {
             2 * counted < of_all_parts,
             "{counted} of {of_all_parts} parts"
         );
-        // Nearly half: the easiest to leave out are drawn in place of being counted.
-        assert!(20 * segments < 11 * of_all, "{segments} of {of_all}");
+        assert!(2 * segments < of_all, "{segments} of {of_all}");
         assert!(blocked > 0, "no point in a box");
     }
 

@@ -269,15 +269,15 @@ fn cells_add(may_divide: bool) -> bool {
     if centre <= -radius {
         return false;
     }
-    if centre >= radius {
-        cell_moments = cells_strip(cell_low.y, vec2(cell_low.x, cell_high.y), cell_high);
-        return cells_add_lobes(may_divide);
-    }
+    let whole = centre >= radius;
     for (var i = 0u; i < 9u; i++) {
-        cell_distances[i] = cells_distance(cell_directions[i]);
+        cell_distances[i] = centre;
+        if !whole {
+            cell_distances[i] = cells_distance(cell_directions[i]);
+        }
     }
     boundary_find();
-    if may_divide && boundary_error() > frames[frame_index].boundary_error {
+    if may_divide && !whole && boundary_error() > frames[frame_index].boundary_error {
         return true;
     }
     boundary_moments();
@@ -346,13 +346,6 @@ fn boundary_count() -> u32 {
     return count;
 }
 
-// The strip under a side; around a polygon they add up to its moments, negative.
-fn boundary_side(start: vec2<f32>, end: vec2<f32>) {
-    if start.x != end.x {
-        cell_moments += cells_strip(cell_low.y, end, start);
-    }
-}
-
 // Where a line that leaves the visible part at a side comes back to it.
 fn boundary_back(side: u32, turn: u32) -> u32 {
     for (var j = 1u; j <= 4u; j++) {
@@ -364,19 +357,26 @@ fn boundary_back(side: u32, turn: u32) -> u32 {
     return side;
 }
 
-// Sum over the sides of the visible polygon, whose inner sides are straight lines.
+// Sum over the sides of the visible polygon, whose inner sides are straight lines: of every side of the cell what is
+// visible, then the line from there to where the polygon comes back to the cell's sides. The strips under them add up to
+// the moments, negative.
 fn boundary_moments() {
     cell_moments = vec4(0.0);
     let turn = select(1u, 3u, boundary_count() == 4u && cell_distances[4] <= 0.0);
-    for (var i = 0u; i < 4u; i++) {
+    for (var j = 0u; j < 8u; j++) {
+        let i = j / 2u;
         let next = (i + 1u) % 4u;
-        if boundary_inside[i] && boundary_inside[next] {
-            boundary_side(boundary_corners[i], boundary_corners[next]);
-        } else if boundary_inside[i] {
-            boundary_side(boundary_corners[i], boundary_crossings[i]);
-            boundary_side(boundary_crossings[i], boundary_crossings[boundary_back(i, turn)]);
-        } else if boundary_inside[next] {
-            boundary_side(boundary_crossings[i], boundary_corners[next]);
+        var start = boundary_crossings[i];
+        var end = start;
+        if j % 2u == 0u {
+            start = select(start, boundary_corners[i], boundary_inside[i]);
+            end = select(end, boundary_corners[next], boundary_inside[next]);
+        } else if boundary_inside[i] && !boundary_inside[next] {
+            end = boundary_crossings[boundary_back(i, turn)];
+        }
+        // Under the cell's lower side there is nothing.
+        if start.x != end.x && max(start.y, end.y) > cell_low.y {
+            cell_moments += cells_strip(cell_low.y, end, start);
         }
     }
 }

@@ -25,10 +25,6 @@ fn cells_main(
             sum += bitcast<vec3<f32>>(slots_gathered[64u * (SLOTS_FIELDS * workgroup.x + SLOTS_SUM) + invocation].xyz);
         }
         cells_ssdf = ssdf;
-        sum = shade_lobes(point, sum);
-        if frames[frame_index].prefiltered_levels > 0u {
-            sum += image_diffused(ssdf, point, point.appearance.diffuse);
-        }
         var blocked: TransferRadiance;
         if ssdf.cluster.bounced != 0u {
             let group = transfer_group(ssdf.cluster.bounced - 1u);
@@ -37,88 +33,104 @@ fn cells_main(
             sum += point.appearance.diffuse / PI * irradiance;
             blocked = transfer_load_radiance(group, corners, weights, irradiance);
         }
-        for (var k = 0u; k < point.appearance.reflections; k++) {
-            lobes_of(point, surface_reflection(point.appearance, k));
-            if ssdf.cluster.bounced != 0u {
-                sum += transfer_reflected(blocked, ssdf, point.normal);
-            }
-            if frames[frame_index].prefiltered_levels > 0u {
-                sum += shade_image(point.normal);
-            }
+        if frames[frame_index].prefiltered_levels > 0u {
+            sum += image_diffused(ssdf, point, point.appearance.diffuse);
         }
+        cells_point = point;
+        cells_diffuse = point.appearance.diffuse / PI;
+        cells_first_light = shade_first_light();
+        sum += shade_layers(blocked);
     }
     let emitted = surface_emission(corners, triangle.w & 0xffffu, weights);
     let coverage = 1.0 - materials[triangle.w & 0xffffu].shadow_catcher;
     textureStore(radiance, pixel, vec4(max(sum, vec3(0.0)) + emitted, coverage));
 }
 
-// What the lobes show of a prefiltered image.
-fn shade_image(normal: vec3<f32>) -> vec3<f32> {
-    let white = SphericalGaussian(normal, 0.0, vec3(1.0));
-    let everywhere = lobes_reflected(white, vec3(0.0));
-    if all(everywhere.amplitude == vec3(0.0)) {
-        return vec3(0.0);
-    }
-    var scaled = vec3(0.0);
-    var visible = vec3(0.0);
-    for (var i = 0u; i < frames[frame_index].light_count; i++) {
-        let lobe = lobes_reflected(shade_light(i, vec3(0.0)), scaled);
-        let whole = lobe.amplitude * tables_cosine_integral(lobe.sharpness, dot(normal, lobe.axis));
-        if !shade_negligible(whole, scaled) {
-            scaled += whole;
-            visible += lobe.amplitude * shade_visible(lobe, normal);
-        }
-    }
-    let whole = tables_cosine_integral(everywhere.sharpness, dot(normal, everywhere.axis));
-    let part = shade_visible(everywhere, normal) / max(whole, 1.17549435e-38);
-    return image_seen(image_reflected(normal), scaled, visible, part);
-}
-
-fn shade_lobes(point: SurfacePoint, gathered: vec3<f32>) -> vec3<f32> {
-    var sum = gathered;
-    let all = frames[frame_index].light_count + frames[frame_index].local_light_count;
-    cells_point = point;
-    cells_diffuse = point.appearance.diffuse / PI;
-    if any(cells_diffuse != vec3(0.0)) {
-        cells_kind = CELLS_WIDE;
-        sum += cells_integrate(point.normal, 0.5 * PI, point.normal);
-        for (var i = 0u; i < all; i++) {
-            var light = shade_light(i, point.position);
-            if light.sharpness > CELLS_NARROW {
-                light.amplitude *= cells_diffuse;
-                sum += shade_single(light, point.normal);
-            }
-        }
-    }
-    cells_first_light = shade_first_light();
-    for (var k = 0u; k < point.appearance.reflections; k++) {
-        lobes_of(point, surface_reflection(point.appearance, k));
-        cells_kind = CELLS_PRODUCTS;
-        let around = cells_around();
-        sum += cells_integrate(around.xyz, around.w, point.normal);
-        sum += shade_narrow(point.normal);
-    }
-    return sum;
-}
-
-// What the reflection of lobes_of makes of narrow lights.
-fn shade_narrow(normal: vec3<f32>) -> vec3<f32> {
+// What is integrated of the Lambertian base and of each reflection, one after the other: all wide lights together, every
+// narrow one, and of reflections what they show of a prefiltered image: of white light, then of every lobe. There is one
+// call of cells_integrate, as drivers put all of it wherever it is called.
+fn shade_layers(blocked: TransferRadiance) -> vec3<f32> {
+    let normal = cells_point.normal;
+    let distant = frames[frame_index].light_count;
+    let count = distant + frames[frame_index].local_light_count;
+    let shows = frames[frame_index].prefiltered_levels > 0u;
     var sum = vec3(0.0);
-    let all = frames[frame_index].light_count + frames[frame_index].local_light_count;
-    var carried = vec3(0.0);
-    for (var i = cells_first_light; i < all; i++) {
-        let light = shade_light(i, cells_point.position);
-        let lobe = lobes_reflected(light, vec3(0.0));
-        carried += spherical_gaussian_integral(lobe);
-    }
-    for (var i = cells_first_light; i < all; i++) {
-        let light = shade_light(i, cells_point.position);
-        if light.sharpness <= CELLS_NARROW {
+    for (var layer = 0u; layer <= cells_point.appearance.reflections; layer++) {
+        let reflects = layer > 0u;
+        var about = vec4(normal, 0.5 * PI);
+        var carried = vec3(0.0);
+        if reflects {
+            lobes_of(cells_point, surface_reflection(cells_point.appearance, layer - 1u));
+            if cells_ssdf.cluster.bounced != 0u {
+                sum += transfer_reflected(blocked, cells_ssdf, normal);
+            }
+            about = cells_around();
+            for (var i = cells_first_light; i < count; i++) {
+                let light = shade_light(i, cells_point.position);
+                carried += spherical_gaussian_integral(lobes_reflected(light, vec3(0.0)));
+            }
+        } else if all(cells_diffuse == vec3(0.0)) {
             continue;
         }
-        let lobe = lobes_reflected(light, vec3(0.0));
-        if !shade_negligible(spherical_gaussian_integral(lobe), carried) {
-            sum += shade_single(lobe, normal);
+        let first = select(0u, cells_first_light, reflects);
+        let white = 1u + count - first;
+        let steps = white + select(0u, 1u + distant, reflects && shows);
+        // Of the image: what lobes gather, what of it is visible, and the visible part of white light, if any is reflected.
+        var scaled = vec3(0.0);
+        var visible = vec3(0.0);
+        var part = -1.0;
+        for (var step = 0u; step < steps; step++) {
+            var lobe = SphericalGaussian(normal, 0.0, vec3(1.0));
+            var scale = vec3(1.0);
+            cells_kind = select(CELLS_WIDE, CELLS_PRODUCTS, reflects);
+            if step > 0u {
+                cells_kind = CELLS_SINGLE;
+                let narrow = step < white;
+                if step != white {
+                    lobe = shade_light(select(step - white - 1u, first + step - 1u, narrow), cells_point.position);
+                }
+                if narrow && lobe.sharpness <= CELLS_NARROW {
+                    continue;
+                }
+                if reflects {
+                    lobe = lobes_reflected(lobe, scaled);
+                } else {
+                    lobe.amplitude *= cells_diffuse;
+                }
+                if narrow {
+                    if reflects && shade_negligible(spherical_gaussian_integral(lobe), carried) {
+                        continue;
+                    }
+                } else {
+                    let whole = tables_cosine_integral(lobe.sharpness, dot(normal, lobe.axis));
+                    if step == white {
+                        if all(lobe.amplitude == vec3(0.0)) {
+                            break;
+                        }
+                        scale = vec3(1.0 / max(whole, 1.17549435e-38));
+                    } else {
+                        scale = lobe.amplitude;
+                        if shade_negligible(scale * whole, scaled) {
+                            continue;
+                        }
+                        scaled += scale * whole;
+                    }
+                    lobe.amplitude = vec3(1.0);
+                }
+                cells_single = lobe;
+                about = vec4(lobe.axis, polar_support_radius(lobe.sharpness));
+            }
+            let found = scale * cells_integrate(about.xyz, about.w, normal);
+            if step < white {
+                sum += found;
+            } else if step == white {
+                part = found.x;
+            } else {
+                visible += found;
+            }
+        }
+        if part >= 0.0 {
+            sum += image_seen(image_reflected(normal), scaled, visible, part);
         }
     }
     return sum;
@@ -144,14 +156,4 @@ fn cells_around() -> vec4<f32> {
         reach = max(reach, min(aside + polar_support_radius(lobe.sharpness), PI));
     }
     return vec4(pole, reach);
-}
-
-fn shade_single(lobe: SphericalGaussian, normal: vec3<f32>) -> vec3<f32> {
-    cells_kind = CELLS_SINGLE;
-    cells_single = lobe;
-    return cells_integrate(lobe.axis, polar_support_radius(lobe.sharpness), normal);
-}
-
-fn shade_visible(lobe: SphericalGaussian, normal: vec3<f32>) -> f32 {
-    return shade_single(SphericalGaussian(lobe.axis, lobe.sharpness, vec3(1.0)), normal).x;
 }

@@ -66,6 +66,8 @@ pub struct Answer {
 
 /// What to compose.
 pub(super) struct Composition {
+    /// Grows from one to the next.
+    pub(super) number: u64,
     /// The newest request that a picture of it answers.
     pub(super) request: u64,
     pub(super) images: [Option<Arc<Image>>; 2],
@@ -78,6 +80,7 @@ pub(super) struct Composition {
 
 /// What the composer makes.
 pub(super) struct Composed {
+    pub(super) number: u64,
     pub(super) request: u64,
     pub(super) size: [u32; 2],
     /// The largest picture in it.
@@ -206,7 +209,9 @@ impl Viewer {
             return;
         }
         self.waiting_for_composer = true;
+        self.compositions += 1;
         self.composer.ask(Composition {
+            number: self.compositions,
             request: newest.request,
             images,
             look,

@@ -35,7 +35,8 @@ impl Viewer {
             self.chosen(&purpose, &path);
         }
         if let Some(composed) = self.composer.newest() {
-            self.waiting_for_composer = false;
+            // One may come that was begun before the newest was asked for.
+            self.waiting_for_composer = composed.number != self.compositions;
             self.take_composed(composed);
         }
     }
@@ -60,6 +61,7 @@ impl Viewer {
             size,
             shown,
             pixels,
+            ..
         } = composed;
         if let Some(flight) = &mut self.flight
             && flight.number == request

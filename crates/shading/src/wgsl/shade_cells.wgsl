@@ -19,8 +19,7 @@ fn cells_main(
     let ssdf = ssdf_load(clusters[triangle.w >> 16u], corners, weights);
     var sum = vec3(0.0);
     if dot(point.normal, point.view) > 0.0 {
-        // First, so that lobes that add nothing to it are left out. They are where the passes that shade by lobes have
-        // their sum.
+        // Light of sources, where the passes that shade by lobes have their sum.
         if frames[frame_index].source_count > 0u {
             sum += bitcast<vec3<f32>>(slots_gathered[64u * (SLOTS_FIELDS * workgroup.x + SLOTS_SUM) + invocation].xyz);
         }

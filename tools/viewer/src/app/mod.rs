@@ -129,9 +129,6 @@ pub struct Viewer {
     composer: Worker<Composition, Composed>,
     composing: Option<ComposedKey>,
     composed: Option<([u32; 2], Vec<u8>)>,
-    waiting_for_composer: bool,
-    /// How many were asked for.
-    compositions: u64,
     basis: Option<(Arc<Scene>, Basis)>,
     /// A scene and its copy without light that bounces.
     direct: Option<(Arc<Scene>, Arc<Scene>)>,
@@ -181,7 +178,6 @@ impl Viewer {
             let images = task.images.iter().flatten();
             let sizes = images.map(|image| [image.width, image.height]);
             Composed {
-                number: task.number,
                 request: task.request,
                 size: task.size,
                 shown: sizes.max_by_key(|[x, y]| x * y).unwrap_or_default(),
@@ -223,8 +219,6 @@ impl Viewer {
             composer: Worker::new("composer", compose, wake()),
             composing: None,
             composed: None,
-            waiting_for_composer: false,
-            compositions: 0,
             basis: None,
             direct: None,
             choices: mpsc::channel(),

@@ -66,8 +66,6 @@ pub struct Answer {
 
 /// What to compose.
 pub(super) struct Composition {
-    /// Grows from one to the next.
-    pub(super) number: u64,
     /// The newest request that a picture of it answers.
     pub(super) request: u64,
     pub(super) images: [Option<Arc<Image>>; 2],
@@ -80,7 +78,6 @@ pub(super) struct Composition {
 
 /// What the composer makes.
 pub(super) struct Composed {
-    pub(super) number: u64,
     pub(super) request: u64,
     pub(super) size: [u32; 2],
     /// The largest picture in it.
@@ -208,10 +205,7 @@ impl Viewer {
         if self.composing.as_ref() == Some(&key) || self.size.contains(&0) {
             return;
         }
-        self.waiting_for_composer = true;
-        self.compositions += 1;
         self.composer.ask(Composition {
-            number: self.compositions,
             request: newest.request,
             images,
             look,
@@ -243,7 +237,7 @@ impl Viewer {
                     && (picture.complete || (traced && picture.samples > 8))
             })
         };
-        self.jobs.running().is_empty() && (0..panes).all(complete) && !self.waiting_for_composer
+        self.jobs.running().is_empty() && (0..panes).all(complete) && !self.composer.is_busy()
     }
 
     /// What is on the screen: size and premultiplied RGBA8.

@@ -35,8 +35,6 @@ impl Viewer {
             self.chosen(&purpose, &path);
         }
         if let Some(composed) = self.composer.newest() {
-            // One may come that was begun before the newest was asked for.
-            self.waiting_for_composer = composed.number != self.compositions;
             self.take_composed(composed);
         }
     }
@@ -61,7 +59,6 @@ impl Viewer {
             size,
             shown,
             pixels,
-            ..
         } = composed;
         if let Some(flight) = &mut self.flight
             && flight.number == request

@@ -127,7 +127,13 @@ fn test() -> ExitCode {
             }
             pages
         }),
-        ("tests", &mut || tests(&cargo, &mut counts)),
+        ("tests", &mut || {
+            std::thread::scope(|scope| {
+                // For the next step: some tests wait for other programs than the processor has to run.
+                scope.spawn(|| install_deny(&root));
+                tests(&cargo, &mut counts)
+            })
+        }),
         ("dependencies", &mut || dependencies(&root)),
     ];
     let mut summary = Vec::new();
@@ -443,36 +449,47 @@ fn run_tests(command: &mut Command, read: &mut dyn FnMut(&str)) -> Outcome {
     }
 }
 
-/// `cargo deny`, without the advisories where their database cannot be had. It is built if it is
-/// missing, without optimisation: it runs for seconds.
-fn dependencies(root: &Path) -> Outcome {
-    let tools = root.join("target/tools");
-    let own = tools.join("bin/cargo-deny");
-    let deny = |arguments: &str| {
-        let mut command = if own.exists() {
-            let mut command = Command::new(&own);
-            command.current_dir(root).stdin(Stdio::null());
-            command
-        } else {
-            cargo(root, "deny")
-        };
-        command.args(arguments.split(' '));
+/// `cargo deny`, which may be one of our own.
+fn deny(root: &Path, arguments: &str) -> Command {
+    let own = root.join(DENY).join("bin/cargo-deny");
+    let mut command = if own.exists() {
+        let mut command = Command::new(&own);
+        command.current_dir(root).stdin(Stdio::null());
         command
+    } else {
+        cargo(root, "deny")
     };
-    if !succeeds(&mut deny("--version")) {
-        println!("xtask: installing cargo-deny");
-        let mut install = cargo(root, "install --quiet --locked --debug cargo-deny --root");
-        let install = install.arg(&tools).env("CARGO_PROFILE_DEV_DEBUG", "0");
-        if !succeeds(install.env("CARGO_TARGET_DIR", tools.join("target"))) {
-            let why = "no cargo-deny, and cargo cannot install it";
-            return Outcome::Skipped(why.to_owned());
-        }
-        // Half a gigabyte that nobody needs again.
-        let _ = std::fs::remove_dir_all(tools.join("target"));
+    command.args(arguments.split(' '));
+    command
+}
+
+/// Where our own is.
+const DENY: &str = "target/tools";
+
+/// Builds `cargo deny` if it is missing, without optimisation: it runs for seconds. False if that fails.
+fn install_deny(root: &Path) -> bool {
+    let tools = root.join(DENY);
+    if succeeds(&mut deny(root, "--version")) {
+        return true;
     }
-    match Outcome::of(&mut deny("check bans licenses sources")) {
-        Outcome::Passed if succeeds(&mut deny("fetch db")) => {
-            Outcome::of(&mut deny("check advisories"))
+    println!("xtask: installing cargo-deny");
+    let mut install = cargo(root, "install --quiet --locked --debug cargo-deny --root");
+    let install = install.arg(&tools).env("CARGO_PROFILE_DEV_DEBUG", "0");
+    let installed = succeeds(install.env("CARGO_TARGET_DIR", tools.join("target")));
+    // Half a gigabyte that nobody needs again.
+    let _ = std::fs::remove_dir_all(tools.join("target"));
+    installed
+}
+
+/// Checks dependencies, without the advisories where their database cannot be had.
+fn dependencies(root: &Path) -> Outcome {
+    if !install_deny(root) {
+        let why = "no cargo-deny, and cargo cannot install it";
+        return Outcome::Skipped(why.to_owned());
+    }
+    match Outcome::of(&mut deny(root, "check bans licenses sources")) {
+        Outcome::Passed if succeeds(&mut deny(root, "fetch db")) => {
+            Outcome::of(&mut deny(root, "check advisories"))
         }
         Outcome::Passed => {
             Outcome::Skipped("advisories, for want of their database; the rest passed".to_owned())

@@ -137,12 +137,35 @@ impl Bitmap {
         }
     }
 
+    /// Texels that are set, in order.
+    #[inline(always)]
+    pub(crate) fn set_texels(&self) -> impl Iterator<Item = usize> {
+        let words = self.words.iter().enumerate();
+        words.flat_map(|(index, word)| ones(*word).map(move |bit| 64 * index + bit))
+    }
+
+    /// Texels that are set and not set in `other`, in order.
+    pub(crate) fn set_texels_without(&self, other: &Self) -> impl Iterator<Item = usize> {
+        let words = self.words.iter().zip(&other.words).enumerate();
+        words.flat_map(|(index, (own, other))| {
+            ones(own & !other).map(move |bit| 64 * index + bit)
+        })
+    }
+
+    /// Takes from `other` what is set in `mask`.
+    pub(crate) fn replace(&mut self, mask: &Self, other: &Self) {
+        for (own, (mask, other)) in self.words.iter_mut().zip(mask.words.iter().zip(&other.words)) {
+            *own = *own & !mask | other & mask;
+        }
+    }
+
     /// Unsets all.
     pub(crate) fn clear(&mut self) {
         self.words.fill(0);
     }
 
     /// Sets whether the direction of texel `index` is visible.
+    #[inline(always)]
     pub(crate) fn set(&mut self, index: usize, visible: bool) {
         let bit = 1 << (index % 64);
         let word = &mut self.words[index / 64];

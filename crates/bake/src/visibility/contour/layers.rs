@@ -31,8 +31,8 @@ pub(super) struct Layers {
     first_row: Vec<i32>,
     /// Layers of surface at every texel, up to a constant.
     totals: Vec<i32>,
-    /// Texels that need a ray of their own; some may be named twice.
-    uncertain: Vec<u32>,
+    /// Texels that need a ray of their own.
+    uncertain: Bitmap,
     /// Those of them that have had it, and of these the visible ones.
     traced: Bitmap,
     seen: Bitmap,
@@ -54,7 +54,7 @@ impl Layers {
             steps: vec![0; n * (n + 1) + LANES],
             first_row: vec![0; n + 1],
             totals: vec![0; n * n],
-            uncertain: Vec::new(),
+            uncertain: Bitmap::from_fn(n * n, |_| false),
             traced: Bitmap::from_fn(n * n, |_| false),
             seen: Bitmap::from_fn(n * n, |_| false),
             segments: Vec::new(),
@@ -144,17 +144,13 @@ impl Layers {
             }
         }
         let mut bitmap = bitmap.unwrap_or_else(|| Bitmap::from_fn(self.n * self.n, |_| false));
-        self.uncertain.sort_unstable();
-        self.uncertain.dedup();
-        for texel in self.uncertain.iter().map(|&texel| texel as usize) {
-            if !self.traced.get(texel) {
-                self.traced.set(texel, true);
-                let blocked = before.is_some_and(|before| !before.get(texel));
-                *rays += u32::from(!blocked);
-                self.seen.set(texel, !blocked && visible(texel));
-            }
-            bitmap.set(texel, self.seen.get(texel));
+        for texel in self.uncertain.set_texels_without(&self.traced) {
+            let blocked = before.is_some_and(|before| !before.get(texel));
+            *rays += u32::from(!blocked);
+            self.seen.set(texel, !blocked && visible(texel));
         }
+        self.traced.replace(&self.uncertain, &self.uncertain);
+        bitmap.replace(&self.uncertain, &self.seen);
         Some(bitmap)
     }
 
@@ -165,7 +161,10 @@ impl Layers {
         if self.broken || !self.sum() {
             return None;
         }
-        for &texel in self.uncertain.iter().chain(&self.covered) {
+        for texel in self.uncertain.set_texels() {
+            self.totals[texel] = i32::MAX;
+        }
+        for &texel in &self.covered {
             self.totals[texel as usize] = i32::MAX;
         }
         Some(self.totals.iter().copied().fold(i32::MAX, i32::min))
@@ -201,9 +200,9 @@ impl Layers {
             }
             before = meet_above;
             if !(meet_above && meet_below) {
-                let columns = [x, other].into_iter();
-                self.uncertain
-                    .extend(columns.flat_map(|x| (0..n).map(move |y| (y * n + x) as u32)));
+                for texel in (0..n).flat_map(|y| [y * n + x, y * n + other]) {
+                    self.uncertain.set(texel, true);
+                }
             }
         }
         true
@@ -292,7 +291,7 @@ impl Layers {
             let past = ((at + reach).min(high) + 1.0) as usize;
             for row in first_from((at - reach).max(low))..past.min(self.n) {
                 let texel = row * self.n + columns.line[lane] as usize;
-                self.uncertain.push(texel as u32);
+                self.uncertain.set(texel, true);
             }
         }
     }

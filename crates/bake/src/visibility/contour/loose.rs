@@ -247,8 +247,8 @@ impl Bounds {
     #[inline(always)]
     fn of(corners: &[Points; 3], half: f32) -> Self {
         let mut bounds = Self {
-            low: [[f32::INFINITY; LANES]; 2],
-            high: [[f32::NEG_INFINITY; LANES]; 2],
+            low: [[0.0; LANES]; 2],
+            high: [[0.0; LANES]; 2],
             within: [0; LANES],
             small: [0; LANES],
             flat: [0; LANES],
@@ -264,14 +264,12 @@ impl Bounds {
             *over_equator = u8::from(differ == BELOW);
             bounds.flat[lane] = u8::from(differ == 0);
         }
-        for corner in corners {
-            bounds.add(&corner.texels, &[1; LANES]);
-        }
+        bounds.surround(corners);
         if over_equator.contains(&1) {
             // Every edge maps to two straight segments, which meet on the equator, between where the corners are
             // that lie above or below its ends.
             for corner in corners {
-                bounds.add(&corner.on_equator(half), &over_equator);
+                bounds.grow(&corner.on_equator(half), &over_equator);
             }
         }
         for lane in 0..LANES {
@@ -312,9 +310,27 @@ impl Bounds {
         }
     }
 
+    /// Begins with the corners. Where one is not a number, both ends are not.
+    #[inline(always)]
+    fn surround(&mut self, corners: &[Points; 3]) {
+        for axis in 0..2 {
+            let [a, b, c] = corners.each_ref().map(|corner| &corner.texels[axis]);
+            let (low, high) = (&mut self.low[axis], &mut self.high[axis]);
+            for lane in 0..LANES {
+                let (a, b, c) = (a[lane], b[lane], c[lane]);
+                let (least, most) = if a < b { (a, b) } else { (b, a) };
+                let least = if c < least { c } else { least };
+                let most = if c > most { c } else { most };
+                let sum = a + b + c;
+                low[lane] = if sum.is_nan() { sum } else { least };
+                high[lane] = if sum.is_nan() { sum } else { most };
+            }
+        }
+    }
+
     /// Grows to some points, where that is asked for. Where one is not a number, both ends are not.
     #[inline(always)]
-    fn add(&mut self, points: &[[f32; LANES]; 2], wanted: &[u8; LANES]) {
+    fn grow(&mut self, points: &[[f32; LANES]; 2], wanted: &[u8; LANES]) {
         for (axis, points) in points.iter().enumerate() {
             let (low, high) = (&mut self.low[axis], &mut self.high[axis]);
             for lane in 0..LANES {

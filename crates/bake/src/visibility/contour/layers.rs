@@ -468,12 +468,15 @@ impl Points {
     /// Relative to the eye.
     #[inline(always)]
     pub(super) fn coordinates(&self, lane: usize) -> Vec3 {
-        Vec3::from(self.coordinates.map(|axis| axis[lane]))
+        // Not by `map`, which would copy all lanes.
+        let [x, y, z] = &self.coordinates;
+        Vec3::new(x[lane], y[lane], z[lane])
     }
 
     #[inline(always)]
     pub(super) fn texel(&self, lane: usize) -> Point {
-        self.texels.map(|axis| axis[lane])
+        let [u, v] = &self.texels;
+        [u[lane], v[lane]]
     }
 }
 
@@ -500,19 +503,20 @@ pub(super) fn append(
 fn cross_lines(from: &Points, to: &Points) -> u64 {
     let mut crossing = [0; LANES];
     for (lane, crossing) in crossing.iter_mut().enumerate() {
-        *crossing = u8::from(crosses_lines(from, to, lane));
+        *crossing = crosses_lines(from, to, lane);
     }
     pack_bits(&crossing)
 }
 
-/// Whether one of these edges comes near a line of texel centres.
+/// 1 if one of these edges comes near a line of texel centres, else 0.
 #[inline(always)]
-pub(super) fn crosses_lines(from: &Points, to: &Points, lane: usize) -> bool {
+pub(super) fn crosses_lines(from: &Points, to: &Points, lane: usize) -> u8 {
     let ([u0, v0], [u1, v1]) = (&from.texels, &to.texels);
-    // Written so that NaN crosses.
-    let between = between_lines(u0[lane], u1[lane]) && between_lines(v0[lane], v1[lane]);
-    let within = from.octants[lane] == to.octants[lane];
-    !(between && within)
+    // Written so that NaN crosses, and without a branch.
+    let u = u8::from(between_lines(u0[lane], u1[lane]));
+    let v = u8::from(between_lines(v0[lane], v1[lane]));
+    let within = u8::from(from.octants[lane] == to.octants[lane]);
+    1 - (u & v & within)
 }
 
 /// Whether no texel centre's coordinate comes near to those between two.

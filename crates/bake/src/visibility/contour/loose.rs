@@ -141,9 +141,8 @@ impl<'a, F: Fn(usize) -> i8, I: Iterator<Item = (usize, &'a Bundle, F)>> WithSim
                     });
                     continue;
                 }
-                for (from, to) in [(0, 1), (1, 2), (2, 0)] {
-                    let (from, to) = (&corners[from], &corners[to]);
-                    if crosses_lines(from, to, lane) {
+                for (from, to) in [(a, b), (b, c), (c, a)] {
+                    if crosses_lines(from, to, lane) == 1 {
                         append(&mut segments, from, to, lane, step, half);
                     }
                 }
@@ -359,7 +358,7 @@ impl Bounds {
     /// The lowest and the highest point.
     #[inline(always)]
     fn rectangle(&self, lane: usize) -> [Point; 2] {
-        [&self.low, &self.high].map(|corner| corner.map(|axis| axis[lane]))
+        [&self.low, &self.high].map(|corner| [corner[0][lane], corner[1][lane]])
     }
 }
 

@@ -147,14 +147,16 @@ impl Bitmap {
     /// Texels that are set and not set in `other`, in order.
     pub(crate) fn set_texels_without(&self, other: &Self) -> impl Iterator<Item = usize> {
         let words = self.words.iter().zip(&other.words).enumerate();
-        words.flat_map(|(index, (own, other))| {
-            ones(own & !other).map(move |bit| 64 * index + bit)
-        })
+        words.flat_map(|(index, (own, other))| ones(own & !other).map(move |bit| 64 * index + bit))
     }
 
     /// Takes from `other` what is set in `mask`.
     pub(crate) fn replace(&mut self, mask: &Self, other: &Self) {
-        for (own, (mask, other)) in self.words.iter_mut().zip(mask.words.iter().zip(&other.words)) {
+        for (own, (mask, other)) in self
+            .words
+            .iter_mut()
+            .zip(mask.words.iter().zip(&other.words))
+        {
             *own = *own & !mask | other & mask;
         }
     }
@@ -181,8 +183,8 @@ impl Bitmap {
 /// Where contours cross the links between neighbouring sample texels of different class.
 #[derive(Debug, Default)]
 pub struct Crossings {
-    /// Per link between texels of different class, from its first texel to the other, 0 to 1;
-    /// NaN where no contour was found. The links to the right of every texel are followed by
+    /// Per link between texels of different class, from its first texel to the other, 0 to 1, or 0 to −1 if the first is the
+    /// visible one; NaN where no contour was found. The links to the right of every texel are followed by
     /// those to the texel below. Empty if nothing is known.
     pub(crate) positions: Vec<f32>,
 }
@@ -191,7 +193,7 @@ impl Crossings {
     /// On a link, 0 to 1: midway where no contour was found.
     pub(crate) fn position(&self, link: usize) -> f32 {
         match self.positions.get(link) {
-            Some(position) if !position.is_nan() => *position,
+            Some(position) if !position.is_nan() => position.abs(),
             _ => 0.5,
         }
     }

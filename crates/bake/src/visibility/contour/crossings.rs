@@ -27,17 +27,15 @@ pub(super) fn locate(
     let mut near = Near::new(n);
     visible.for_links(n, |x, y, below| {
         near.mark(x, y);
-        positions[usize::from(below) * n * n + y * n + x] = f32::NAN;
+        let texel = y * n + x;
+        let first = if visible.get(texel) { -1.0 } else { 1.0 };
+        positions[usize::from(below) * n * n + texel] = f32::NAN.copysign(first);
     });
     simd::arch().dispatch(Locate {
         layers,
         bundles,
         near: &near,
-        links: Links {
-            n,
-            visible,
-            positions,
-        },
+        links: Links { n, positions },
     });
 }
 
@@ -138,7 +136,6 @@ impl Near {
 
 struct Links<'a> {
     n: usize,
-    visible: &'a Bitmap,
     positions: &'a mut [f32],
 }
 
@@ -183,23 +180,19 @@ impl Links<'_> {
     }
 
     /// Adds a crossing of the link from a texel to the one below if `axis` is 0, else to its
-    /// right. Of a link's crossings the one next to its visible end counts: there the first
-    /// layer begins.
+    /// right. Of a link's crossings the one next to its visible end counts, where the first
+    /// layer begins: the greatest, as those of links that begin there have their sign changed. Links between texels of one
+    /// class may have any: nobody asks for it.
     #[inline(always)]
     fn add(&mut self, axis: usize, texel: usize, position: f32) {
-        let n = self.n;
-        let (next, index) = if axis == 0 {
-            (texel + n, n * n + texel)
+        let below = if axis == 0 { self.n * self.n } else { 0 };
+        let nearest = &mut self.positions[below + texel];
+        let position = position.copysign(*nearest);
+        // Nothing is greater than what is no number, where none was found yet.
+        *nearest = if *nearest > position {
+            *nearest
         } else {
-            (texel + 1, texel)
+            position
         };
-        let first = self.visible.get(texel);
-        let differ = first != self.visible.get(next);
-        let nearest = &mut self.positions[index];
-        // Either takes the other operand where nothing was found yet. Whether texels differ
-        // is as good as random: no branch depends on it.
-        let (less, more) = (nearest.min(position), nearest.max(position));
-        let changed = if first { less } else { more };
-        *nearest = if differ { changed } else { *nearest };
     }
 }

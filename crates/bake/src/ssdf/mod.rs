@@ -398,13 +398,15 @@ impl Boundary {
                 let index = chunk as usize;
                 let centre = self.centres.each_ref().map(|axis| axis[index]);
                 let reach = simd.add_f32s(bound, simd.splat_f32s(self.radii[index]));
-                let within = simd.less_than_f32s(
+                // Negative where it is within reach, which some lane must be.
+                let beyond = simd.sub_f32s(
                     squared_chords(simd, directions, centre),
                     simd.mul_f32s(reach, reach),
                 );
+                let within = simd.reduce_min_f32s(beyond) < 0.0;
                 // Kept without a branch, which would often be guessed wrong.
                 self.needed[count] = chunk;
-                count += usize::from(bits::<S>(within) != 0 && chunk != first);
+                count += usize::from(within) & usize::from(chunk != first);
             }
             for &chunk in &self.needed[..count] {
                 least = nearer(simd, directions, &self.points[chunk as usize], least);

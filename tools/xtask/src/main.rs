@@ -129,7 +129,7 @@ fn test() -> ExitCode {
         }),
         ("tests", &mut || {
             std::thread::scope(|scope| {
-                // For the next step: some tests wait for other programs than the processor has to run.
+                // For the next step, as tests leave the processor idle at times.
                 scope.spawn(|| install_deny(&root));
                 tests(&cargo, &mut counts)
             })

@@ -398,15 +398,13 @@ impl Boundary {
                 let index = chunk as usize;
                 let centre = self.centres.each_ref().map(|axis| axis[index]);
                 let reach = simd.add_f32s(bound, simd.splat_f32s(self.radii[index]));
-                // Negative where it is within reach, which some lane must be.
-                let beyond = simd.sub_f32s(
+                let within = simd.less_than_f32s(
                     squared_chords(simd, directions, centre),
                     simd.mul_f32s(reach, reach),
                 );
-                let within = simd.reduce_min_f32s(beyond) < 0.0;
                 // Kept without a branch, which would often be guessed wrong.
                 self.needed[count] = chunk;
-                count += usize::from(within) & usize::from(chunk != first);
+                count += usize::from(any::<S>(within)) & usize::from(chunk != first);
             }
             for &chunk in &self.needed[..count] {
                 least = nearer(simd, directions, &self.points[chunk as usize], least);
@@ -482,6 +480,13 @@ fn nearer<S: Simd>(
         least = simd.min_f32s(least, squared_chords(simd, directions, [x, y, z]));
     }
     least
+}
+
+/// Whether some lane is set, which takes less than [`bits`].
+#[inline(always)]
+fn any<S: Simd>(mask: S::m32s) -> bool {
+    let bytes = bytemuck::bytes_of(&mask).iter();
+    bytes.fold(0, |some, byte| some | byte) != 0
 }
 
 /// One bit per lane. `first_true_m32s` of pulp 0.22 counts from the wrong end with AVX-512.

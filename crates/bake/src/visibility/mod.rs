@@ -144,12 +144,6 @@ impl Bitmap {
         words.flat_map(|(index, word)| ones(*word).map(move |bit| 64 * index + bit))
     }
 
-    /// Texels that are set and not set in `other`, in order.
-    pub(crate) fn set_texels_without(&self, other: &Self) -> impl Iterator<Item = usize> {
-        let words = self.words.iter().zip(&other.words).enumerate();
-        words.flat_map(|(index, (own, other))| ones(own & !other).map(move |bit| 64 * index + bit))
-    }
-
     /// Takes from `other` what is set in `mask`.
     pub(crate) fn replace(&mut self, mask: &Self, other: &Self) {
         for (own, (mask, other)) in self

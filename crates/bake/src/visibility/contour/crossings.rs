@@ -180,9 +180,9 @@ impl Links<'_> {
     }
 
     /// Adds a crossing of the link from a texel to the one below if `axis` is 0, else to its
-    /// right. Of a link's crossings the one next to its visible end counts, where the first
-    /// layer begins: the greatest, as those of links that begin there have their sign changed. Links between texels of one
-    /// class may have any: nobody asks for it.
+    /// right. Of a link's crossings the one next to its visible end counts: there the first
+    /// layer begins. That is the greatest, because positions on links whose first texel is the visible one are
+    /// kept with their sign changed. On links between texels of one class nobody asks for it.
     #[inline(always)]
     fn add(&mut self, axis: usize, texel: usize, position: f32) {
         let below = if axis == 0 { self.n * self.n } else { 0 };

@@ -144,12 +144,14 @@ impl Layers {
             }
         }
         let mut bitmap = bitmap.unwrap_or_else(|| Bitmap::from_fn(self.n * self.n, |_| false));
-        for texel in self.uncertain.set_texels_without(&self.traced) {
-            let blocked = before.is_some_and(|before| !before.get(texel));
-            *rays += u32::from(!blocked);
-            self.seen.set(texel, !blocked && visible(texel));
+        for texel in self.uncertain.set_texels() {
+            if !self.traced.get(texel) {
+                self.traced.set(texel, true);
+                let blocked = before.is_some_and(|before| !before.get(texel));
+                *rays += u32::from(!blocked);
+                self.seen.set(texel, !blocked && visible(texel));
+            }
         }
-        self.traced.replace(&self.uncertain, &self.uncertain);
         bitmap.replace(&self.uncertain, &self.seen);
         Some(bitmap)
     }

@@ -325,8 +325,10 @@ impl<T: Number> WithSimd for Panel<'_, T> {
                 let factors = &self.factors[column / COLUMNS * self.inner + block..][..length];
                 for vector in 0..per_panel {
                     let mut held = [[T::splat(simd, T::ZERO); VECTORS]; COLUMNS];
-                    let rows = vectors[block * per_panel + vector..].iter();
-                    for (rows, factor) in rows.step_by(per_panel).zip(factors) {
+                    // Not by an iterator's steps, which take as many instructions as the products.
+                    let rows = vectors[block * per_panel..].chunks_exact(per_panel);
+                    for (rows, factor) in rows.zip(factors) {
+                        let rows = &rows[vector];
                         for j in 0..COLUMNS {
                             let factor = T::splat(simd, factor[j]);
                             for i in 0..VECTORS {

@@ -123,10 +123,10 @@ type Place = Vec2;
 struct Boundary {
     /// Coordinates of the points of each chunk.
     points: Vec<[[f32; CHUNK]; 3]>,
-    /// One of the points of each chunk. Followed by points far from the sphere, to a
+    /// Amid the points of each chunk. Followed by points far from the sphere, to a
     /// multiple of [`WORD`].
     centres: [Vec<f32>; 3],
-    /// Largest chord between a chunk's centre and another of its points.
+    /// Largest chord between a chunk's centre and one of its points.
     radii: Vec<f32>,
     largest_radius: f32,
     /// From some direction to the centres, squared.
@@ -268,16 +268,35 @@ impl DistanceTransform {
         Boundary::new(&chunks, 2.0 / self.n as f32)
     }
 
+    /// Per tile, whether its samples differ, or may.
+    #[inline(always)]
+    fn mixed(&self, places: &[Place]) -> Vec<bool> {
+        let per_row = self.resolution.div_ceil(SIDE);
+        let mut mixed = vec![false; self.tiles.len()];
+        let scale = self.resolution as f32 / (SIDE * self.n) as f32;
+        for place in places {
+            let tile = (*place + 0.5) * scale;
+            // Those on the map's border may lie on its far side.
+            let [x, y] = [tile.x, tile.y].map(|at| (at as usize).min(per_row - 1));
+            mixed[y * per_row + x] = true;
+        }
+        mixed
+    }
+
+    /// Of a tile whose samples are alike.
+    #[inline(always)]
+    fn sign(&self, visible: &Bitmap, tile: &Group) -> f32 {
+        let span = self.n / self.resolution;
+        let first = visible.get(tile.y * span * self.n + tile.x * span);
+        if first { 1.0 } else { -1.0 }
+    }
+
     /// Per texel of a tile, 1 if most of its samples are visible, −1 if most are blocked.
     #[inline(always)]
     fn signs(&self, visible: &Bitmap, tile: &Group) -> [f32; LANES] {
         let (n, span) = (self.n, self.n / self.resolution);
         let within = !0 >> (64 - tile.columns * span);
         let row = |y: usize| visible.bits((tile.y * span + y) * n + tile.x * span) & within;
-        let (first, mut rows) = (row(0), 0..tile.rows * span);
-        if (first == 0 || first == within) && rows.all(|y| row(y) == first) {
-            return [if first == 0 { -1.0 } else { 1.0 }; LANES];
-        }
         let one = (1u64 << span) - 1;
         let mut counts = [0; LANES];
         for y in 0..tile.rows * span {
@@ -315,8 +334,13 @@ impl WithSimd for AtCentres<'_> {
         let resolution = transform.resolution;
         let mut boundary = transform.boundary(places);
         let limit = [limit, squared_chord(limit).sqrt()];
-        for tile in &transform.tiles {
-            let signs = transform.signs(visible, tile);
+        let mixed = transform.mixed(places);
+        for (tile, mixed) in transform.tiles.iter().zip(mixed) {
+            let signs = if mixed {
+                transform.signs(visible, tile)
+            } else {
+                [transform.sign(visible, tile); LANES]
+            };
             let found = boundary.nearest(simd, tile, limit);
             for row in 0..tile.rows {
                 let start = (tile.y + row) * resolution + tile.x;
@@ -345,7 +369,12 @@ impl Boundary {
                 let [x, y, z] = octahedral::decode_lane(place.to_array(), scale);
                 (chunk[0][i], chunk[1][i], chunk[2][i]) = (x, y, z);
             }
-            let centre = chunk.map(|axis| axis[CHUNK / 2]);
+            let centre = chunk.map(|axis| {
+                let bounds = (f32::MAX, f32::MIN);
+                let (low, high) =
+                    (axis.iter()).fold(bounds, |(low, high), x| (low.min(*x), high.max(*x)));
+                0.5 * (low + high)
+            });
             let mut largest = 0.0f32;
             for i in 0..CHUNK {
                 let point = chunk.map(|axis| axis[i]);
@@ -383,7 +412,7 @@ impl Boundary {
             return [limit; LANES];
         }
         // No direction of the group is farther from the boundary than this.
-        let bound = (from_centre + group.radius).min(limit_chord);
+        let bound = (from_centre + self.largest_radius + group.radius).min(limit_chord);
         let (first, candidates) = self.choose(simd, least, bound + group.radius + SLACK);
         let mut nearest = [0.0; LANES];
         let [tx, ty, tz] = group.directions.each_ref().map(|axis| lanes::<S>(axis));
@@ -404,7 +433,7 @@ impl Boundary {
                 );
                 // Kept without a branch, which would often be guessed wrong.
                 self.needed[count] = chunk;
-                count += usize::from(any::<S>(within)) & usize::from(chunk != first);
+                count += usize::from(bits(simd, within) != 0) & usize::from(chunk != first);
             }
             for &chunk in &self.needed[..count] {
                 least = nearer(simd, directions, &self.points[chunk as usize], least);
@@ -440,9 +469,9 @@ impl Boundary {
             for (i, (chord, radius)) in chords.iter().zip(radii).enumerate() {
                 let reach = simd.add_f32s(reach, *radius);
                 let within = simd.less_than_f32s(*chord, simd.mul_f32s(reach, reach));
-                near |= bits::<S>(within) << (i * S::F32_LANES);
+                near |= bits(simd, within) << (i * S::F32_LANES);
                 let equal = simd.equal_f32s(*chord, least);
-                least_of_all |= bits::<S>(equal) << (i * S::F32_LANES);
+                least_of_all |= bits(simd, equal) << (i * S::F32_LANES);
             }
             if least_of_all != 0 {
                 nearest = first + least_of_all.trailing_zeros();
@@ -482,16 +511,15 @@ fn nearer<S: Simd>(
     least
 }
 
-/// Whether some lane is set, which takes less than [`bits`].
-#[inline(always)]
-fn any<S: Simd>(mask: S::m32s) -> bool {
-    let bytes = bytemuck::bytes_of(&mask).iter();
-    bytes.fold(0, |some, byte| some | byte) != 0
-}
-
 /// One bit per lane. `first_true_m32s` of pulp 0.22 counts from the wrong end with AVX-512.
 #[inline(always)]
-fn bits<S: Simd>(mask: S::m32s) -> u64 {
+fn bits<S: Simd>(simd: S, mask: S::m32s) -> u64 {
+    // One instruction, which compilers don't find.
+    #[cfg(target_arch = "x86_64")]
+    if let Some(simd) = (&simd as &dyn std::any::Any).downcast_ref::<pulp::x86::V3>() {
+        let mask = bytemuck::pod_read_unaligned(bytemuck::bytes_of(&mask));
+        return u64::from(simd.avx._mm256_movemask_ps(mask) as u32);
+    }
     let mut bits = [0; size_of::<u64>()];
     let bytes = bytemuck::bytes_of(&mask);
     if size_of::<S::m32s>() < size_of::<S::f32s>() {

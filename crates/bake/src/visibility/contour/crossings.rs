@@ -116,7 +116,7 @@ impl Near {
             let middle = |axis: usize| 0.5 * (a[axis][lane] + b[axis][lane]) + MARGIN as f32;
             texels[lane] = whole(middle(1).floor() * self.stride as f32 + middle(0).floor());
             let long = |axis: usize| (a[axis][lane] - b[axis][lane]).abs() >= SMALL;
-            wanted[lane] = u8::from(long(0) || long(1));
+            wanted[lane] = u8::from(long(0)) | u8::from(long(1));
         }
         for lane in 0..LANES {
             let near = self.texels.get(texels[lane] as usize);

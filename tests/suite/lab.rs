@@ -458,6 +458,17 @@ fn results() -> Outcome {
     let message = write_results(&file, &[section]).expect_err("no markers");
     assert!(format!("{message:#}").contains("<!-- experiments -->"));
     assert_eq!(std::fs::read(&file)?, b"no markers");
+    // That is told before any work is done.
+    let out = folder.path().join("out");
+    for (file, code) in [
+        (file, BAD_INPUT),
+        (folder.path().join("absent.md"), INPUT_OUTPUT),
+    ] {
+        let mut command = binary("lab");
+        command.args(["experiments", "contours", "--device", "cpu", "--out"]);
+        expect(code, command.arg(&out).arg("--results").arg(file));
+        assert!(!out.exists());
+    }
     Ok(())
 }
 

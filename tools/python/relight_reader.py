@@ -19,15 +19,14 @@ import zstandard
 
 KINDS = {1: "scene", 2: "environment", 3: "material"}
 SECTIONS = dict(enumerate("metadata vertices triangles clusters coefficients basis texels lobes prefiltered"
-                          " sources source_texels transfer".split(), 1))
+                          " sources source_texels transfer second_uvs".split(), 1))
 NEEDED = {"scene": {1, 2, 3, 4, 5, 6, 7}, "environment": {1, 8, 9, 10, 11}, "material": {1, 7}}
 
 VERTEX = np.dtype([("position", "<f4", 3), ("normal", "<f4", 3), ("tangent", "<f4", 4), ("uv", "<f4", 2)])
 TRIANGLE = np.dtype([("vertices", "<u4", 3), ("material", "<u2"), ("cluster", "<u2")])
 CLUSTER = np.dtype([("first_vertex", "<u4"), ("vertices", "<u4"), ("first_coefficient", "<u4"),
                     ("first_tile", "<u4"), ("tiles", "<u4"), ("scale", "<f4")])
-SOURCE = np.dtype([("theta", "<f4"), ("phi", "<f4"), ("row_step", "<f4"), ("column_step", "<f4"),
-                   ("rows", "<u4"), ("columns", "<u4")])
+SOURCE = np.dtype(list(zip("theta phi row_step column_step rows columns".split(), 4 * ["<f4"] + 2 * ["<u4"])))
 LOBE = np.dtype([("axis", "<f4", 3), ("sharpness", "<f4"), ("amplitude", "<f4", 3), ("reserved", "<u4")])
 
 class Invalid(ValueError):
@@ -80,10 +79,8 @@ def _triangles(data):
 
 def _expected(triangles, count):
     """Three places (or vertices) for each: it is expected to be the first two's sum less the third."""
-    parents = np.repeat(np.arange(-1, count - 1, dtype=np.int64)[:, None], 3, axis=1)
-    parents[0] = 0
-    known = np.zeros(count, bool)
-    latest = {}
+    parents = np.repeat(np.arange(-1, count - 1, dtype=np.int64).clip(0)[:, None], 3, axis=1)
+    known, latest = np.zeros(count, bool), {}
     for corners in triangles.tolist():
         for place, vertex in enumerate(corners):
             a, b = corners[(place + 1) % 3], corners[(place + 2) % 3]
@@ -93,8 +90,7 @@ def _expected(triangles, count):
                 across = (next((c for c in other if c not in (a, b)), vertex) for other in others
                           if a in other and b in other)
                 parents[vertex] = a, b, next((c for c in across if c < vertex), a)
-        for vertex in corners:
-            latest[vertex] = corners
+        latest.update(dict.fromkeys(corners, corners))
     return parents
 
 def _add_up(differences, parents, modulus):
@@ -126,7 +122,7 @@ def _column(differences, exponent, parents, exact):
     return np.ldexp(words.view("<i4").astype(np.float64), exponent).astype("<f4")
 
 def _vertices(data, triangles, count):
-    """Vertices, the place of each, and what places are expected from."""
+    """Vertices, the place of each, and what places and vertices are expected from."""
     _require(len(data) >= 13 + 4 * count and data[12] < 4, "vertices end early, or their modes")
     exponents, mode = np.frombuffer(data[:12], np.int8).tolist(), data[12]
     codes = _planes(data[13:13 + 4 * count], 4).astype(np.int64)
@@ -139,10 +135,9 @@ def _vertices(data, triangles, count):
     split = 13 + 4 * count + 12 * new
     at_places = _signed(_planes(data[13 + 4 * count:split], 4)).reshape(3, new)
     others = _signed(_planes(data[split:], 4)).reshape(9, count)
-    numbers = np.zeros((count, 12), "<f4")
+    numbers, exact = np.zeros((count, 12), "<f4"), [None] * 9
     for column in range(3):
         numbers[:, column] = _column(at_places[column], exponents[column], of_places, None)[places]
-    exact = [None] * 9
     with np.errstate(all="ignore"):
         if mode & 1:
             first = np.full(count, -1)
@@ -157,7 +152,12 @@ def _vertices(data, triangles, count):
                 l = np.sqrt(x * x + z * z)
                 exact[3:6] = np.where(l > 0, [z / l, 0 * l, -x / l], [[1.0], [0.0], [0.0]])
             numbers[:, 3 + column] = _column(others[column], exponents[3 + column], of_vertices, exact[column])
-    return numbers.view(VERTEX).ravel(), places, of_places
+    return numbers.view(VERTEX).ravel(), places, of_places, of_vertices
+
+def _second_uvs(data, parents):
+    _require(0 < len(parents) and len(data) == 2 + 8 * len(parents), "length of second texture coordinates")
+    columns = zip(_signed(_planes(data[2:], 4)).reshape(2, -1), np.frombuffer(data[:2], np.int8).tolist())
+    return np.stack([_column(own, exponent, parents, None) for own, exponent in columns], axis=1)
 
 def _coefficients(data, clusters, places, parents):
     channels, counts = 4 * clusters["tiles"].astype(np.int64), clusters["vertices"].astype(np.int64)
@@ -189,8 +189,7 @@ def _basis(data, n):
         a = image[:, y - 1, x] if y else l
         c = l if not y else image[:, y - 1, x - 1] if x else a
         r = image[:, y - 1, x + 1] if y and x + 1 < n else a
-        ll = image[:, y, x - 2] if x > 1 else l
-        aa = image[:, y - 2, x] if y > 1 else a
+        ll, aa = image[:, y, x - 2] if x > 1 else l, image[:, y - 2, x] if y > 1 else a
         predicted = np.clip((12 * l + 6 * a + 6 * r - c - 2 * ll - 5 * aa + 8) >> 4, -127, 127)
         image[:, y, x] = (left[:, y, x] + predicted + 128) % 256 - 128
     _require(not (image == -128).any(), "a basis texel of -128")
@@ -225,7 +224,7 @@ def _sections(data, max_bytes):
         _require(zlib.crc32(content) == checksum, f"checksum of {SECTIONS[number]}")
         raw[number] = _decompressed(content, length, SECTIONS[number])
     _require(offset == len(data), "bytes after the last section")
-    _require(set(raw) - ({12} if kind == 1 else set()) == NEEDED[KINDS[kind]], "other sections than this kind has")
+    _require(set(raw) - ({12, 13} if kind == 1 else set()) == NEEDED[KINDS[kind]], "other sections than this kind has")
     return KINDS[kind], version, {SECTIONS[number]: content for number, content in raw.items()}
 
 def _array(data, dtype):
@@ -240,9 +239,11 @@ def decode(data, max_bytes=4 << 30):
         arrays["triangles"] = triangles = _triangles(raw["triangles"])
         arrays["clusters"] = clusters = _array(raw["clusters"], CLUSTER)
         count = int(clusters["vertices"].sum(dtype=np.uint64))
-        arrays["vertices"], places, parents = _vertices(raw["vertices"], triangles, count)
+        arrays["vertices"], places, parents, of_vertices = _vertices(raw["vertices"], triangles, count)
         arrays["coefficients"] = _coefficients(raw["coefficients"], clusters, places, parents)
         arrays["basis"] = _basis(raw["basis"], _whole(metadata, "visibility", "basis_resolution"))
+        if "second_uvs" in raw:
+            arrays["second_uvs"] = _second_uvs(raw["second_uvs"], of_vertices)
         if "transfer" in raw:
             arrays.update(_transfer(raw["transfer"], clusters))
     if kind == "environment":
@@ -266,8 +267,7 @@ def _transfer(data, clusters):
     """Groups, scales, basis numbers, and weights of each group by vertex and component."""
     _require(len(data) >= 24, "transfer ends early")
     order, emitted, _, count = struct.unpack_from("<4I", data)
-    _require(order <= 9 and emitted <= 1 and count <= len(clusters), "header of transfer")
-    _require(24 + 16 * count <= len(data), "transfer ends early")
+    _require(order <= 9 and emitted <= 1 and count <= min(len(clusters), (len(data) - 24) // 16), "header of transfer")
     groups = np.frombuffer(data[24:24 + 16 * count], "<u4").reshape(count, 4).astype(np.int64)
     starts = np.append(groups[:, 0], len(clusters))
     _require((np.diff(starts) > 0).all() and (groups[:, 1] <= 24).all(), "groups of transfer")

@@ -435,6 +435,10 @@ fn run_demo(arguments: &Demo, json: bool) -> anyhow::Result<Value> {
 }
 
 fn run_experiments(arguments: &Experiments, json: bool) -> anyhow::Result<Value> {
+    if let Some(file) = &arguments.results {
+        // Not after minutes of work.
+        experiments::around_results(file)?;
+    }
     display::create_folder(&arguments.out)?;
     let bake = match arguments.preset {
         PresetName::Draft => scene::Options::draft(),

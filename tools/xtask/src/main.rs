@@ -276,7 +276,9 @@ fn install(root: &Path) -> Outcome {
             "libx11-xcb1",
         ]);
     }
-    if !succeeds(Command::new("python3").args(["-c", "import numpy, zstandard"])) {
+    let imports =
+        |name: &&str| succeeds(Command::new(*name).args(["-c", "import numpy, zstandard"]));
+    if !["python3", "/usr/bin/python3"].iter().any(imports) {
         packages.extend(["python3-numpy", "python3-zstandard"]);
     }
     if packages.is_empty() {

@@ -39,6 +39,9 @@ fn expected(path: &Path) -> Result<Value, Failed> {
                 "basis": crc(bytemuck::cast_slice(&scene.basis)),
                 "textures": textures(&scene.textures),
             });
+            if !scene.second_uvs.is_empty() {
+                arrays["second_uvs"] = crc(bytemuck::cast_slice(&scene.second_uvs));
+            }
             if let Some(transfer) = &scene.transfer {
                 arrays["transfer_scales"] = crc(bytemuck::cast_slice(&transfer.scales));
                 arrays["transfer_basis"] = crc(bytemuck::cast_slice(&transfer.basis));
@@ -77,21 +80,26 @@ fn expected(path: &Path) -> Result<Value, Failed> {
 
 fn reads() -> Result<Completion, Failed> {
     let module = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tools/python");
-    let python = || {
-        let mut python = Command::new("python3");
+    let run = |name: &str| {
+        let mut python = Command::new(name);
         python
             .env("PYTHONPATH", &module)
             .env("PYTHONDONTWRITEBYTECODE", "1");
         python
     };
-    let there = python()
-        .args(["-c", "import numpy, zstandard"])
-        .stderr(Stdio::null())
-        .status();
-    if !there.is_ok_and(|status| status.success()) {
+    // The packages of a system are for its own interpreter, and another may come first.
+    let found = ["python3", "/usr/bin/python3"].into_iter().find(|name| {
+        let imports = run(name)
+            .args(["-c", "import numpy, zstandard"])
+            .stderr(Stdio::null())
+            .status();
+        imports.is_ok_and(|status| status.success())
+    });
+    let Some(name) = found else {
         let what = "no python3 with numpy and zstandard (Debian: python3-numpy, python3-zstandard)";
         return Ok(Completion::ignored_with(what));
-    }
+    };
+    let python = || run(name);
     let lines = std::fs::read_to_string(module.join("relight_reader.py"))?
         .lines()
         .count();

@@ -42,7 +42,7 @@ use relight_shading::spherical_gaussian::SphericalGaussian;
 pub use self::list::{ALL, Experiment};
 pub use self::report::Section;
 use self::report::{Cell, Figure};
-pub use self::results::write_results;
+pub use self::results::{around_results, write_results};
 use crate::bench::{self, Timed};
 use crate::compare::{Comparison, compare};
 use crate::image_file::{self, Image};

@@ -83,29 +83,40 @@ const SHORT: [(&str, &[&str]); 15] = [
     ),
 ];
 
+/// What the tables stand between in a Markdown file.
+const MARKERS: [&str; 2] = ["<!-- experiments -->\n", "<!-- /experiments -->"];
+
+/// What stands before and after the markers of a Markdown file.
+///
+/// # Errors
+///
+/// If the file cannot be read or lacks a marker.
+pub fn around_results(file: &Path) -> anyhow::Result<(String, String)> {
+    let name = || file.display().to_string();
+    let text = std::fs::read_to_string(file).with_context(name)?;
+    (text.split_once(MARKERS[0]))
+        .and_then(|(before, rest)| {
+            let (_, after) = rest.split_once(MARKERS[1])?;
+            Some((before.to_owned(), after.to_owned()))
+        })
+        .with_context(|| format!("no {} followed by {}", MARKERS[0].trim(), MARKERS[1]))
+        .with_context(name)
+}
+
 /// Replaces what stands between the markers of a Markdown file by the sections' tables.
 ///
 /// # Errors
 ///
 /// If the file cannot be read or written, or lacks a marker; it is then left as it was.
 pub fn write_results(file: &Path, sections: &[Section]) -> anyhow::Result<()> {
-    const MARKERS: [&str; 2] = ["<!-- experiments -->\n", "<!-- /experiments -->"];
-    let name = || file.display().to_string();
-    let text = std::fs::read_to_string(file).with_context(name)?;
-    let parts = (text.split_once(MARKERS[0])).and_then(|(before, rest)| {
-        let (_, after) = rest.split_once(MARKERS[1])?;
-        Some((before, after))
-    });
-    let (before, after) = parts
-        .with_context(|| format!("no {} followed by {}", MARKERS[0].trim(), MARKERS[1]))
-        .with_context(name)?;
+    let (before, after) = around_results(file)?;
     let text = [
-        before,
+        &before[..],
         MARKERS[0],
         &markdown(sections),
         "\n",
         MARKERS[1],
-        after,
+        &after,
     ]
     .concat();
     Ok(format::write_file(file, text.as_bytes())?)

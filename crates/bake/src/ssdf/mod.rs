@@ -513,6 +513,7 @@ fn nearer<S: Simd>(
 
 /// One bit per lane. `first_true_m32s` of pulp 0.22 counts from the wrong end with AVX-512.
 #[inline(always)]
+#[cfg_attr(not(target_arch = "x86_64"), expect(unused_variables))]
 fn bits<S: Simd>(simd: S, mask: S::m32s) -> u64 {
     // One instruction, which compilers don't find.
     #[cfg(target_arch = "x86_64")]

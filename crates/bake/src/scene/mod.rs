@@ -13,6 +13,7 @@ pub mod description;
 mod error;
 pub mod fingerprint;
 mod highlights;
+mod kept;
 mod layout;
 pub mod load;
 mod material;

@@ -9,9 +9,10 @@ use nalgebra::DMatrix;
 use rayon::prelude::*;
 
 use super::bounce::mirrors;
+use super::kept::Kept;
 use super::options::Options;
 use super::statistics::{Counters, add_time, load};
-use crate::compress::{Normal, Samples, Weighting};
+use crate::compress::{Normal, Samples, Weighting, column};
 use crate::memory;
 use crate::mesh::size::SizeFunction;
 use crate::mesh::{Mesh, cluster};
@@ -19,10 +20,10 @@ use crate::monitor::{Interrupted, Monitor};
 use crate::ssdf::{Sampled, Sampler};
 use crate::transfer::gather::Gathered;
 use crate::transfer::radiosity::Radiosity;
+use crate::visibility;
 use crate::visibility::contour::ContourMesh;
 use crate::visibility::places::{Divided, Places};
 use crate::visibility::sparse::{Spacing, Sparse};
-use crate::visibility::{self, Bitmap};
 
 /// Sine of the angle by which normal maps are taken to turn normals; texels that turn them
 /// further only see larger errors.
@@ -135,15 +136,21 @@ fn spread(
         let away = origin.distance(positions[vertex as usize]);
         moved[place as usize] |= away > MOVED * ray_offset;
     }
-    let kinds = [(1.0, SMOOTH), (LIGHT_SPACING, LIGHT_SMOOTH)];
-    kinds.map(|(factor, smooth)| {
+    let sparse = |factor: f32, smooth, along_edges| {
         let spacing = Spacing {
             distances: spacings.iter().map(|spacing| factor * spacing).collect(),
             smooth,
+            along_edges,
         };
         let kept = |place: u32| moved[place as usize];
         Sparse::new(&places.origins, &places.corners, &spacing, kept)
-    })
+    };
+    // What is seen from a corner, an edge or a face beside it differs; light that bounces does little.
+    let (seen, light) = rayon::join(
+        || sparse(1.0, SMOOTH, false),
+        || sparse(LIGHT_SPACING, LIGHT_SMOOTH, true),
+    );
+    [seen, light]
 }
 
 /// Of every place, what its errors count for beside those of one at the ordinary distance from others, its `spacing`:
@@ -184,6 +191,8 @@ pub(super) struct Prepared<'a> {
     /// Which places are sampled, and at which light is gathered.
     pub(super) sparse: Sparse,
     pub(super) sparse_light: Sparse,
+    /// What is seen from those that are sampled.
+    pub(super) kept: Kept,
     /// Triangles that are sampled and compressed together.
     pub(super) chunks: Vec<Vec<u32>>,
     /// Whether several chunks have a place.
@@ -248,18 +257,20 @@ impl<'a> Prepared<'a> {
         let tilts = mesh.materials.iter().map(tilt).collect();
         let mut by_place: Vec<u32> = (0..placed.places.len() as u32).collect();
         by_place.sort_by_key(|&vertex| placed.places[vertex as usize]);
-        let kept = if options.sample_spacing > 0.0 {
+        let texels = (options.basis_resolution as usize).pow(2);
+        let gathered = if options.sample_spacing > 0.0 {
             by_place.len()
         } else {
             0
         };
         Self {
             shared: shared(&placed, &chunks),
+            kept: Kept::new(&placed.sparse, &placed.origins, texels),
             counts: placed.counts,
             options: options.clone(),
             monitor,
             tilts,
-            gathered: [(); 2].map(|()| (0..kept).map(|_| OnceLock::new()).collect()),
+            gathered: [(); 2].map(|()| (0..gathered).map(|_| OnceLock::new()).collect()),
             origins: placed.origins,
             places: placed.places,
             by_place,
@@ -407,6 +418,11 @@ impl<'a> Prepared<'a> {
     pub(super) fn ssdfs(&self, places: &[u32]) -> Result<DMatrix<f32>, Interrupted> {
         let texels = (self.options.basis_resolution as usize).pow(2);
         let sources = self.sparse.sources_of(places.iter().copied());
+        if !self.kept.is_empty() {
+            self.sample_kept(&sources)?;
+            (self.counters.known).fetch_add(places.len() as u64, Ordering::Relaxed);
+            return Ok(self.interpolated(places, |source| self.kept.ssdf(source)));
+        }
         let sampled = memory::used(texels * sources.len());
         let mut sampled = DMatrix::from_vec(texels, sources.len(), sampled);
         let columns = sampled.as_mut_slice().chunks_exact_mut(texels);
@@ -424,15 +440,30 @@ impl<'a> Prepared<'a> {
         if sources == places {
             return Ok(sampled);
         }
-        let mut ssdfs = memory::zeros(texels, places.len());
-        for (mut column, &place) in ssdfs.column_iter_mut().zip(places) {
-            for &(source, weight) in self.sparse.sources(place) {
-                let source = sources.partition_point(|&other| other < source);
-                column.axpy(weight, &sampled.column(source), 1.0);
-            }
-        }
+        let ssdfs = self.interpolated(places, |source| {
+            let source = sources.binary_search(&source).ok()?;
+            Some(column(&sampled, source))
+        });
         memory::keep(sampled);
         Ok(ssdfs)
+    }
+
+    /// SSDFs of places by those of the places that stand for them.
+    fn interpolated<'s>(
+        &self,
+        places: &[u32],
+        ssdf: impl Fn(u32) -> Option<&'s [f32]>,
+    ) -> DMatrix<f32> {
+        let texels = (self.options.basis_resolution as usize).pow(2);
+        let mut ssdfs = memory::zeros(texels, places.len());
+        let columns = ssdfs.as_mut_slice().chunks_exact_mut(texels);
+        for (column, &place) in columns.zip(places) {
+            for &(source, weight) in self.sparse.sources(place) {
+                let ssdf = ssdf(source).unwrap_or_default();
+                (column.iter_mut().zip(ssdf)).for_each(|(sum, x)| *sum += weight * x);
+            }
+        }
+        ssdfs
     }
 
     /// Samples points and hands over, for each, what is seen from there.
@@ -443,16 +474,22 @@ impl<'a> Prepared<'a> {
     ) -> Result<(), Interrupted> {
         self.sampler
             .sample(&self.contours, points, |for_whom, sampled| {
-                if self.verify {
-                    self.compare(sampled.origin, sampled.visible);
-                }
+                self.verify(&sampled);
                 hand_over(for_whom, sampled);
                 self.report()
             })
     }
 
-    /// Counts the texels in which one ray each finds something else.
-    fn compare(&self, origin: Vec3, visible: &Bitmap) {
+    /// Counts the texels in which one ray each finds something else, if that is asked for.
+    pub(super) fn verify(
+        &self,
+        &Sampled {
+            origin, visible, ..
+        }: &Sampled,
+    ) {
+        if !self.verify {
+            return;
+        }
         let counters = &self.counters;
         let start = Instant::now();
         let directions = self.sampler.directions();

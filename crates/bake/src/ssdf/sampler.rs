@@ -90,19 +90,38 @@ impl Sampler {
             (origin.to_array(), *number)
         });
         points.par_chunks_mut(GROUP).try_for_each_init(
-            || contours.scratch(&self.directions),
+            || self.scratch(contours),
             |scratch, group| {
-                let start = Instant::now();
                 let origins: Vec<Vec3> = group.iter().map(|(_, origin, _)| *origin).collect();
-                contours.prepare(&origins, scratch);
-                add_time(&self.visibility_nanoseconds, start);
-                group.iter_mut().try_for_each(|(_, origin, for_whom)| {
-                    self.sample_one(contours, *origin, scratch, |sampled| {
-                        hand_over(for_whom, sampled)
-                    })
+                self.sample_group(contours, scratch, &origins, |index, sampled| {
+                    hand_over(&mut group[index].2, sampled)
                 })
             },
         )
+    }
+
+    /// Memory for samples of a group.
+    pub(crate) fn scratch(&self, contours: &ContourMesh) -> Scratch {
+        contours.scratch(&self.directions)
+    }
+
+    /// Samples up to [`GROUP`] points that lie close together, by this thread alone, and hands over for each its number
+    /// and what is seen from there.
+    pub(crate) fn sample_group<E>(
+        &self,
+        contours: &ContourMesh,
+        scratch: &mut Scratch,
+        origins: &[Vec3],
+        mut hand_over: impl FnMut(usize, Sampled) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let start = Instant::now();
+        contours.prepare(origins, scratch);
+        add_time(&self.visibility_nanoseconds, start);
+        (origins.iter().enumerate()).try_for_each(|(index, &origin)| {
+            self.sample_one(contours, origin, scratch, |sampled| {
+                hand_over(index, sampled)
+            })
+        })
     }
 
     fn sample_one<E>(

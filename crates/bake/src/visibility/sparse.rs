@@ -4,7 +4,8 @@
 //! Scans have vertices far closer together than visibility needs. Places are sampled so far apart that each of the
 //! others has some within a given way along the surface; those around it stand for it, weighted so that
 //! what changes linearly over the surface comes out right (moving least squares: Lancaster & Salkauskas 1981).
-//! On borders and creases, and where other surfaces touch, every place is sampled.
+//! Where other surfaces touch, every place is sampled; on borders and creases too, or else those there stand for each
+//! other alone.
 
 use std::cmp::Ordering;
 use std::collections::{BinaryHeap, HashMap};
@@ -17,6 +18,10 @@ const REACH: f32 = 1.7;
 const MOST: usize = 8;
 /// Least weight of one of them: those around a place may lie to one side of it.
 const LEAST_WEIGHT: f64 = -0.15;
+/// Determinant of the equations for weights, of which those around a place on a line have less.
+const LEAST_AREA: f64 = 1e-6;
+/// What is then added to them.
+const RIDGE: f64 = 1e-3;
 
 /// For every place those that are sampled for it.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -34,6 +39,8 @@ pub(crate) struct Spacing {
     /// Cosine between the normals of a place and of what stands for it, and between those of triangles that
     /// make no crease, at least.
     pub smooth: f32,
+    /// Whether places on borders and creases stand for others there.
+    pub along_edges: bool,
 }
 
 impl Sparse {
@@ -60,18 +67,25 @@ impl Sparse {
         let mut walk = Walk::default();
         let (first, others): (Vec<u32>, Vec<u32>) =
             (0..origins.len() as u32).partition(|&place| surface.is_edge(place) || kept(place));
-        for (place, first) in (first.into_iter().map(|place| (place, true)))
-            .chain(others.into_iter().map(|place| (place, false)))
-        {
-            if covered[place as usize] && !first {
+        for place in first.into_iter().chain(others) {
+            let edge = surface.is_edge(place);
+            if covered[place as usize] && !kept(place) && (!edge || spacing.along_edges) {
                 continue;
             }
             sampled[place as usize] = true;
             let distance = spacing.distances[place as usize];
-            walk.from(&surface, place, REACH * distance, |other, way| {
+            let mut visit = |other: u32, way: f32| {
                 covered[other as usize] |= way <= distance;
                 reached[other as usize].push((way, place));
+            };
+            walk.over_faces(&surface, place, REACH * distance, |other, way| {
+                if !(spacing.along_edges && surface.is_edge(other)) {
+                    visit(other, way);
+                }
             });
+            if edge && spacing.along_edges {
+                walk.along_edges(&surface, place, REACH * distance, visit);
+            }
         }
         let mut sparse = Self {
             first: vec![0],
@@ -137,15 +151,17 @@ fn weights(
         normal_matrix += DMat3::from_cols(*row * row.x, *row * row.y, *row * row.z) * *weight;
     }
     let total: f64 = rows.iter().map(|(weight, _)| weight).sum();
+    if normal_matrix.determinant() < LEAST_AREA * total.powi(3) {
+        // On a line, what changes across it is unknown, and taken for none.
+        normal_matrix += DMat3::from_diagonal(DVec3::new(0.0, RIDGE, RIDGE)) * total;
+    }
     let mut found: Vec<f64> = rows.iter().map(|(weight, _)| weight / total).collect();
-    if normal_matrix.determinant() > 1e-6 * total.powi(3) {
-        let solution = normal_matrix.inverse() * DVec3::X;
-        let linear: Vec<f64> = (rows.iter())
-            .map(|(weight, row)| weight * row.dot(solution))
-            .collect();
-        if linear.iter().all(|weight| *weight >= LEAST_WEIGHT) {
-            found = linear;
-        }
+    let solution = normal_matrix.inverse() * DVec3::X;
+    let linear: Vec<f64> = (rows.iter())
+        .map(|(weight, row)| weight * row.dot(solution))
+        .collect();
+    if linear.iter().all(|weight| *weight >= LEAST_WEIGHT) {
+        found = linear;
     }
     let sum: f64 = found.iter().sum();
     (around.iter().zip(found))
@@ -266,7 +282,38 @@ struct Walk {
 
 impl Walk {
     /// Visits the places within `reach` of one, over smooth surface alone, itself first.
-    fn from(&mut self, surface: &Surface, start: u32, reach: f32, mut visit: impl FnMut(u32, f32)) {
+    fn over_faces(
+        &mut self,
+        surface: &Surface,
+        start: u32,
+        reach: f32,
+        visit: impl FnMut(u32, f32),
+    ) {
+        // Beyond a crease or a border the surface goes on as another.
+        let goes_on = |place: u32| place == start || !surface.is_edge(place);
+        self.walk(surface, (start, reach), goes_on, |_| true, visit);
+    }
+
+    /// The same along borders and creases, on one of which it starts.
+    fn along_edges(
+        &mut self,
+        surface: &Surface,
+        start: u32,
+        reach: f32,
+        visit: impl FnMut(u32, f32),
+    ) {
+        let is_edge = |place: u32| surface.is_edge(place);
+        self.walk(surface, (start, reach), |_| true, is_edge, visit);
+    }
+
+    fn walk(
+        &mut self,
+        surface: &Surface,
+        (start, reach): (u32, f32),
+        goes_on: impl Fn(u32) -> bool,
+        is_open: impl Fn(u32) -> bool,
+        mut visit: impl FnMut(u32, f32),
+    ) {
         self.ways.clear();
         self.ways.insert(start, 0.0);
         self.ahead.push(Step {
@@ -279,15 +326,15 @@ impl Walk {
                 continue;
             }
             visit(place, way);
-            // Beyond a crease or a border the surface goes on as another.
-            if place != start && surface.is_edge(place) {
+            if !goes_on(place) {
                 continue;
             }
             for &next in surface.neighbours(place) {
                 let [from, to] = [place, next].map(|place| surface.origins[place as usize]);
                 let way = way + from.distance(to);
                 let known = self.ways.get(&next).copied().unwrap_or(f32::INFINITY);
-                if way < reach.min(known)
+                if is_open(next)
+                    && way < reach.min(known)
                     && surface.normals[next as usize].dot(normal) >= surface.smooth
                 {
                     self.ways.insert(next, way);
@@ -307,6 +354,7 @@ mod tests {
         Spacing {
             distances: vec![distance; origins.len()],
             smooth: 0.9,
+            along_edges: false,
         }
     }
 
@@ -367,6 +415,45 @@ mod tests {
                 assert!((at.x - 10.0) * (other.x - 10.0) >= 0.0, "{at} {other}");
             }
         }
+    }
+
+    #[test]
+    fn places_on_edges_stand_for_others_there_alone() {
+        let n = 40;
+        let (origins, triangles) = grid(n, |x, _| x.abs_diff(20) as f32);
+        let along = Spacing {
+            along_edges: true,
+            ..spacing(5.0, &origins)
+        };
+        let sparse = Sparse::new(&origins, &triangles, &along, |place| place == 25);
+        let count = origins.len() as u32;
+        let sampled = sampled(&sparse, count);
+        assert!(sampled.contains(&25));
+        let is_edge = |at: Vec3| at.x == 20.0 || [at.x, at.z].iter().any(|x| x % n as f32 == 0.0);
+        let on_edges = (0..count).filter(|&place| is_edge(origins[place as usize]));
+        assert!(on_edges.clone().count() == 5 * n as usize - 1);
+        let (mut few, mut along, mut worst) = (0, 0f32, 0f32);
+        for place in on_edges {
+            few += usize::from(sampled.contains(&place));
+            let at = origins[place as usize];
+            let mut found = 0.0;
+            for &(source, weight) in sparse.sources(place) {
+                let from = origins[source as usize];
+                assert!(source == 25 || is_edge(from), "{at} {from}");
+                found += weight * (from.x + 0.5 * from.z);
+            }
+            let off = (found - at.x - 0.5 * at.z).abs();
+            worst = worst.max(off);
+            let corner = |(x, z): (f32, f32)| (at.x - x).hypot(at.z - z) < 5.0 * REACH;
+            let corners = [0.0, 20.0, 40.0].map(|x| [(x, 0.0), (x, 40.0)]);
+            if !corners.into_iter().flatten().any(corner) {
+                along = along.max(off);
+            }
+        }
+        assert!(few < 5 * n as usize / 3, "{few}");
+        // Along straight lines; no worse at corners than what the nearest alone would be.
+        assert!(along < 0.2, "{along}");
+        assert!(worst < 5.0, "{worst}");
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! Small scenes with exact signed distances, made without a bake.
 
 use std::f32::consts::{PI, TAU};
+use std::sync::LazyLock;
 
 use glam::{Vec2, Vec3};
 use relight_format::{
@@ -41,6 +42,12 @@ pub fn camera() -> Camera {
 /// A sphere above a plane of 4 × 4 metres. Each quad is a cluster of its own, whose four
 /// basis images are the signed distances of its four vertices.
 pub fn sphere_over_plane() -> Scene {
+    // It takes half a second, and most tests draw it.
+    static SCENE: LazyLock<Scene> = LazyLock::new(compute_sphere_over_plane);
+    SCENE.clone()
+}
+
+fn compute_sphere_over_plane() -> Scene {
     let mut scene = Scene {
         name: "sphere over plane".into(),
         visibility: VisibilityParameters {

@@ -161,9 +161,11 @@ fn resumes_from_any_cut() -> Outcome {
         whole.len() - 1,
         whole.len(),
     ] {
-        for damaged in [false, true] {
+        // Of a few bytes all are needed.
+        let kinds: &[bool] = if cut > 100 { &[false, true] } else { &[false] };
+        for &damaged in kinds {
             let mut bytes = whole[..cut].to_vec();
-            if damaged && cut > 100 {
+            if damaged {
                 bytes[cut * 2 / 3] ^= 1;
             }
             std::fs::write(parts_of(&asset), &bytes)?;

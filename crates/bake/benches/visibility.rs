@@ -115,15 +115,15 @@ fn measure(subject: &Subject, rounds: usize, threads: usize) -> Value {
             best[contender] = best[contender].min(start.elapsed().as_secs_f64());
         };
         lap(0, &mut || {
-            let sample = |scratch: &mut _, group: &[Vec3]| {
-                contours.prepare(group, scratch);
-                let points = group.iter();
-                points
-                    .map(|&origin| contours.sample(origin, &directions, scratch))
-                    .collect::<Vec<_>>()
-            };
             fast = (origins.par_chunks(GROUP))
-                .map_init(|| contours.scratch(&directions), sample)
+                .map_init(
+                    || contours.scratch(&directions),
+                    |scratch, group| {
+                        contours.prepare(group, scratch);
+                        let sample = |&origin| contours.sample(origin, &directions, scratch);
+                        group.iter().map(sample).collect::<Vec<_>>()
+                    },
+                )
                 .flatten()
                 .collect();
         });

@@ -5,9 +5,11 @@ mod figures;
 mod results;
 mod web;
 
+use std::cell::Cell;
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
+use std::thread::ScopedJoinHandle;
 use std::time::Instant;
 
 const USAGE: &str = "usage: cargo xtask test | results | figures | web [--serve] | gpu-cost [KERNEL...]
@@ -104,70 +106,78 @@ fn test() -> ExitCode {
         None => println!("xtask: no test data; tests on real input are skipped"),
     }
     let mut counts = Counts::default();
-    let steps: [(&str, &mut dyn FnMut() -> Outcome); 7] = [
-        ("install", &mut || install(&root)),
-        ("format", &mut || {
-            Outcome::of(&mut cargo("fmt --all --check"))
-        }),
-        ("lints", &mut || {
-            let arguments = "clippy --release --workspace --all-targets -- -D warnings";
-            Outcome::of(&mut cargo(arguments))
-        }),
-        ("documentation", &mut || {
-            let mut doc = cargo("doc --release --workspace --no-deps");
-            Outcome::of(doc.env("RUSTDOCFLAGS", "-D warnings"))
-        }),
-        ("pages", &mut || {
-            // A page is put together by one thread; the tests are compiled meanwhile. What fails there fails again
-            // where they run.
-            let tests = cargo(&format!("test {OTHERS} --no-run --quiet")).spawn();
-            let pages = web::for_tests(&root);
-            if let Ok(mut tests) = tests {
-                let _ = tests.wait();
-            }
-            pages
-        }),
-        ("tests", &mut || {
-            std::thread::scope(|scope| {
-                // For the next step, as tests leave the processor idle at times.
-                scope.spawn(|| install_deny(&root));
-                tests(&cargo, &mut counts)
-            })
-        }),
-        ("dependencies", &mut || dependencies(&root)),
-    ];
-    let mut summary = Vec::new();
-    let mut failed = false;
-    for (name, step) in steps {
-        println!("xtask: {name}");
-        let start = Instant::now();
-        let outcome = step();
-        let seconds = start.elapsed().as_secs_f32();
-        summary.push(match outcome {
-            Outcome::Passed => format!("{name:<13} passed in {seconds:.1} s"),
-            Outcome::Skipped(why) => format!("{name:<13} skipped: {why}"),
-            Outcome::Failed(why) => {
-                failed = true;
-                format!("{name:<13} FAILED: {why}")
-            }
-        });
-    }
+    let summary = std::thread::scope(|scope| {
+        // Pages have a folder of their own, and are compiled while other steps leave the processor idle.
+        let pages = Cell::new(None);
+        run_steps(&mut [
+            ("install", &mut || {
+                let outcome = install(&root);
+                pages.set(Some(scope.spawn(|| web::for_tests(&root))));
+                outcome
+            }),
+            ("format", &mut || {
+                Outcome::of(&mut cargo("fmt --all --check"))
+            }),
+            ("lints", &mut || {
+                let arguments = "clippy --release --workspace --all-targets -- -D warnings";
+                Outcome::of(&mut cargo(arguments))
+            }),
+            ("documentation", &mut || {
+                let mut doc = cargo("doc --release --workspace --no-deps");
+                Outcome::of(doc.env("RUSTDOCFLAGS", "-D warnings"))
+            }),
+            ("build", &mut || {
+                Outcome::of(&mut cargo(&format!("test {OTHERS} --no-run --quiet")))
+            }),
+            (
+                "pages",
+                &mut || match pages.take().map(ScopedJoinHandle::join) {
+                    Some(Ok(outcome)) => outcome,
+                    _ => Outcome::Failed("a thread panicked".to_owned()),
+                },
+            ),
+            ("tests", &mut || {
+                std::thread::scope(|scope| {
+                    // For the next step, as tests leave the processor idle at times.
+                    scope.spawn(|| install_deny(&root));
+                    tests(&cargo, &mut counts)
+                })
+            }),
+            ("dependencies", &mut || dependencies(&root)),
+        ])
+    });
     println!();
     for skipped in &counts.skipped_tests {
         println!("skipped: {skipped}");
     }
-    for line in summary {
+    for (line, _) in &summary {
         println!("{line}");
     }
     println!(
         "total: {} passed, {} failed, {} skipped",
         counts.passed, counts.failed, counts.skipped
     );
-    if failed {
-        ExitCode::FAILURE
-    } else {
+    if summary.iter().all(|(_, passed)| *passed) {
         ExitCode::SUCCESS
+    } else {
+        ExitCode::FAILURE
     }
+}
+
+/// Runs steps one after the other, and says of each how it ended, and whether well.
+fn run_steps(steps: &mut [(&str, &mut dyn FnMut() -> Outcome)]) -> Vec<(String, bool)> {
+    let mut run = |(name, step): &mut (&str, &mut dyn FnMut() -> Outcome)| {
+        println!("xtask: {name}");
+        let start = Instant::now();
+        let outcome = step();
+        let seconds = start.elapsed().as_secs_f32();
+        match outcome {
+            Outcome::Passed => (format!("{name:<13} passed in {seconds:.1} s"), true),
+            Outcome::Skipped(why) => (format!("{name:<13} skipped: {why}"), true),
+            Outcome::Failed(why) => (format!("{name:<13} FAILED: {why}"), false),
+        }
+    };
+    steps.iter_mut().map(&mut run).collect()
 }
 
 /// Builds all programs together, which compiles what they share once.

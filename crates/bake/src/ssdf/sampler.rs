@@ -8,7 +8,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::DistanceTransform;
-use crate::visibility::contour::{ContourMesh, GROUP, Scratch};
+use crate::visibility::contour::{ContourMesh, GROUP, Lent, Scratch};
 use crate::visibility::{Bitmap, Crossings, Directions, arrange};
 
 /// What is seen from a point.
@@ -101,7 +101,7 @@ impl Sampler {
     }
 
     /// Memory for samples of a group.
-    pub(crate) fn scratch(&self, contours: &ContourMesh) -> Scratch {
+    pub(crate) fn scratch<'a>(&self, contours: &'a ContourMesh) -> Lent<'a> {
         contours.scratch(&self.directions)
     }
 

@@ -56,8 +56,8 @@ pub(super) struct Candidates {
     sorted_edges: Vec<CandidateEdge>,
     /// Triangles that may face some points and others not, as in [`Facing`].
     planes: [Vec<f32>; 4],
-    precise: Vec<[f64; 4]>,
-    corners: Vec<[u32; 3]>,
+    /// Their numbers there.
+    numbers: Vec<u32>,
     /// Edges of such triangles. The first [`KNOWN`] numbers are not theirs.
     pub(super) edges: Vec<CandidateEdge>,
     /// The same, with the coordinates of their vertices.
@@ -71,8 +71,8 @@ pub(super) struct Candidates {
     faces: Vec<i8>,
     /// Triangles whose planes that point lies in, but for rounding.
     in_plane: Vec<u32>,
-    /// Those of them that it lies on, and which way they face.
-    touched: Vec<(u32, i8)>,
+    /// Those of them that it lies on, which way they face, and their vertices.
+    touched: Vec<(u32, i8, [u32; 3])>,
     /// Contours that this point sees besides.
     found_batches: Vec<Batch<3>>,
     sides: Sides,
@@ -95,8 +95,7 @@ impl Default for Candidates {
             sorted_contours: Vec::new(),
             sorted_edges: Vec::new(),
             planes: [const { Vec::new() }; 4],
-            precise: Vec::new(),
-            corners: Vec::new(),
+            numbers: Vec::new(),
             edges: Vec::new(),
             edge_triangles: Vec::new(),
             edge_ends: Vec::new(),
@@ -255,12 +254,12 @@ impl Candidates {
     /// Contours of the triangles that the point looked at last lies on.
     pub(super) fn contours_of_touched(&mut self, parts: &Parts, positions: &[Vec3]) -> &[Batch<3>] {
         self.found_batches.clear();
-        for &(index, face) in &self.touched {
+        for &(index, face, _) in &self.touched {
             self.faces[KNOWN + index as usize] = face;
         }
         let is_touched = |triangle: u32| {
             let mut touched = self.touched.iter();
-            touched.any(|(index, _)| KNOWN + *index as usize == triangle as usize)
+            touched.any(|(index, ..)| KNOWN + *index as usize == triangle as usize)
         };
         let face = |triangle: u32| self.faces[triangle as usize];
         let regular = self.edges.iter().filter_map(|edge| {
@@ -275,8 +274,7 @@ impl Candidates {
             let mut triangles = edge.triangles.iter();
             (triangles.any(|(triangle, _)| is_touched(*triangle))).then(|| edge.contour(face))?
         });
-        let loose = self.touched.iter().flat_map(|&(index, face)| {
-            let corners = self.corners[index as usize];
+        let loose = self.touched.iter().flat_map(|&(_, face, corners)| {
             let loose = parts.bundle_of(parts.of_vertex(corners[0])).is_some();
             let edges =
                 loose.then(|| [[0, 1], [1, 2], [2, 0]].map(|edge| edge.map(|i| corners[i])));
@@ -297,31 +295,28 @@ impl Candidates {
     pub(super) fn clear(&mut self) {
         self.sure.clear();
         self.planes.iter_mut().for_each(Vec::clear);
-        self.precise.clear();
-        self.corners.clear();
+        self.numbers.clear();
         self.edges.clear();
         self.irregular.clear();
         self.loose.clear();
     }
 
-    /// The triangle's number.
-    pub(super) fn add_triangle(
-        &mut self,
-        plane: [f32; 4],
-        precise: [f64; 4],
-        corners: [u32; 3],
-    ) -> u32 {
+    /// What the triangle that is added next is called.
+    pub(super) fn next_triangle(&self) -> u32 {
+        (KNOWN + self.numbers.len()) as u32
+    }
+
+    /// `number` is that in [`Facing`].
+    pub(super) fn add_triangle(&mut self, plane: [f32; 4], number: u32) {
         for (planes, value) in self.planes.iter_mut().zip(plane) {
             planes.push(value);
         }
-        self.precise.push(precise);
-        self.corners.push(corners);
-        (KNOWN + self.corners.len() - 1) as u32
+        self.numbers.push(number);
     }
 
     /// Pads the triangles to whole blocks, with some that nobody sees.
     pub(super) fn finish_triangles(&mut self) {
-        let padded = self.corners.len().next_multiple_of(BLOCK);
+        let padded = self.numbers.len().next_multiple_of(BLOCK);
         let [x, y, z, d] = &mut self.planes;
         for normal in [x, y, z] {
             normal.resize(padded, 0.0);
@@ -337,6 +332,7 @@ impl Candidates {
         self.in_plane.clear();
         simd::arch().dispatch(Look {
             candidates: self,
+            facing,
             rounding: facing.rounding_at(eye),
             rounding_of_axes: facing.rounding_of_axes(eye),
             eye,
@@ -344,9 +340,11 @@ impl Candidates {
         self.touched.clear();
         for i in 0..self.in_plane.len() {
             let index = self.in_plane[i];
-            if self.touches(index, positions, eye, 4.0 * facing.rounding_at(eye)) {
+            let corners = facing.corners(self.numbers[index as usize]);
+            let places = corners.map(|vertex| positions[vertex as usize].as_dvec3());
+            if touches(places, eye, 4.0 * facing.rounding_at(eye)) {
                 let face = &mut self.faces[KNOWN + index as usize];
-                self.touched.push((index, *face));
+                self.touched.push((index, *face, corners));
                 *face = 0;
             }
         }
@@ -354,21 +352,17 @@ impl Candidates {
 
     /// Vertices of the triangles that the point looked at last lies on.
     pub(super) fn touched(&self) -> impl Iterator<Item = [u32; 3]> {
-        (self.touched.iter()).map(|(index, _)| self.corners[*index as usize])
-    }
-
-    fn touches(&self, index: u32, positions: &[Vec3], eye: Vec3, margin: f32) -> bool {
-        let corners = self.corners[index as usize].map(|v| positions[v as usize].as_dvec3());
-        let [a, b, c] = corners;
-        let normal = (b - a).cross(c - a).normalize_or_zero();
-        [(a, b), (b, c), (c, a)].into_iter().all(|(from, to)| {
-            let inward = normal.cross(to - from).normalize_or_zero();
-            inward.dot(eye.as_dvec3() - from) >= -f64::from(margin)
-        })
+        self.touched.iter().map(|(.., corners)| *corners)
     }
 
     #[inline(always)]
-    fn find_faces(&mut self, block: usize, eye: Vec3, rounding: f32, of_axes: DVec3) {
+    fn find_faces(
+        &mut self,
+        of: &Facing,
+        block: usize,
+        eye: Vec3,
+        (rounding, of_axes): (f32, DVec3),
+    ) {
         let first = block * BLOCK;
         let [x, y, z, d] = self.planes.each_ref().map(|plane| block_of(plane, block));
         let faces = &mut self.faces[KNOWN + first..][..BLOCK];
@@ -380,11 +374,12 @@ impl Candidates {
         }
         if unclear {
             let eye = eye.as_dvec3();
-            let planes = &self.precise[first..];
-            for ((face, [x, y, z, d]), index) in faces.iter_mut().zip(planes).zip(first..) {
+            let numbers = &self.numbers[first..];
+            for ((face, number), index) in faces.iter_mut().zip(numbers).zip(first..) {
+                let [x, y, z, d] = of.precise(*number);
                 let height = x * eye.x + y * eye.y + z * eye.z - d;
                 *face = facing(height > 0.0);
-                let normal = DVec3::new(*x, *y, *z);
+                let normal = DVec3::new(x, y, z);
                 let rounding = f64::from(rounding) * normal.length();
                 if height.abs() <= rounding.min(normal.abs().dot(of_axes)) {
                     self.in_plane.push(index as u32);
@@ -392,6 +387,15 @@ impl Candidates {
             }
         }
     }
+}
+
+/// Whether a point in a triangle's plane lies on it, or within a margin.
+fn touches([a, b, c]: [DVec3; 3], eye: Vec3, margin: f32) -> bool {
+    let normal = (b - a).cross(c - a).normalize_or_zero();
+    [(a, b), (b, c), (c, a)].into_iter().all(|(from, to)| {
+        let inward = normal.cross(to - from).normalize_or_zero();
+        inward.dot(eye.as_dvec3() - from) >= -f64::from(margin)
+    })
 }
 
 fn append(batches: &mut Vec<Batch<3>>, contour: Contour, positions: &[Vec3]) {
@@ -416,6 +420,7 @@ fn gather(contours: &[Contour], positions: &[Vec3], batches: &mut Vec<Batch<3>>)
 /// The vectorised body of [`Candidates::look`].
 struct Look<'a> {
     candidates: &'a mut Candidates,
+    facing: &'a Facing,
     eye: Vec3,
     rounding: f32,
     rounding_of_axes: DVec3,
@@ -428,12 +433,13 @@ impl WithSimd for Look<'_> {
     fn with_simd<S: Simd>(self, _: S) {
         let Self {
             candidates,
+            facing,
             eye,
             rounding,
             rounding_of_axes,
         } = self;
         for block in 0..candidates.planes[0].len() / BLOCK {
-            candidates.find_faces(block, eye, rounding, rounding_of_axes);
+            candidates.find_faces(facing, block, eye, (rounding, rounding_of_axes));
         }
     }
 }

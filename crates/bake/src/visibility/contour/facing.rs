@@ -5,8 +5,6 @@
 //! range of the planes' offsets tell for most blocks that all of their triangles face one
 //! way (Johnson & Cohen 2001); only the others are looked at one by one.
 
-use std::ops::Range;
-
 use glam::{DVec3, Vec3};
 use pulp::{Simd, WithSimd};
 
@@ -15,9 +13,9 @@ use super::batch;
 use super::candidates::{ABSENT, CandidateEdge, Candidates};
 use super::parts::Parts;
 use crate::simd;
-use crate::visibility;
+use crate::visibility::{self, ones, pack_bits};
 
-/// Triangles that are tested together; their edges are grouped by it.
+/// Triangles that are tested together, as many as a word has bits; their edges are grouped by it.
 pub(super) const BLOCK: usize = 64;
 /// Cones that are tested side by side.
 const LANES: usize = 16;
@@ -49,12 +47,8 @@ pub(super) struct Facing {
     extent: DVec3,
     cones: Vec<Cones>,
     blocks: usize,
-    /// Edges between two triangles of one block, block after block, and where each block's
-    /// begin; triangles as numbers in their block.
-    inner: Edges<u8>,
-    first_inner: Vec<u32>,
-    /// Edges between triangles of different blocks.
-    outer: Edges<u32>,
+    /// Edges between two triangles.
+    edges: Edges,
     /// Edges of one triangle, or of several that do not pair up.
     irregular: Vec<IrregularEdge>,
     /// Where the planes of the triangles are, by their numbers in the list that this was made of.
@@ -75,8 +69,13 @@ struct Cones {
 }
 
 /// Edges between two triangles: the first is wound along the edge, the second against it.
-struct Edges<T> {
-    triangles: Vec<[T; 2]>,
+#[derive(Default)]
+struct Edges {
+    /// Blocks of the first and the second triangle, and where the edges of each such pair begin; one end more.
+    blocks: Vec<[u32; 2]>,
+    first: Vec<u32>,
+    /// The triangles as numbers in their blocks.
+    triangles: Vec<[u8; 2]>,
     vertices: Vec<[u32; 2]>,
 }
 
@@ -122,9 +121,7 @@ impl Facing {
             }),
             cones: vec![Cones::default(); blocks.div_ceil(LANES)],
             blocks,
-            inner: Edges::new(),
-            first_inner: Vec::new(),
-            outer: Edges::new(),
+            edges: Edges::default(),
             irregular: Vec::new(),
             places: vec![0; order.len()],
         };
@@ -176,24 +173,20 @@ impl Facing {
                 }),
             }
         }
-        regular.sort_unstable();
+        let blocks = |triangles: [u32; 2]| triangles.map(|triangle| triangle / BLOCK as u32);
+        regular.sort_unstable_by_key(|&(triangles, vertices)| {
+            (blocks(triangles), triangles, vertices)
+        });
+        let edges = &mut self.edges;
         for (triangles, vertices) in regular {
-            let [a, b] = triangles.map(|triangle| triangle as usize / BLOCK);
-            if a == b {
-                let begun = self.inner.vertices.len() as u32;
-                self.first_inner
-                    .resize(self.first_inner.len().max(a + 1), begun);
-                self.inner
-                    .triangles
-                    .push(triangles.map(|t| (t as usize % BLOCK) as u8));
-                self.inner.vertices.push(vertices);
-            } else {
-                self.outer.triangles.push(triangles);
-                self.outer.vertices.push(vertices);
+            if edges.blocks.last() != Some(&blocks(triangles)) {
+                edges.blocks.push(blocks(triangles));
+                edges.first.push(edges.vertices.len() as u32);
             }
+            (edges.triangles).push(triangles.map(|triangle| (triangle % BLOCK as u32) as u8));
+            edges.vertices.push(vertices);
         }
-        let end = self.inner.vertices.len() as u32;
-        self.first_inner.resize(self.blocks + 1, end);
+        edges.first.push(edges.vertices.len() as u32);
     }
 
     /// Contours that every point within `radius` of `centre` sees, and edges that some may.
@@ -206,8 +199,7 @@ impl Facing {
         sides: &mut Sides,
         candidates: &mut Candidates,
     ) {
-        sides.triangles.resize(self.blocks * BLOCK, BACK);
-        sides.numbers.resize(self.blocks * BLOCK, 0);
+        sides.blocks.resize(self.blocks, Side::default());
         sides.mixed.clear();
         // Distances to planes are rounded, and so is the radius.
         let reach = 1.001 * radius + 2.0 * (self.rounding_at(centre) + PLANE_ROUNDING * radius);
@@ -219,35 +211,24 @@ impl Facing {
         });
         candidates.clear();
         for &block in &sides.mixed {
-            for triangle in block as usize * BLOCK..(block as usize + 1) * BLOCK {
-                if sides.triangles[triangle] == EITHER {
-                    sides.numbers[triangle] = candidates.add_triangle(
-                        self.planes.each_ref().map(|plane| plane[triangle]),
-                        self.precise[triangle],
-                        self.corners[triangle],
-                    );
-                }
+            let side = &mut sides.blocks[block as usize];
+            side.first = candidates.next_triangle();
+            for index in ones(side.either) {
+                let triangle = block as usize * BLOCK + index;
+                let plane = self.planes.each_ref().map(|plane| plane[triangle]);
+                candidates.add_triangle(plane, triangle as u32);
             }
         }
         candidates.finish_triangles();
-        for &block in &sides.mixed {
-            let block = block as usize;
-            let range = self.first_inner[block] as usize..self.first_inner[block + 1] as usize;
-            let members = block * BLOCK..(block + 1) * BLOCK;
-            let known = &sides.triangles[members.clone()];
-            let numbers = &sides.numbers[members];
-            let side = |triangle: u8| known[usize::from(triangle) % BLOCK];
-            let number = |triangle: u8| numbers[usize::from(triangle) % BLOCK];
-            self.inner.collect(range, side, number, candidates);
-        }
-        let side = |triangle: u32| sides.triangles[triangle as usize];
-        let number = |triangle: u32| sides.numbers[triangle as usize];
-        let all = 0..self.outer.vertices.len();
-        self.outer.collect(all, side, number, candidates);
+        self.edges.collect(&sides.blocks, candidates);
+        let number = |triangle: u32| {
+            let side = sides.blocks[triangle as usize / BLOCK];
+            side.number((triangle % BLOCK as u32) as u8)
+        };
         for edge in &self.irregular {
             let mut triangles = edge.triangles.iter();
-            if !triangles.any(|&(triangle, _)| side(triangle) == EITHER) {
-                let face = |triangle| if side(triangle) == FRONT { 1 } else { -1 };
+            if triangles.all(|&(triangle, _)| is_known(number(triangle))) {
+                let face = |triangle| if number(triangle) == FRONT { 1 } else { -1 };
                 candidates.sure.extend(edge.contour(face));
             } else if let [(triangle, along)] = edge.triangles[..] {
                 let triangle = number(triangle);
@@ -262,7 +243,7 @@ impl Facing {
             } else {
                 let mut edge = edge.clone();
                 for (triangle, _) in &mut edge.triangles {
-                    *triangle = known_number(side(*triangle)).unwrap_or_else(|| number(*triangle));
+                    *triangle = number(*triangle);
                 }
                 candidates.irregular.push(edge);
             }
@@ -270,11 +251,19 @@ impl Facing {
         candidates.loose.extend(parts.bundles.iter().map(|bundle| {
             let mut numbers = [ABSENT; batch::LANES];
             for (out, triangle) in numbers.iter_mut().zip(bundle.triangles()) {
-                let triangle = self.places[*triangle as usize];
-                *out = known_number(side(triangle)).unwrap_or_else(|| number(triangle));
+                *out = number(self.places[*triangle as usize]);
             }
             numbers
         }));
+    }
+
+    /// The plane of a triangle, and its vertices.
+    pub(super) fn precise(&self, triangle: u32) -> [f64; 4] {
+        self.precise[triangle as usize]
+    }
+
+    pub(super) fn corners(&self, triangle: u32) -> [u32; 3] {
+        self.corners[triangle as usize]
     }
 
     /// Bounds the rounding of heights above planes, in single precision.
@@ -290,55 +279,47 @@ impl Facing {
     }
 }
 
-/// How a triangle lies to the points of a group: it faces none of them, all of them, or it
-/// is not known.
-const BACK: u8 = 0;
-const FRONT: u8 = 1;
-const EITHER: u8 = 2;
+/// How a triangle lies to the points of a group: it faces all of them, or it is not known; 0 if it faces none. What is less than
+/// [`EITHER`] is also the number that stands for such triangles.
+const FRONT: u32 = 1;
+const EITHER: u32 = 2;
 
-/// The number that stands for all triangles that face no point, or every point.
-fn known_number(side: u8) -> Option<u32> {
-    (side != EITHER).then_some(u32::from(side))
+/// Whether a number stands for all triangles that face no point, or every point.
+fn is_known(number: u32) -> bool {
+    number < EITHER
 }
 
-impl<T: Copy> Edges<T> {
-    fn new() -> Self {
-        Self {
-            triangles: Vec::new(),
-            vertices: Vec::new(),
-        }
-    }
-
-    /// Adds those edges of `range` whose triangles lie to different sides or may.
-    #[inline(always)]
-    fn collect(
-        &self,
-        range: Range<usize>,
-        side: impl Fn(T) -> u8,
-        number: impl Fn(T) -> u32,
-        candidates: &mut Candidates,
-    ) {
-        let (triangles, vertices) = (&self.triangles[range.clone()], &self.vertices[range]);
-        let differ = |pair: [T; 2]| {
-            let [a, b] = pair.map(&side);
-            (a ^ b) | (a & EITHER) != 0
-        };
-        for_each_where(triangles, vertices, differ, |triangles, vertices| {
-            let sides = triangles.map(&side);
-            if sides.contains(&EITHER) {
-                candidates.edges.push(CandidateEdge {
-                    triangles: triangles.map(|triangle| {
-                        known_number(side(triangle)).unwrap_or_else(|| number(triangle))
-                    }),
-                    vertices,
-                });
-            } else {
-                candidates.sure.push(Contour {
-                    vertices,
-                    step: step(sides[0]),
-                });
+impl Edges {
+    /// Adds those whose triangles lie to different sides or may.
+    fn collect(&self, sides: &[Side], candidates: &mut Candidates) {
+        for (blocks, range) in self.blocks.iter().zip(self.first.windows(2)) {
+            let [a, b] = blocks.map(|block| sides[block as usize]);
+            if a.is_same(b) {
+                continue;
             }
-        });
+            let range = range[0] as usize..range[1] as usize;
+            let (triangles, vertices) = (&self.triangles[range.clone()], &self.vertices[range]);
+            let differ = |[i, j]: [u8; 2]| {
+                let [i, j] = [i, j].map(u32::from);
+                let [front, other] = [a.front.wrapping_shr(i), b.front.wrapping_shr(j)];
+                let either = a.either.wrapping_shr(i) | b.either.wrapping_shr(j);
+                ((front ^ other) | either) & 1 != 0
+            };
+            for_each_where(triangles, vertices, differ, |[i, j], vertices| {
+                let triangles = [a.number(i), b.number(j)];
+                if triangles.into_iter().all(is_known) {
+                    candidates.sure.push(Contour {
+                        vertices,
+                        step: step(triangles[0]),
+                    });
+                } else {
+                    candidates.edges.push(CandidateEdge {
+                        triangles,
+                        vertices,
+                    });
+                }
+            });
+        }
     }
 }
 
@@ -366,19 +347,47 @@ pub(super) fn for_each_where<T: Copy, E: Copy>(
 
 /// Layers that begin at an edge whose first triangle faces the eye (1), or end (0), along
 /// with those of its second triangle.
-fn step(face: u8) -> i32 {
-    4 * i32::from(face) - 2
+fn step(face: u32) -> i32 {
+    4 * face as i32 - 2
+}
+
+/// How the triangles of a block lie to a group of points, a bit for each.
+#[derive(Clone, Copy, Default)]
+struct Side {
+    /// [`FRONT`].
+    front: u64,
+    /// [`EITHER`]; their numbers follow one another, from `first` on.
+    either: u64,
+    first: u32,
+}
+
+impl Side {
+    /// What candidates call a triangle of the block.
+    #[inline(always)]
+    fn number(self, triangle: u8) -> u32 {
+        let bit = 1u64.wrapping_shl(u32::from(triangle));
+        if self.either & bit == 0 {
+            u32::from(self.front & bit != 0)
+        } else {
+            self.first + (self.either & (bit - 1)).count_ones()
+        }
+    }
+
+    /// Whether all triangles of both blocks lie to one side.
+    #[inline(always)]
+    fn is_same(self, other: Self) -> bool {
+        self.front == other.front
+            && (self.either | other.either) == 0
+            && (self.front == 0 || self.front == !0)
+    }
 }
 
 /// How triangles lie to a group of points.
 #[derive(Default)]
 pub(super) struct Sides {
-    /// [`BACK`], [`FRONT`] or [`EITHER`] per triangle.
-    triangles: Vec<u8>,
+    blocks: Vec<Side>,
     /// Blocks whose triangles may differ.
     mixed: Vec<u32>,
-    /// What candidates call a triangle of either side.
-    numbers: Vec<u32>,
 }
 
 impl Cones {
@@ -427,7 +436,7 @@ impl Cones {
 
     /// Per block, how all of its triangles lie to all points within `reach` of `eye`.
     #[inline(always)]
-    fn test(&self, eye: Vec3, reach: f32) -> [u8; LANES] {
+    fn test(&self, eye: Vec3, reach: f32) -> [u32; LANES] {
         let mut result = [0; LANES];
         for (lane, side) in result.iter_mut().enumerate() {
             let x = eye.x - self.centre[0][lane];
@@ -453,7 +462,7 @@ impl Cones {
             let slack = SLACK * length + reach;
             let front = least - slack + self.low[lane] > 0.0;
             let back = largest + slack + self.high[lane] < 0.0;
-            *side = 2 - u8::from(front) - 2 * u8::from(back);
+            *side = EITHER - u32::from(front) - 2 * u32::from(back);
         }
         result
     }
@@ -478,28 +487,29 @@ impl WithSimd for FindSides<'_> {
             reach,
             sides,
         } = self;
-        let groups = sides.triangles.chunks_mut(LANES * BLOCK);
+        let groups = sides.blocks.chunks_mut(LANES);
         for (number, (cones, group)) in mesh.cones.iter().zip(groups).enumerate() {
             let known = cones.test(centre, reach);
-            let blocks = group.as_chunks_mut::<BLOCK>().0;
-            for (lane, (side, block)) in known.into_iter().zip(blocks).enumerate() {
-                if side == EITHER {
+            for (lane, (known, side)) in known.into_iter().zip(group).enumerate() {
+                *side = Side {
+                    front: if known == FRONT { !0 } else { 0 },
+                    either: 0,
+                    first: 0,
+                };
+                if known == EITHER {
                     let index = number * LANES + lane;
                     let planes = mesh.planes.each_ref().map(|plane| block_of(plane, index));
                     let [x, y, z, d] = planes;
+                    let (mut front, mut either) = ([0; BLOCK], [0; BLOCK]);
                     for i in 0..BLOCK {
                         let height = x[i] * centre.x + y[i] * centre.y + z[i] * centre.z - d[i];
-                        block[i] = if height > reach {
-                            FRONT
-                        } else if height < -reach {
-                            BACK
-                        } else {
-                            EITHER
-                        };
+                        front[i] = u8::from(height > reach);
+                        // Also where the height is no number.
+                        either[i] = 1 - front[i] - u8::from(height < -reach);
                     }
+                    side.front = pack_bits(&front);
+                    side.either = pack_bits(&either);
                     sides.mixed.push(index as u32);
-                } else {
-                    block.fill(side);
                 }
             }
         }

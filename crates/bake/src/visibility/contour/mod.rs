@@ -26,6 +26,8 @@ mod parts;
 mod rounds;
 
 use std::collections::{HashMap, HashSet};
+use std::ops::{Deref, DerefMut};
+use std::sync::{Mutex, PoisonError};
 
 use glam::Vec3;
 
@@ -57,6 +59,8 @@ pub struct ContourMesh {
     vertices: Vec<[u32; 3]>,
     /// Those that are there more than once, by the same vertices in ascending order.
     repeated: HashMap<[u32; 3], Vec<[u32; 3]>>,
+    /// Memory that nobody uses at present: of large meshes it takes as long to get as to find what a group may see.
+    unused: Mutex<Vec<Scratch>>,
 }
 
 /// An edge where layers begin or end, as seen from some point.
@@ -75,6 +79,46 @@ pub struct Scratch {
     rounds: Rounds,
     /// Places of the parts that are counted next.
     chosen: Vec<u32>,
+}
+
+impl Scratch {
+    fn new(resolution: usize) -> Self {
+        Self {
+            candidates: Candidates::default(),
+            layers: Layers::new(resolution),
+            crossings: Crossings::default(),
+            rounds: Rounds::default(),
+            chosen: Vec::new(),
+        }
+    }
+}
+
+/// A mesh's [`Scratch`], which goes back to it.
+pub struct Lent<'a> {
+    unused: &'a Mutex<Vec<Scratch>>,
+    scratch: Scratch,
+}
+
+impl Deref for Lent<'_> {
+    type Target = Scratch;
+
+    fn deref(&self) -> &Scratch {
+        &self.scratch
+    }
+}
+
+impl DerefMut for Lent<'_> {
+    fn deref_mut(&mut self) -> &mut Scratch {
+        &mut self.scratch
+    }
+}
+
+impl Drop for Lent<'_> {
+    fn drop(&mut self) {
+        let scratch = std::mem::replace(&mut self.scratch, Scratch::new(0));
+        let mut unused = self.unused.lock().unwrap_or_else(PoisonError::into_inner);
+        unused.push(scratch);
+    }
 }
 
 impl ContourMesh {
@@ -119,6 +163,7 @@ impl ContourMesh {
             repeated,
             near,
             positions,
+            unused: Mutex::default(),
         }
     }
 
@@ -128,13 +173,15 @@ impl ContourMesh {
     }
 
     /// Memory for [`Self::sample`] at the directions' resolution.
-    pub fn scratch(&self, directions: &Directions) -> Scratch {
-        Scratch {
-            candidates: Candidates::default(),
-            layers: Layers::new(directions.resolution() as usize),
-            crossings: Crossings::default(),
-            rounds: Rounds::default(),
-            chosen: Vec::new(),
+    pub fn scratch(&self, directions: &Directions) -> Lent<'_> {
+        let resolution = directions.resolution() as usize;
+        let mut unused = self.unused.lock().unwrap_or_else(PoisonError::into_inner);
+        let fits = |scratch: &Scratch| scratch.layers.resolution() == resolution;
+        let found = unused.iter().position(fits);
+        let found = found.map(|index| unused.swap_remove(index));
+        Lent {
+            unused: &self.unused,
+            scratch: found.unwrap_or_else(|| Scratch::new(resolution)),
         }
     }
 
@@ -661,7 +708,12 @@ mod tests {
         let (bitmap, _) = mesh.sample(Vec3::ZERO, directions, &mut scratch);
         mesh.crossings(&bitmap, &mut scratch);
         let radius = math::asin(1.0 / centre.length());
-        (centre, radius, bitmap, scratch.crossings)
+        (
+            centre,
+            radius,
+            bitmap,
+            std::mem::take(&mut scratch.crossings),
+        )
     }
 
     /// Root mean square error of signed distances near the boundary, without and with the

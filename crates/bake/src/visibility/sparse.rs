@@ -444,7 +444,7 @@ mod tests {
             }
             let off = (found - at.x - 0.5 * at.z).abs();
             worst = worst.max(off);
-            let corner = |(x, z): (f32, f32)| (at.x - x).hypot(at.z - z) < 5.0 * REACH;
+            let corner = |(x, z): (f32, f32)| at.distance(Vec3::new(x, at.y, z)) < 5.0 * REACH;
             let corners = [0.0, 20.0, 40.0].map(|x| [(x, 0.0), (x, 40.0)]);
             if !corners.into_iter().flatten().any(corner) {
                 along = along.max(off);

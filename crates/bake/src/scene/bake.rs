@@ -191,6 +191,8 @@ impl<'a> Bake<'a> {
     /// Also casts one ray per texel at every vertex; a difference fails the bake.
     pub fn verify_visibility(&mut self) {
         self.prepared.verify = true;
+        // What the choice of an aim sampled was not compared.
+        self.prepared.kept.forget();
     }
 
     /// The error that clusters aim at, radians.

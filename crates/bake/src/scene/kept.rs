@@ -60,6 +60,13 @@ impl Kept {
         self.places.is_empty()
     }
 
+    /// All are sampled again.
+    pub(super) fn forget(&mut self) {
+        for ssdf in &mut self.ssdfs {
+            ssdf.take();
+        }
+    }
+
     /// The SSDF of a place, once its group was sampled.
     pub(super) fn ssdf(&self, place: u32) -> Option<&[f32]> {
         let number = *self.number.get(place as usize)? as usize;

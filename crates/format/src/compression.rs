@@ -8,6 +8,25 @@ pub(crate) use c::{Decoder, compress, compress_noise};
 #[cfg(target_family = "wasm")]
 pub(crate) use rust::{Decoder, compress, compress as compress_noise};
 
+/// Does two things at the same time, where there are threads.
+pub(crate) fn both<A, B: Send>(
+    first: impl FnOnce() -> A,
+    second: impl FnOnce() -> B + Send,
+) -> (A, B) {
+    if cfg!(target_family = "wasm") {
+        return (first(), second());
+    }
+    std::thread::scope(|scope| {
+        let second = scope.spawn(second);
+        let first = first();
+        let second = second.join();
+        (
+            first,
+            second.unwrap_or_else(|panic| std::panic::resume_unwind(panic)),
+        )
+    })
+}
+
 /// log2 of the largest window a reader allocates for; levels up to 15 use 22 at most.
 const MAX_WINDOW_LOG: u32 = 23;
 

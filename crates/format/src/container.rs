@@ -506,6 +506,12 @@ impl Writer {
         self.section(SectionKind::Metadata, &raw)
     }
 
+    /// With another's sections after its own.
+    pub(crate) fn followed_by(mut self, other: Self) -> Self {
+        self.sections.extend(other.sections);
+        self
+    }
+
     pub(crate) fn finish(self) -> Vec<u8> {
         let mut offset = (HEADER_LENGTH + self.sections.len() * ENTRY_LENGTH) as u64;
         let mut bytes = Vec::new();

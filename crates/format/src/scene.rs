@@ -3,6 +3,7 @@
 use bytemuck::{Pod, Zeroable};
 use serde::{Deserialize, Serialize};
 
+use crate::compression;
 use crate::container::{Kind, Limits, Reader, SectionKind, Writer};
 use crate::geometry::{self, Places};
 use crate::material::TextureShape;
@@ -248,6 +249,12 @@ pub fn read_scene(bytes: &[u8], limits: &Limits) -> Result<Scene, Error> {
 /// Encodes a scene; the same value gives the same bytes.
 pub fn write_scene(scene: &Scene) -> Result<Vec<u8>, Error> {
     scene.validate()?;
+    let (early, late) = compression::both(|| early_sections(scene), || late_sections(scene));
+    Ok(early?.followed_by(late?).finish())
+}
+
+/// Metadata and what belongs to vertices.
+fn early_sections(scene: &Scene) -> Result<Writer, Error> {
     let mut writer = Writer::new(Kind::Scene);
     writer.metadata(&Metadata {
         name: scene.name.clone(),
@@ -270,6 +277,12 @@ pub fn write_scene(scene: &Scene) -> Result<Vec<u8>, Error> {
         &places,
     );
     writer.section(SectionKind::Coefficients, &coefficients)?;
+    Ok(writer)
+}
+
+/// The sections after those.
+fn late_sections(scene: &Scene) -> Result<Writer, Error> {
+    let mut writer = Writer::new(Kind::Scene);
     let resolution = scene.visibility.basis_resolution;
     let differences = prediction::differences(&scene.basis, resolution);
     writer.section(SectionKind::Basis, &differences)?;
@@ -281,7 +294,7 @@ pub fn write_scene(scene: &Scene) -> Result<Vec<u8>, Error> {
         let uvs = geometry::encode_uvs(&scene.second_uvs, &scene.triangles);
         writer.section(SectionKind::SecondUvs, &uvs)?;
     }
-    Ok(writer.finish())
+    Ok(writer)
 }
 
 pub(crate) fn concatenate_texels(textures: &[Texture]) -> Vec<u8> {

@@ -398,9 +398,14 @@ impl Radiosity {
         let spacing = self.points.spacing_at(met.position);
         let radius = BLUR * spacing * unit(hash(number, 1)).sqrt();
         let aside = radius * self.aside(met.normal, hash(number, 2));
+        let mut tried = None;
         [1.0, -0.5, 0.0].into_iter().find_map(|part| {
             let place = met.position + part * aside;
             let index = (self.points).nearest_alike(place, met.normal, REACH + BLUR, ALIKE)?;
+            // Most often the same as at the last place.
+            if tried.replace(index) == Some(index) {
+                return None;
+            }
             let point = &self.points.as_slice()[index];
             let distance = point.position.distance(met.position);
             let near = distance < REACH * spacing && point.geometric_normal.dot(met.normal) > ALIKE;

@@ -21,15 +21,14 @@ pub(crate) fn partition(
 ) -> Vec<Vec<u32>> {
     let with = |normal_weight: f32| {
         let features = features(positions, triangles, normal_weight);
-        let mut groups = Vec::new();
         let all = (0..triangles.len() as u32).collect();
-        split(all, &features, triangles, max_vertices, &mut groups);
+        let groups = split(all, &features, triangles, max_vertices);
         let vertices = groups
             .iter()
             .map(|group| vertices_of(group, triangles).len());
         (vertices.sum::<usize>() as f32, groups)
     };
-    let (compact, alike) = (with(0.0), with(NORMAL_WEIGHT));
+    let (compact, alike) = rayon::join(|| with(0.0), || with(NORMAL_WEIGHT));
     if alike.0 <= SCATTERED * compact.0 {
         alike.1
     } else {
@@ -67,14 +66,13 @@ fn split(
     features: &[Feature],
     triangles: &[[u32; 3]],
     max_vertices: usize,
-    groups: &mut Vec<Vec<u32>>,
-) {
+) -> Vec<Vec<u32>> {
+    if group.is_empty() {
+        return Vec::new();
+    }
     if group.len() < 2 || vertices_of(&group, triangles).len() <= max_vertices {
-        if !group.is_empty() {
-            group.sort_unstable();
-            groups.push(group);
-        }
-        return;
+        group.sort_unstable();
+        return vec![group];
     }
     let axis = widest_axis(&group, features);
     // Ties are broken by index: the cut does not depend on the sort's implementation.
@@ -84,8 +82,10 @@ fn split(
             .then(a.cmp(&b))
     });
     let upper = group.split_off(group.len() / 2);
-    split(group, features, triangles, max_vertices, groups);
-    split(upper, features, triangles, max_vertices, groups);
+    let part = |group| split(group, features, triangles, max_vertices);
+    let (mut groups, others) = rayon::join(|| part(group), || part(upper));
+    groups.extend(others);
+    groups
 }
 
 fn widest_axis(group: &[u32], features: &[Feature]) -> usize {

@@ -167,16 +167,15 @@ pub(crate) fn compress(
     for row in &mut decoded {
         Metric::apply(&metric.root, &mut row[..along]);
     }
-    for (column, sample) in samples.column_iter().enumerate() {
-        let share: Vec<f32> = (weights.iter())
-            .map(|weights| f32::from(weights[column]) / 127.0)
-            .collect();
-        for row in 0..length {
-            let mut value = decoded[0][row] - mean[row];
-            for (share, decoded) in share.iter().zip(&decoded[1..]) {
-                value += share * decoded[row];
-            }
-            group.squared_error += f64::from(value - sample[row]).powi(2);
+    let shown = DMatrix::from_fn(length, rank, |row, index| decoded[index + 1][row]);
+    let shares = DMatrix::from_fn(rank, vertices.len(), |index, column| {
+        f32::from(weights[index][column]) / 127.0
+    });
+    let shown = product(&shown, &shares);
+    for (shown, sample) in shown.column_iter().zip(samples.column_iter()) {
+        let of_mean = decoded[0].iter().zip(mean.iter());
+        for ((shown, sample), (decoded, mean)) in shown.iter().zip(sample.iter()).zip(of_mean) {
+            group.squared_error += f64::from(shown + (decoded - mean) - sample).powi(2);
         }
     }
     let weights = (0..vertices.len())

@@ -15,8 +15,15 @@ use crate::support::{Outcome, binary, with_data};
 pub fn trials() -> Vec<Trial> {
     let verified = VERIFIED.map(|mesh| {
         with_data(format!("farm::verify_visibility::{mesh}"), move |data| {
-            verify_visibility(&data.join("meshes").join(mesh))
+            verify_visibility(&data.join("meshes").join(mesh), &[])
         })
+    });
+    // So large that some places are sampled to choose an aim, and kept.
+    let draft = with_data("farm::verify_visibility::draft", |data| {
+        verify_visibility(
+            &data.join("meshes/stanford/bunny.obj"),
+            &["--preset", "draft"],
+        )
     });
     let mut trials = vec![
         Trial::test("farm::killed_at_random_points", killed_at_random_points),
@@ -34,6 +41,7 @@ pub fn trials() -> Vec<Trial> {
         Trial::ignorable_test("farm::kubernetes", kubernetes),
     ];
     trials.extend(verified);
+    trials.push(draft);
     trials
 }
 
@@ -406,11 +414,11 @@ fn low_priority() -> Outcome {
     Ok(())
 }
 
-fn verify_visibility(mesh: &Path) -> Outcome {
+fn verify_visibility(mesh: &Path, options: &[&str]) -> Outcome {
     let folder = tempfile::tempdir()?;
     let asset = folder.path().join("out.relight");
     let mut bake = bake(mesh, &asset);
-    let output = expect_success(bake.args(["--verify-visibility", "--json"]));
+    let output = expect_success(bake.args(["--verify-visibility", "--json"]).args(options));
     let summary: serde_json::Value = serde_json::from_slice(&output.stdout)?;
     assert_eq!(summary["differing_texels"], 0);
     let [verified, sampled, probes] = ["verified_points", "sampled_vertices", "probes"]

@@ -61,6 +61,7 @@ fn bake(mesh: &Path) -> Result<Scene, libtest_mimic::Failed> {
     // Coarse: both devices draw the same errors.
     let mut options = scene::Options {
         max_edge: 0.05,
+        least_vertices: 0,
         ..scene::Options::draft()
     };
     options.transfer.bounces = None;

@@ -124,6 +124,7 @@ fn write_baked(folder: &Path, steps: usize) -> Outcome {
         sample_resolution: 64,
         basis_resolution: 32,
         max_edge: 1.0,
+        least_vertices: 0,
         ..scene::Options::draft()
     };
     let input = load::load(&path("scene.obj"))?;

@@ -221,8 +221,8 @@ pub struct SceneArguments {
     /// Divide edges of triangles that are longer than this, as a fraction of the scene's diagonal without
     /// its ground, above 0. Shadows are stored at vertices, so a finer mesh has finer shadows. Beside what
     /// is less than a twentieth as large as the scene, as a figure on a field, it is a fraction of that. A bound
-    /// in the scene file takes precedence [default: 0.08 for draft, 0.02 for standard, 0.06 for
-    /// high].
+    /// in the scene file takes precedence. A draft of few vertices divides edges down to a quarter of it
+    /// [default: 0.08 for draft, 0.02 for standard, 0.06 for high].
     #[arg(long, value_name = "FRACTION", value_parser = positive, allow_negative_numbers = true)]
     pub max_edge: Option<f32>,
     /// Also divide edges of triangles along which a shadow would be off by more than this angle, in

@@ -35,8 +35,7 @@ const RELATIVE_EDGE: f32 = 0.02;
 /// Distance of a visibility sample from its surface, as a part of the size of things: far above
 /// the rounding of coordinates, far below anything that casts a visible shadow.
 const RELATIVE_RAY_OFFSET: f32 = 1e-5;
-/// Triangles in which interpolation is checked, about, but for small scenes one of so many.
-const PROBES: usize = 2048;
+/// Small scenes are checked in one triangle of so many.
 const LEAST_PROBE_STEP: usize = 4;
 
 /// A scene ready to be sampled: refined, divided into chunks that can be baked in any
@@ -249,7 +248,7 @@ impl<'a> Bake<'a> {
     fn bake_chunk(&self, triangles: &[u32]) -> Result<Vec<Cluster>, Error> {
         let prepared = &self.prepared;
         let (vertices, samples) = prepared.samples(triangles)?;
-        let every = (prepared.triangles.len() / PROBES).max(LEAST_PROBE_STEP);
+        let every = (prepared.triangles.len() / prepared.options.probes).max(LEAST_PROBE_STEP);
         let probes = prepared.probes(triangles, every as u32)?;
         let count = vertices.len() as u64;
         let bounced = prepared.bounced(triangles, &vertices, samples.ssdfs())?;
@@ -298,7 +297,7 @@ impl<'a> Bake<'a> {
         let statistics = Statistics {
             stages,
             rays,
-            sampled_vertices: load(&counters.sampled),
+            sampled_vertices: load(&counters.sampled) + self.prepared.kept.sampled() as u64,
             probes: load(&counters.probes),
             verified_points: load(&counters.verified),
             differing_texels: load(&counters.differing),
@@ -365,8 +364,15 @@ fn refined(
     } else {
         bound.max_vertices
     };
-    let length = |a, b| sizes.length(a, b, max_edge) / max_edge;
-    let mesh = refine::refine(input.mesh, length, even_vertices);
+    let length = |edge: f32| move |a, b| sizes.length(a, b, edge) / edge;
+    let mut mesh = refine::refine(input.mesh, length(max_edge), even_vertices);
+    let least = options.least_vertices.min(bound.max_vertices);
+    if mesh.vertices.len() < least {
+        let warnings = mesh.warnings.len();
+        mesh = refine::refine(mesh, length(0.25 * max_edge), least);
+        // Where that stops is no loss.
+        mesh.warnings.truncate(warnings);
+    }
     if by_error {
         return Ok(refine::refine_wrong(mesh, contours, bound, monitor)?);
     }

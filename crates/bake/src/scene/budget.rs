@@ -23,8 +23,9 @@ const CLOSE: f32 = 1.05;
 /// Standard errors by which the estimated size of a whole scene stays below the one asked
 /// for: one bake in twenty may end above it.
 const SURE: f32 = 1.65;
-/// One triangle of so many is probed.
+/// One triangle of so many is probed, and of a draft's, of which errors are larger and need not be known as well.
 const PROBE_STEP: u32 = 4;
+const DRAFT_PROBE_STEP: u32 = 16;
 /// An error on the surface that compression can keep, in errors of interpolation.
 const LEAST_OVER_INTERPOLATION: f32 = 1.1;
 /// Without an error or a size asked for one chunk of so many tells of interpolation.
@@ -65,11 +66,15 @@ pub(super) struct Chosen {
 pub(super) fn default_aim(prepared: &Prepared) -> Result<f32, Error> {
     let chunks = &prepared.chunks;
     let count = (chunks.len() / CHUNKS_A_TRIAL).min(ERROR_CHUNKS);
+    let step = match prepared.options.sample_spacing {
+        0.0 => PROBE_STEP,
+        _ => DRAFT_PROBE_STEP,
+    };
     let mut errors = ErrorSums::default();
     for chunk in spread(chunks.len(), count) {
         let vertices = prepared.vertices_of(&chunks[chunk]);
         let ssdfs = prepared.ssdfs(&vertices)?;
-        for probe in prepared.probes(&chunks[chunk], PROBE_STEP)? {
+        for probe in prepared.probes(&chunks[chunk], step)? {
             let columns = columns(&probe.places, &vertices);
             errors.add_probe(&probe, [(&ssdfs, &columns); 2], &prepared.weighting);
         }

@@ -5,7 +5,6 @@
 
 use std::convert::Infallible;
 use std::sync::OnceLock;
-use std::sync::atomic::Ordering;
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -67,6 +66,12 @@ impl Kept {
         }
     }
 
+    /// How many places were sampled.
+    pub(super) fn sampled(&self) -> usize {
+        let groups = self.ssdfs.iter().filter_map(OnceLock::get);
+        groups.map(|group| group.len() / self.texels).sum()
+    }
+
     /// The SSDF of a place, once its group was sampled.
     pub(super) fn ssdf(&self, place: u32) -> Option<&[f32]> {
         let number = *self.number.get(place as usize)? as usize;
@@ -102,7 +107,6 @@ impl Prepared<'_> {
                             self.verify(&sampled);
                             ssdfs[index * kept.texels..][..kept.texels]
                                 .copy_from_slice(&sampled.distances);
-                            self.counters.sampled.fetch_add(1, Ordering::Relaxed);
                             Ok(())
                         },
                     );
@@ -126,7 +130,6 @@ mod tests {
         let spacing = |distance: f32| Spacing {
             distances: vec![distance; origins.len()],
             smooth: 0.9,
-            along_edges: false,
         };
         let sparse = |distance| Sparse::new(&origins, &triangles, &spacing(distance), |_| false);
         let some = sparse(4.0);
@@ -146,6 +149,7 @@ mod tests {
             let ssdf = [place as f32; 16];
             assert_eq!(kept.ssdf(place), known.then_some(&ssdf[..]));
         }
+        assert_eq!(kept.sampled(), places.len());
         // Where all are sampled, or too many, every chunk has its own.
         assert!(Kept::new(&sparse(0.5), &origins, 16).is_empty());
         assert!(Kept::new(&some, &origins, MOST_BYTES / 1024).is_empty());

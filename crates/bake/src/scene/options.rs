@@ -39,10 +39,15 @@ pub struct Options {
     /// also see more alike, and share more of what is stored: half of the length costs twice
     /// the bytes.
     pub max_edge: f32,
+    /// Where the mesh has fewer vertices then, its longest edges are divided further, until it has about so
+    /// many, or until no edge is longer than a quarter of `max_edge`: in a small scene that takes little time.
+    pub least_vertices: usize,
     /// Where the mesh is finer than this, as a fraction of the same diagonal, visibility and bounced light
     /// are found at places so far apart, and interpolated at those between
     /// (`crate::visibility::sparse`). 0: they are found everywhere.
     pub sample_spacing: f32,
+    /// Triangles in which interpolation is checked once a scene is baked, about; at least 1.
+    pub probes: usize,
     /// Edges are cut further where interpolated visibility is off by more than this, radians
     /// (`crate::mesh::refine::Bound::error`, at a length of 0.02 of the diagonal); infinite
     /// for nowhere. A scene file may set its own.
@@ -62,7 +67,9 @@ impl Options {
             max_tiles: 2,
             aim: 0.02,
             max_edge: 0.08,
+            least_vertices: 32_768,
             sample_spacing: 0.008,
+            probes: 512,
             refine_error: f32::INFINITY,
             transfer: transfer::Options::draft(),
             ..Self::standard()
@@ -82,7 +89,9 @@ impl Options {
             max_bytes: None,
             global_rank: 24,
             max_edge: 0.02,
+            least_vertices: 0,
             sample_spacing: 0.0,
+            probes: 2048,
             refine_error: f32::INFINITY,
             max_vertices: 1_000_000,
             transfer: transfer::Options::standard(),
@@ -153,6 +162,9 @@ impl Options {
                 "a fraction of the diagonal below 1".into(),
                 self.sample_spacing.to_string(),
             );
+        }
+        if self.probes == 0 {
+            return wrong("probes", "at least 1".into(), "0".into());
         }
         let positive = [
             self.distance_clamp,

@@ -136,19 +136,17 @@ fn spread(
         let away = origin.distance(positions[vertex as usize]);
         moved[place as usize] |= away > MOVED * ray_offset;
     }
-    let sparse = |factor: f32, smooth, along_edges| {
+    let sparse = |factor: f32, smooth| {
         let spacing = Spacing {
             distances: spacings.iter().map(|spacing| factor * spacing).collect(),
             smooth,
-            along_edges,
         };
-        let kept = |place: u32| moved[place as usize];
-        Sparse::new(&places.origins, &places.corners, &spacing, kept)
+        let touched = |place: u32| moved[place as usize];
+        Sparse::new(&places.origins, &places.corners, &spacing, touched)
     };
-    // What is seen from a corner, an edge or a face beside it differs; light that bounces does little.
     let (seen, light) = rayon::join(
-        || sparse(1.0, SMOOTH, false),
-        || sparse(LIGHT_SPACING, LIGHT_SMOOTH, true),
+        || sparse(1.0, SMOOTH),
+        || sparse(LIGHT_SPACING, LIGHT_SMOOTH),
     );
     [seen, light]
 }
@@ -421,7 +419,8 @@ impl<'a> Prepared<'a> {
         if !self.kept.is_empty() {
             self.sample_kept(&sources)?;
             (self.counters.known).fetch_add(places.len() as u64, Ordering::Relaxed);
-            return Ok(self.interpolated(places, |source| self.kept.ssdf(source)));
+            let ssdf = |source| self.kept.ssdf(source).expect("it was sampled just now");
+            return Ok(self.interpolated(places, ssdf));
         }
         let sampled = memory::used(texels * sources.len());
         let mut sampled = DMatrix::from_vec(texels, sources.len(), sampled);
@@ -441,26 +440,20 @@ impl<'a> Prepared<'a> {
             return Ok(sampled);
         }
         let ssdfs = self.interpolated(places, |source| {
-            let source = sources.binary_search(&source).ok()?;
-            Some(column(&sampled, source))
+            column(&sampled, sources.partition_point(|&other| other < source))
         });
         memory::keep(sampled);
         Ok(ssdfs)
     }
 
     /// SSDFs of places by those of the places that stand for them.
-    fn interpolated<'s>(
-        &self,
-        places: &[u32],
-        ssdf: impl Fn(u32) -> Option<&'s [f32]>,
-    ) -> DMatrix<f32> {
+    fn interpolated<'s>(&self, places: &[u32], ssdf: impl Fn(u32) -> &'s [f32]) -> DMatrix<f32> {
         let texels = (self.options.basis_resolution as usize).pow(2);
         let mut ssdfs = memory::zeros(texels, places.len());
         let columns = ssdfs.as_mut_slice().chunks_exact_mut(texels);
         for (column, &place) in columns.zip(places) {
             for &(source, weight) in self.sparse.sources(place) {
-                let ssdf = ssdf(source).unwrap_or_default();
-                (column.iter_mut().zip(ssdf)).for_each(|(sum, x)| *sum += weight * x);
+                (column.iter_mut().zip(ssdf(source))).for_each(|(sum, x)| *sum += weight * x);
             }
         }
         ssdfs

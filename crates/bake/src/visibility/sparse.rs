@@ -4,11 +4,11 @@
 //! Scans have vertices far closer together than visibility needs. Places are sampled so far apart that each of the
 //! others has some within a given way along the surface; those around it stand for it, weighted so that
 //! what changes linearly over the surface comes out right (moving least squares: Lancaster & Salkauskas 1981).
-//! Where other surfaces touch, every place is sampled; on borders and creases too, or else those there stand for each
-//! other alone.
+//! Those on borders and creases, and those where other surfaces touch, stand for each other and for what is beside them, but
+//! nothing beside them stands for them.
 
 use std::cmp::Ordering;
-use std::collections::{BinaryHeap, HashMap};
+use std::collections::BinaryHeap;
 
 use glam::{DMat3, DVec3, Vec3};
 
@@ -39,8 +39,6 @@ pub(crate) struct Spacing {
     /// Cosine between the normals of a place and of what stands for it, and between those of triangles that
     /// make no crease, at least.
     pub smooth: f32,
-    /// Whether places on borders and creases stand for others there.
-    pub along_edges: bool,
 }
 
 impl Sparse {
@@ -52,24 +50,23 @@ impl Sparse {
         }
     }
 
-    /// Sampled places are at most about `spacing` apart. `triangles` have places for corners; `kept`
-    /// says which are sampled in any case.
+    /// Sampled places are at most about `spacing` apart. `triangles` have places for corners; `touched`
+    /// says at which of them other surfaces touch.
     pub(crate) fn new(
         origins: &[Vec3],
         triangles: &[[u32; 3]],
         spacing: &Spacing,
-        kept: impl Fn(u32) -> bool,
+        touched: impl Fn(u32) -> bool,
     ) -> Self {
-        let surface = Surface::new(origins, triangles, spacing.smooth);
+        let surface = Surface::new(origins, triangles, spacing.smooth, touched);
         let mut reached: Vec<Vec<(f32, u32)>> = vec![Vec::new(); origins.len()];
         let mut covered = vec![false; origins.len()];
         let mut sampled = vec![false; origins.len()];
-        let mut walk = Walk::default();
+        let mut walk = Walk::new(origins.len());
         let (first, others): (Vec<u32>, Vec<u32>) =
-            (0..origins.len() as u32).partition(|&place| surface.is_edge(place) || kept(place));
+            (0..origins.len() as u32).partition(|&place| surface.kind(place) != PLAIN);
         for place in first.into_iter().chain(others) {
-            let edge = surface.is_edge(place);
-            if covered[place as usize] && !kept(place) && (!edge || spacing.along_edges) {
+            if covered[place as usize] {
                 continue;
             }
             sampled[place as usize] = true;
@@ -79,12 +76,12 @@ impl Sparse {
                 reached[other as usize].push((way, place));
             };
             walk.over_faces(&surface, place, REACH * distance, |other, way| {
-                if !(spacing.along_edges && surface.is_edge(other)) {
+                if surface.kind(other) == PLAIN {
                     visit(other, way);
                 }
             });
-            if edge && spacing.along_edges {
-                walk.along_edges(&surface, place, REACH * distance, visit);
+            if surface.kind(place) != PLAIN {
+                walk.over_kind(&surface, place, REACH * distance, visit);
             }
         }
         let mut sparse = Self {
@@ -169,6 +166,14 @@ fn weights(
         .collect()
 }
 
+/// What a place is on: nothing of note, or one of the others or both.
+type Kind = u8;
+const PLAIN: Kind = 0;
+/// A border or a crease.
+const EDGE: Kind = 1;
+/// Another surface.
+const TOUCHED: Kind = 2;
+
 /// Places with their neighbours.
 struct Surface<'a> {
     origins: &'a [Vec3],
@@ -177,53 +182,65 @@ struct Surface<'a> {
     /// Where each place's begin in `neighbours`.
     first: Vec<u32>,
     neighbours: Vec<u32>,
-    /// On a border or a crease.
-    edges: Vec<bool>,
+    /// What each place is on.
+    kinds: Vec<Kind>,
     smooth: f32,
 }
 
 impl<'a> Surface<'a> {
-    fn new(origins: &'a [Vec3], triangles: &[[u32; 3]], smooth: f32) -> Self {
+    fn new(
+        origins: &'a [Vec3],
+        triangles: &[[u32; 3]],
+        smooth: f32,
+        touched: impl Fn(u32) -> bool,
+    ) -> Self {
         let count = origins.len();
         let face = |triangle: &[u32; 3]| {
             let [a, b, c] = triangle.map(|place| origins[place as usize]);
             (b - a).cross(c - a)
         };
         let mut normals = vec![Vec3::ZERO; count];
-        let mut sides: HashMap<[u32; 2], u32> = HashMap::with_capacity(2 * count);
+        let mut ends: Vec<[u32; 2]> = Vec::with_capacity(3 * triangles.len());
         for triangle in triangles {
             for k in 0..3 {
                 normals[triangle[k] as usize] += face(triangle);
                 let [a, b] = [triangle[k], triangle[(k + 1) % 3]];
-                *sides.entry([a.min(b), a.max(b)]).or_default() += 1;
+                ends.push([a.min(b), a.max(b)]);
             }
         }
         for normal in &mut normals {
             *normal = normal.normalize_or_zero();
         }
-        let mut edges = vec![false; count];
+        let mut kinds: Vec<Kind> = (0..count as u32)
+            .map(|place| if touched(place) { TOUCHED } else { PLAIN })
+            .collect();
         for triangle in triangles {
             let face = face(triangle).normalize_or_zero();
             for &place in triangle {
-                edges[place as usize] |= normals[place as usize].dot(face) < smooth;
+                if normals[place as usize].dot(face) < smooth {
+                    kinds[place as usize] |= EDGE;
+                }
             }
         }
-        let mut sides: Vec<([u32; 2], u32)> = sides.into_iter().collect();
-        sides.sort_unstable();
+        ends.sort_unstable();
+        let sides = || ends.chunk_by(|a, b| a == b);
         let mut first = vec![0u32; count + 1];
-        for ([a, b], triangles) in &sides {
-            for place in [*a, *b] {
+        for side in sides() {
+            for place in side[0] {
                 first[place as usize + 1] += 1;
-                edges[place as usize] |= *triangles != 2;
+                if side.len() != 2 {
+                    kinds[place as usize] |= EDGE;
+                }
             }
         }
         for place in 0..count {
             first[place + 1] += first[place];
         }
         let mut next = first.clone();
-        let mut neighbours = vec![0; 2 * sides.len()];
-        for ([a, b], _) in &sides {
-            for [from, to] in [[*a, *b], [*b, *a]] {
+        let mut neighbours = vec![0; first[count] as usize];
+        for side in sides() {
+            let [a, b] = side[0];
+            for [from, to] in [[a, b], [b, a]] {
                 let at = &mut next[from as usize];
                 neighbours[*at as usize] = to;
                 *at += 1;
@@ -234,13 +251,13 @@ impl<'a> Surface<'a> {
             normals,
             first,
             neighbours,
-            edges,
+            kinds,
             smooth,
         }
     }
 
-    fn is_edge(&self, place: u32) -> bool {
-        self.edges[place as usize]
+    fn kind(&self, place: u32) -> Kind {
+        self.kinds[place as usize]
     }
 
     fn neighbours(&self, place: u32) -> &[u32] {
@@ -274,13 +291,22 @@ impl PartialOrd for Step {
 }
 
 /// Shortest ways along edges (Dijkstra 1959), and what they need.
-#[derive(Default)]
 struct Walk {
     ahead: BinaryHeap<Step>,
-    ways: HashMap<u32, f32>,
+    /// To every place, infinite to those that are not known.
+    ways: Vec<f32>,
+    known: Vec<u32>,
 }
 
 impl Walk {
+    fn new(places: usize) -> Self {
+        Self {
+            ahead: BinaryHeap::new(),
+            ways: vec![f32::INFINITY; places],
+            known: Vec::new(),
+        }
+    }
+
     /// Visits the places within `reach` of one, over smooth surface alone, itself first.
     fn over_faces(
         &mut self,
@@ -290,20 +316,20 @@ impl Walk {
         visit: impl FnMut(u32, f32),
     ) {
         // Beyond a crease or a border the surface goes on as another.
-        let goes_on = |place: u32| place == start || !surface.is_edge(place);
+        let goes_on = |place: u32| place == start || surface.kind(place) == PLAIN;
         self.walk(surface, (start, reach), goes_on, |_| true, visit);
     }
 
-    /// The same along borders and creases, on one of which it starts.
-    fn along_edges(
+    /// The same over what is of the kind that it starts on.
+    fn over_kind(
         &mut self,
         surface: &Surface,
         start: u32,
         reach: f32,
         visit: impl FnMut(u32, f32),
     ) {
-        let is_edge = |place: u32| surface.is_edge(place);
-        self.walk(surface, (start, reach), |_| true, is_edge, visit);
+        let alike = |place: u32| surface.kind(place) == surface.kind(start);
+        self.walk(surface, (start, reach), |_| true, alike, visit);
     }
 
     fn walk(
@@ -314,15 +340,13 @@ impl Walk {
         is_open: impl Fn(u32) -> bool,
         mut visit: impl FnMut(u32, f32),
     ) {
-        self.ways.clear();
-        self.ways.insert(start, 0.0);
-        self.ahead.push(Step {
-            way: 0.0,
-            place: start,
-        });
+        for place in self.known.drain(..) {
+            self.ways[place as usize] = f32::INFINITY;
+        }
+        self.reach(start, 0.0);
         let normal = surface.normals[start as usize];
         while let Some(Step { way, place }) = self.ahead.pop() {
-            if self.ways[&place] < way {
+            if self.ways[place as usize] < way {
                 continue;
             }
             visit(place, way);
@@ -332,16 +356,20 @@ impl Walk {
             for &next in surface.neighbours(place) {
                 let [from, to] = [place, next].map(|place| surface.origins[place as usize]);
                 let way = way + from.distance(to);
-                let known = self.ways.get(&next).copied().unwrap_or(f32::INFINITY);
                 if is_open(next)
-                    && way < reach.min(known)
+                    && way < reach.min(self.ways[next as usize])
                     && surface.normals[next as usize].dot(normal) >= surface.smooth
                 {
-                    self.ways.insert(next, way);
-                    self.ahead.push(Step { way, place: next });
+                    self.reach(next, way);
                 }
             }
         }
+    }
+
+    fn reach(&mut self, place: u32, way: f32) {
+        self.ways[place as usize] = way;
+        self.known.push(place);
+        self.ahead.push(Step { way, place });
     }
 }
 
@@ -354,7 +382,6 @@ mod tests {
         Spacing {
             distances: vec![distance; origins.len()],
             smooth: 0.9,
-            along_edges: false,
         }
     }
 
@@ -397,7 +424,7 @@ mod tests {
     }
 
     #[test]
-    fn creases_are_sampled_and_not_crossed() {
+    fn creases_are_not_crossed() {
         let (origins, triangles) = grid(20, |x, _| x.abs_diff(10) as f32);
         let sparse = Sparse::new(&origins, &triangles, &spacing(5.0, &origins), |place| {
             place == 30
@@ -407,9 +434,7 @@ mod tests {
         assert!(sampled.len() < 220, "{}", sampled.len());
         for place in 0..count {
             let at = origins[place as usize];
-            if at.x == 10.0 || place == 30 {
-                assert!(sampled.contains(&place));
-            }
+            assert!(place != 30 || sampled.contains(&place));
             for &(source, _) in sparse.sources(place) {
                 let other = origins[source as usize];
                 assert!((at.x - 10.0) * (other.x - 10.0) >= 0.0, "{at} {other}");
@@ -421,11 +446,9 @@ mod tests {
     fn places_on_edges_stand_for_others_there_alone() {
         let n = 40;
         let (origins, triangles) = grid(n, |x, _| x.abs_diff(20) as f32);
-        let along = Spacing {
-            along_edges: true,
-            ..spacing(5.0, &origins)
-        };
-        let sparse = Sparse::new(&origins, &triangles, &along, |place| place == 25);
+        let sparse = Sparse::new(&origins, &triangles, &spacing(5.0, &origins), |place| {
+            place == 25
+        });
         let count = origins.len() as u32;
         let sampled = sampled(&sparse, count);
         assert!(sampled.contains(&25));

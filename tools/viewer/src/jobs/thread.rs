@@ -340,6 +340,10 @@ fn bake_stage(
         Quality::Standard => scene::Options::standard(),
         Quality::High => scene::Options::high(),
     };
+    if quality == Quality::Draft && !is_last {
+        // What follows is finer.
+        options.least_vertices = 0;
+    }
     if quality > Quality::Draft {
         // As `bake scene` does.
         options.transfer.bounces = None;

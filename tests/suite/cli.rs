@@ -36,6 +36,7 @@ pub fn trials() -> Vec<Trial> {
         ),
         Trial::test("cli::budget", budget),
         Trial::test("cli::refine_error", refine_error),
+        Trial::test("cli::small_drafts", small_drafts),
         Trial::test("cli::environment", environment),
         Trial::test("cli::layered_material", layered_material),
         Trial::test("cli::broken_table", broken_table),
@@ -235,6 +236,31 @@ fn refine_error() -> Outcome {
         warnings
             .iter()
             .any(|w| w.as_str().is_some_and(|w| w.contains("600")))
+    );
+    Ok(())
+}
+
+/// Drafts of few vertices are divided to edges of a quarter of the longest, but to no more vertices than are allowed;
+/// where that stops is nothing to warn of.
+fn small_drafts() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let (mesh, asset) = (folder.path().join("a.obj"), folder.path().join("a.relight"));
+    std::fs::write(&mesh, sphere_over_ground(12))?;
+    let vertices = |arguments: &[&str]| -> Result<u64, Failed> {
+        let arguments = [&["--max-edge", "0.2"], arguments].concat();
+        let summary = summary(&mesh, &asset, &arguments)?;
+        let warnings = summary["warnings"].as_array().expect("a list");
+        let warns = |w: &Value| w.as_str().is_some_and(|w| w.contains("stopped"));
+        assert!(!warnings.iter().any(warns), "{summary}");
+        Ok(summary["vertices"].as_u64().expect("a number"))
+    };
+    let standard = vertices(&[])?;
+    let most = (standard + 500).to_string();
+    let bounded = vertices(&["--preset", "draft", "--max-vertices", &most])?;
+    let draft = vertices(&["--preset", "draft"])?;
+    assert!(
+        standard < bounded && bounded < draft,
+        "{standard}, {bounded}, {draft}"
     );
     Ok(())
 }

@@ -66,7 +66,7 @@ impl Kept {
         }
     }
 
-    /// How many places were sampled.
+    /// How many places were sampled: for the choice of an aim, too.
     pub(super) fn sampled(&self) -> usize {
         let groups = self.ssdfs.iter().filter_map(OnceLock::get);
         groups.map(|group| group.len() / self.texels).sum()

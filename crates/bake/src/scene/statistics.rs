@@ -10,7 +10,7 @@ pub struct Statistics {
     pub stages: Vec<(&'static str, Duration)>,
     /// Rays cast, without those that only verify.
     pub rays: u64,
-    /// Places sampled; those that chunks share count for each.
+    /// Places sampled; those that chunks share count for each, but not in drafts, which sample them once.
     pub sampled_vertices: u64,
     /// Points between vertices where interpolation was checked.
     pub probes: u64,

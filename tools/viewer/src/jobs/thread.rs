@@ -336,14 +336,14 @@ fn bake_stage(
     context: &Context,
 ) -> anyhow::Result<()> {
     let mut options = match quality {
-        Quality::Draft => scene::Options::draft(),
+        Quality::Draft => scene::Options {
+            // Soon: what follows is finer.
+            least_vertices: 0,
+            ..scene::Options::draft()
+        },
         Quality::Standard => scene::Options::standard(),
         Quality::High => scene::Options::high(),
     };
-    if quality == Quality::Draft && !is_last {
-        // What follows is finer.
-        options.least_vertices = 0;
-    }
     if quality > Quality::Draft {
         // As `bake scene` does.
         options.transfer.bounces = None;

@@ -47,6 +47,18 @@ macro_rules! vectorised {
 }
 pub(crate) use vectorised;
 
+/// Adds values times a factor to sums, as many as there are of both.
+pub(crate) fn add_scaled(sums: &mut [f32], values: &[f32], factor: f32) {
+    vectorised!(
+        <'a> sums: &'a mut [f32] = sums, values: &'a [f32] = values, factor: f32 = factor
+        => () {
+            for (sum, x) in sums.iter_mut().zip(values) {
+                *sum += factor * x;
+            }
+        }
+    );
+}
+
 /// What [`VARIABLE`] asks for, or the widest; what is there instead if this processor or
 /// build has no such instructions.
 pub fn chosen() -> Result<Arch, String> {

@@ -14,7 +14,7 @@ use super::sample::Prepared;
 use super::statistics::add_time;
 use crate::compress::column;
 use crate::monitor::Interrupted;
-use crate::simd::vectorised;
+use crate::simd::add_scaled;
 use crate::ssdf;
 use crate::transfer::compress::{Compressed, compress};
 use crate::transfer::gather::Receiver;
@@ -111,15 +111,7 @@ impl Prepared<'_> {
                 let mut sum = vec![0.0; outputs[0].len()];
                 for &(source, weight) in stand {
                     let source = sources.partition_point(|&other| other < source);
-                    vectorised!(
-                        <'a>
-                        sum: &'a mut [f32] = &mut sum,
-                        from: &'a [f32] = &outputs[source],
-                        weight: f32 = weight
-                        => () {
-                            sum.iter_mut().zip(from).for_each(|(sum, x)| *sum += weight * x);
-                        }
-                    );
+                    add_scaled(&mut sum, &outputs[source], weight);
                 }
                 sum
             };

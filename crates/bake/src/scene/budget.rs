@@ -9,6 +9,7 @@ use relight_format::{self as format, VisibilityErrors};
 use super::assemble::{Cluster, assemble};
 use super::bounce::ChunkLight;
 use super::error::Error;
+use super::options::Options;
 use super::plan::columns;
 use super::sample::Prepared;
 use super::surface::{ErrorSums, Probe};
@@ -23,9 +24,8 @@ const CLOSE: f32 = 1.05;
 /// Standard errors by which the estimated size of a whole scene stays below the one asked
 /// for: one bake in twenty may end above it.
 const SURE: f32 = 1.65;
-/// One triangle of so many is probed, and of a draft's, of which errors are larger and need not be known as well.
+/// One triangle of so many is probed.
 const PROBE_STEP: u32 = 4;
-const DRAFT_PROBE_STEP: u32 = 16;
 /// An error on the surface that compression can keep, in errors of interpolation.
 const LEAST_OVER_INTERPOLATION: f32 = 1.1;
 /// Without an error or a size asked for one chunk of so many tells of interpolation.
@@ -66,10 +66,9 @@ pub(super) struct Chosen {
 pub(super) fn default_aim(prepared: &Prepared) -> Result<f32, Error> {
     let chunks = &prepared.chunks;
     let count = (chunks.len() / CHUNKS_A_TRIAL).min(ERROR_CHUNKS);
-    let step = match prepared.options.sample_spacing {
-        0.0 => PROBE_STEP,
-        _ => DRAFT_PROBE_STEP,
-    };
+    // Where fewer are enough in the end, fewer are here.
+    let fewer = (Options::standard().probes / prepared.options.probes).max(1);
+    let step = PROBE_STEP * fewer as u32;
     let mut errors = ErrorSums::default();
     for chunk in spread(chunks.len(), count) {
         let vertices = prepared.vertices_of(&chunks[chunk]);
@@ -299,7 +298,6 @@ mod tests {
     use crate::import::plain_material;
     use crate::mesh::{Mesh, Triangle, Vertex};
     use crate::monitor::SILENT;
-    use crate::scene::Options;
 
     /// Looks for the aim that gives 0 with at most `TRIALS` trials.
     fn search(expected: f32, miss: impl Fn(f32) -> f32) -> f32 {

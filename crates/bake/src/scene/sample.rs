@@ -17,6 +17,7 @@ use crate::memory;
 use crate::mesh::size::SizeFunction;
 use crate::mesh::{Mesh, cluster};
 use crate::monitor::{Interrupted, Monitor};
+use crate::simd::add_scaled;
 use crate::ssdf::{Sampled, Sampler};
 use crate::transfer::gather::Gathered;
 use crate::transfer::radiosity::Radiosity;
@@ -453,7 +454,7 @@ impl<'a> Prepared<'a> {
         let columns = ssdfs.as_mut_slice().chunks_exact_mut(texels);
         for (column, &place) in columns.zip(places) {
             for &(source, weight) in self.sparse.sources(place) {
-                (column.iter_mut().zip(ssdf(source))).for_each(|(sum, x)| *sum += weight * x);
+                add_scaled(column, ssdf(source), weight);
             }
         }
         ssdfs

@@ -14,6 +14,7 @@ use relight_shading::octahedral;
 use super::sample::Prepared;
 use crate::compress::{Compressed, Normal, Weighting, column};
 use crate::monitor::Interrupted;
+use crate::simd::add_scaled;
 use crate::visibility::ray::Crossing;
 
 /// Rays per side of the map that tells whether a point lies inside of something.
@@ -75,9 +76,7 @@ impl ErrorSums {
         let squared_error = |(ssdfs, columns): (&DMatrix<f32>, &[usize])| {
             let mut found = vec![0.0; probe.exact.len()];
             for (index, weight) in columns.iter().zip(probe.weights) {
-                for (found, value) in found.iter_mut().zip(column(ssdfs, *index)) {
-                    *found += weight * value;
-                }
+                add_scaled(&mut found, column(ssdfs, *index), weight);
             }
             f64::from(weighting.squared_displacement(&found, &probe.exact, probe.normal))
         };

@@ -9,7 +9,7 @@
 use glam::{Mat3, Vec3};
 
 use super::gather::{Gathered, Receiver};
-use crate::simd::vectorised;
+use crate::simd::add_scaled;
 
 /// Most that a neighbour may differ by: how far away it is, over the distance of what sends light, plus how much it is
 /// turned (Ward et al., equation 5).
@@ -41,17 +41,7 @@ pub(crate) fn smoothed(receivers: &[Receiver], gathered: &[Gathered]) -> Vec<Vec
             }
             let mut sum = vec![0.0; own.len()];
             for (neighbour, part) in parts {
-                vectorised!(
-                    <'a>
-                    sum: &'a mut [f32] = &mut sum,
-                    other: &'a [f32] = &gathered[neighbour].outputs,
-                    part: f32 = part
-                    => () {
-                        for (sum, x) in sum.iter_mut().zip(other) {
-                            *sum += part * x;
-                        }
-                    }
-                );
+                add_scaled(&mut sum, &gathered[neighbour].outputs, part);
             }
             sum
         })

@@ -480,6 +480,35 @@ mod tests {
     }
 
     #[test]
+    fn touched_places_stand_for_others_there_alone() {
+        let n = 40;
+        let (origins, triangles) = grid(n, |_, _| 0.0);
+        // A strip within, wider than a line.
+        let touched = |place: u32| {
+            let at = origins[place as usize];
+            (18.0..=22.0).contains(&at.z) && (1.0..=39.0).contains(&at.x)
+        };
+        let sparse = Sparse::new(&origins, &triangles, &spacing(5.0, &origins), touched);
+        let count = origins.len() as u32;
+        let sampled = sampled(&sparse, count);
+        let (mut strip, mut few, mut beside) = (0, 0, 0);
+        for place in 0..count {
+            let sources = sparse.sources(place);
+            if touched(place) {
+                strip += 1;
+                few += usize::from(sampled.contains(&place));
+                assert!(sources.iter().all(|&(source, _)| touched(source)));
+            } else {
+                beside += usize::from(sources.iter().any(|&(source, _)| touched(source)));
+            }
+        }
+        assert_eq!(strip, 39 * 5);
+        assert!(few < strip / 4, "{few} of {strip}");
+        // They stand for what lies beside them, too.
+        assert!(beside > 39, "{beside}");
+    }
+
+    #[test]
     fn coarse_meshes_are_sampled_everywhere() {
         let (origins, triangles) = grid(10, |_, _| 0.0);
         let count = origins.len();

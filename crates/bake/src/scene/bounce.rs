@@ -14,9 +14,8 @@ use super::sample::Prepared;
 use super::statistics::add_time;
 use crate::compress::column;
 use crate::monitor::Interrupted;
-use crate::simd::add_scaled;
 use crate::ssdf;
-use crate::transfer::compress::{Compressed, compress};
+use crate::transfer::compress::{Compressed, Receivers, compress};
 use crate::transfer::gather::Receiver;
 use crate::transfer::smooth::smoothed;
 
@@ -82,7 +81,7 @@ impl Prepared<'_> {
             (self.counters.bounce_rays).fetch_add(gathered.cast, Ordering::Relaxed);
             gathered
         };
-        let stand: Vec<Vec<(u32, f32)>> = (vertices.iter())
+        let mut stand: Vec<Vec<(u32, f32)>> = (vertices.iter())
             .map(|&vertex| self.gathered_for(vertex))
             .collect();
         let mut sources: Vec<u32> = stand.iter().flatten().map(|source| source.0).collect();
@@ -106,17 +105,6 @@ impl Prepared<'_> {
         for (outputs, gathered) in outputs.iter_mut().zip(&gathered) {
             radiosity.add_irradiance(outputs, &gathered.lamps);
         }
-        if sources != vertices {
-            let mixed = |stand: &Vec<(u32, f32)>| {
-                let mut sum = vec![0.0; outputs[0].len()];
-                for &(source, weight) in stand {
-                    let source = sources.partition_point(|&other| other < source);
-                    add_scaled(&mut sum, &outputs[source], weight);
-                }
-                sum
-            };
-            outputs = stand.iter().map(mixed).collect();
-        }
         let normals: Vec<Vec3> = vertices
             .iter()
             .map(|vertex| receiver(vertex).normal)
@@ -124,7 +112,16 @@ impl Prepared<'_> {
         let shared: Vec<bool> = (vertices.iter())
             .map(|&vertex| self.shared[self.places[vertex as usize] as usize])
             .collect();
-        let light = compress(&outputs, &normals, &shared, if mirror { 7 } else { 3 });
+        // By their places in what was gathered.
+        for (source, _) in stand.iter_mut().flatten() {
+            *source = sources.partition_point(|other| other < source) as u32;
+        }
+        let receivers = Receivers {
+            sources: &stand,
+            normals: &normals,
+            shared: &shared,
+        };
+        let light = compress(&outputs, &receivers, if mirror { 7 } else { 3 });
         add_time(&self.counters.bounce_nanoseconds, start);
         Ok(Some(ChunkLight { vertices, light }))
     }

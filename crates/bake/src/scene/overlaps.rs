@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use crate::mesh::Mesh;
-use crate::visibility::places::sees;
+use crate::visibility::places::Occluders;
 use crate::visibility::ray::RayCaster;
 
 /// Most triangles that are looked at.
@@ -20,7 +20,7 @@ pub(super) fn warning(mesh: &Mesh, caster: &RayCaster) -> Option<String> {
     let height = SAME_HEIGHT * mesh.diagonal();
     let step = mesh.triangles.len().div_ceil(PROBES).max(1);
     let probed: Vec<(f64, bool)> = (mesh.triangles.par_iter().step_by(step))
-        .map(|triangle| {
+        .map_init(Occluders::new, |occluders, triangle| {
             let [a, b, c] = mesh.corners(triangle);
             let across = (b - a).cross(c - a);
             let normal = across.normalize_or_zero();
@@ -35,8 +35,9 @@ pub(super) fn warning(mesh: &Mesh, caster: &RayCaster) -> Option<String> {
                 })
             };
             // Of what stands on a floor the bottom is never seen from within, and seldom from below.
-            let sees_both_ways = || {
-                sees(caster, above, normal) && sees(caster, above - 2.0 * height * normal, -normal)
+            let mut sees_both_ways = || {
+                occluders.see(caster, above, normal)
+                    && occluders.see(caster, above - 2.0 * height * normal, -normal)
             };
             let overlaps = there_is(false, 1.0) && (!there_is(true, -1.0) || sees_both_ways());
             (f64::from(across.length()), overlaps)

@@ -5,7 +5,7 @@
 //! the edge of a chunk, which its neighbours have too, count for more, and so does irradiance along the chunk's normals.
 
 use glam::{Mat3, Vec3};
-use nalgebra::{DMatrix, Matrix3};
+use nalgebra::{DMatrix, DVector, Matrix3};
 use relight_format::MAX_TRANSFER_RANK;
 
 use super::radiosity::hash;
@@ -80,15 +80,48 @@ pub struct ClusterTransfer {
     pub weights: Vec<i8>,
 }
 
-/// Compresses the outputs of vertices with such normals, each of `outputs` blocks of equal length. Errors of those that
-/// other chunks have as well count for more: they are seen as edges.
+/// Vertices whose light is compressed together.
+pub(crate) struct Receivers<'a> {
+    /// Of every vertex, what stands for it, as places in what was gathered, with weights that add up to 1.
+    pub sources: &'a [Vec<(u32, f32)>],
+    /// Shading normals, unit length.
+    pub normals: &'a [Vec3],
+    /// Whether other chunks have each as well: errors of those count for more, they are seen as edges.
+    pub shared: &'a [bool],
+}
+
+impl Receivers<'_> {
+    /// For how many vertices each of what was gathered stands, where one that is shared counts for so many.
+    fn masses(&self, gathered: usize, of_shared: f32) -> Vec<f32> {
+        let mut masses = vec![0.0; gathered];
+        for (sources, &shared) in self.sources.iter().zip(self.shared) {
+            let count = if shared { of_shared } else { 1.0 };
+            for &(source, weight) in sources {
+                masses[source as usize] += count * weight;
+            }
+        }
+        // Single weights may be less than nothing.
+        masses.iter_mut().for_each(|mass| *mass = mass.max(0.0));
+        masses
+    }
+
+    /// A number of every vertex, by those of what was gathered.
+    fn mixed(&self, of_gathered: &[f32]) -> Vec<f32> {
+        let mix = |sources: &Vec<(u32, f32)>| -> f32 {
+            let parts = sources.iter();
+            (parts.map(|&(source, weight)| weight * of_gathered[source as usize])).sum()
+        };
+        self.sources.iter().map(mix).collect()
+    }
+}
+
+/// Compresses the outputs of vertices by what was `gathered` for them, each of `outputs` blocks of equal length.
 pub(crate) fn compress(
-    vertices: &[Vec<f32>],
-    normals: &[Vec3],
-    shared: &[bool],
+    gathered: &[Vec<f32>],
+    vertices: &Receivers,
     outputs: usize,
 ) -> Compressed {
-    let length = vertices.first().map_or(0, Vec::len);
+    let length = gathered.first().map_or(0, Vec::len);
     let block = length / outputs.max(1);
     let factor = |row: usize| {
         if row / block.max(1) < IRRADIANCE_OUTPUTS {
@@ -97,25 +130,24 @@ pub(crate) fn compress(
             1.0
         }
     };
-    let mut samples = DMatrix::from_fn(length, vertices.len(), |row, column| {
-        vertices[column][row] * factor(row)
-    });
-    let metric = Metric::new(normals);
+    let factors: Vec<f32> = (0..length).map(factor).collect();
+    let values = gathered.iter().flat_map(|values| values.iter().zip(&factors));
+    let values = values.map(|(value, factor)| value * factor).collect();
+    let mut samples = DMatrix::from_vec(length, gathered.len(), values);
+    let metric = Metric::new(vertices.normals);
     let along = IRRADIANCE_OUTPUTS * block;
     (samples.column_iter_mut()).for_each(|mut column| {
         Metric::apply(&metric.root, &mut column.as_mut_slice()[..along]);
     });
-    let squared = squares(&samples);
-    let counted = counted(&samples);
-    let mean = samples.column_mean();
-    for mut column in samples.column_iter_mut() {
-        column -= &mean;
-    }
+    let masses = vertices.masses(gathered.len(), 1.0);
+    let squares = weighed_squares(&samples, &masses);
+    let squared = squares.iter().map(|(square, mass)| square * mass).sum();
+    let counted = counted(squares);
+    let mean = subtract_mean(&mut samples, &masses);
     let mut weighed = samples.clone();
-    for (mut column, shared) in weighed.column_iter_mut().zip(shared) {
-        if *shared {
-            column *= SHARED;
-        }
+    let counts = vertices.masses(gathered.len(), SHARED * SHARED);
+    for (mut column, count) in weighed.column_iter_mut().zip(counts) {
+        column *= count.sqrt();
     }
     let components = principal(&weighed);
     let coefficients = product(&components.transpose(), &samples);
@@ -125,35 +157,32 @@ pub(crate) fn compress(
     } else {
         RELATIVE_GAIN
     };
-    let least =
-        (gain.powi(2) * counted).max(SKY_GAIN.powi(2) * SKY_SQUARED * vertices.len() as f64);
+    let sky_gain = SKY_GAIN.powi(2) * SKY_SQUARED * vertices.sources.len() as f64;
+    let least = (gain.powi(2) * counted).max(sky_gain);
     let stored = |mut row: Vec<f32>| {
         Metric::apply(&metric.inverse, &mut row[..along]);
         row
     };
     let mut rows = vec![stored(mean.as_slice().to_vec())];
-    let mut weights: Vec<Vec<i8>> = Vec::new();
+    // Of the vertices, and of what was gathered as if it were one.
+    let mut weights: Vec<[Vec<i8>; 2]> = Vec::new();
     let finest = 127.0 * WEIGHT_STEP * sky;
     let energy = |values: &[f32]| -> f64 { values.iter().map(|x| f64::from(x * x)).sum() };
     for (index, coefficients) in coefficients.row_iter().enumerate() {
-        let mut left: Vec<f32> = coefficients.iter().copied().collect();
-        if energy(&left) <= least {
+        let of_gathered: Vec<f32> = coefficients.iter().copied().collect();
+        let mut left = [vertices.mixed(&of_gathered), of_gathered];
+        if energy(&left[0]) <= least {
             break;
         }
         // Where one vertex is far brighter than others, their weights take finer steps in another row.
         let mut is_coarse = true;
-        while is_coarse && energy(&left) > least && weights.len() < MAX_TRANSFER_RANK as usize {
-            let brightest = left.iter().fold(0f32, |most, x| most.max(x.abs()));
+        while is_coarse && energy(&left[0]) > least && weights.len() < MAX_TRANSFER_RANK as usize {
+            let brightest = left[0].iter().fold(0f32, |most, x| most.max(x.abs()));
             is_coarse = brightest > finest;
             let largest = brightest.max(finest);
             let component = components.column(index);
             rows.push(stored(component.iter().map(|x| x * largest).collect()));
-            let quantised = left.iter_mut().map(|x| {
-                let weight = (*x / largest * 127.0).round();
-                *x -= weight * largest / 127.0;
-                weight as i8
-            });
-            weights.push(quantised.collect());
+            weights.push(left.each_mut().map(|left| quantised(left, largest)));
         }
     }
     let rank = weights.len();
@@ -168,20 +197,31 @@ pub(crate) fn compress(
         Metric::apply(&metric.root, &mut row[..along]);
     }
     let shown = DMatrix::from_fn(length, rank, |row, index| decoded[index + 1][row]);
-    let shares = DMatrix::from_fn(rank, vertices.len(), |index, column| {
-        f32::from(weights[index][column]) / 127.0
+    let shares = DMatrix::from_fn(rank, gathered.len(), |index, column| {
+        f32::from(weights[index][1][column]) / 127.0
     });
-    let shown = product(&shown, &shares);
-    for (shown, sample) in shown.column_iter().zip(samples.column_iter()) {
-        let of_mean = decoded[0].iter().zip(mean.iter());
-        for ((shown, sample), (decoded, mean)) in shown.iter().zip(sample.iter()).zip(of_mean) {
-            group.squared_error += f64::from(shown + (decoded - mean) - sample).powi(2);
-        }
+    let mut shown = product(&shown, &shares);
+    let mean = DVector::from_fn(length, |row, _| decoded[0][row] - mean[row]);
+    for (mut shown, sample) in shown.column_iter_mut().zip(samples.column_iter()) {
+        shown += &mean;
+        shown -= sample;
     }
-    let weights = (0..vertices.len())
-        .flat_map(|vertex| weights.iter().map(move |weights| weights[vertex]))
+    let errors = weighed_squares(&shown, &masses).into_iter();
+    group.squared_error = errors.map(|(square, mass)| square * mass).sum();
+    let weights = (0..vertices.sources.len())
+        .flat_map(|vertex| weights.iter().map(move |[weights, _]| weights[vertex]))
         .collect();
     Compressed { group, weights }
+}
+
+/// Numbers in steps of a 127th of the largest; leaves what is lost.
+fn quantised(values: &mut [f32], largest: f32) -> Vec<i8> {
+    let quantise = |x: &mut f32| {
+        let weight = (*x / largest * 127.0).round().clamp(-127.0, 127.0);
+        *x -= weight * largest / 127.0;
+        weight as i8
+    };
+    values.iter_mut().map(quantise).collect()
 }
 
 /// Puts rows into a group, whose outputs are times a factor by their first number; returns what is stored of them.
@@ -276,19 +316,38 @@ fn principal(samples: &DMatrix<f32>) -> DMatrix<f32> {
     product(&range, &turn)
 }
 
-/// Sum of the squares of the columns, each as if it were at most [`BRIGHTEST`] times that of the middle
-/// one: what is brighter by far, next to lamps, does not decide how the others look.
-fn counted(samples: &DMatrix<f32>) -> f64 {
-    let mut all: Vec<f64> = (samples.column_iter())
-        .map(|column| column.iter().map(|x| f64::from(*x) * f64::from(*x)).sum())
-        .collect();
-    all.sort_by(f64::total_cmp);
-    let most = BRIGHTEST * all.get(all.len() / 2).copied().unwrap_or(0.0);
-    all.iter().map(|square| square.min(most)).sum()
+/// Takes the mean of columns from each, which count so much; returns it.
+fn subtract_mean(samples: &mut DMatrix<f32>, masses: &[f32]) -> DVector<f32> {
+    let mut mean = DVector::zeros(samples.nrows());
+    let part = 1.0 / masses.iter().sum::<f32>().max(f32::MIN_POSITIVE);
+    for (column, mass) in samples.column_iter().zip(masses) {
+        mean.axpy(mass * part, &column, 1.0);
+    }
+    for mut column in samples.column_iter_mut() {
+        column -= &mean;
+    }
+    mean
 }
 
-fn squares(values: &DMatrix<f32>) -> f64 {
-    values.iter().map(|x| f64::from(*x) * f64::from(*x)).sum()
+/// Sum of the columns' squares, which count so much, each as if it were at most [`BRIGHTEST`] times that of the middle
+/// one: what is brighter by far, next to lamps, does not decide how the others look.
+fn counted(mut squares: Vec<(f64, f64)>) -> f64 {
+    squares.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let half = squares.iter().map(|(_, mass)| 0.5 * mass).sum::<f64>();
+    let mut below = 0.0;
+    let middle = squares.iter().find(|(_, mass)| {
+        below += mass;
+        below > half
+    });
+    let most = BRIGHTEST * middle.map_or(0.0, |(square, _)| *square);
+    (squares.iter().map(|(square, mass)| square.min(most) * mass)).sum()
+}
+
+/// The squares of columns, and what they count.
+fn weighed_squares(values: &DMatrix<f32>, masses: &[f32]) -> Vec<(f64, f64)> {
+    let square = |column: &[f32]| column.iter().map(|x| f64::from(*x) * f64::from(*x)).sum();
+    let columns = values.as_slice().chunks_exact(values.nrows().max(1));
+    (columns.map(square).zip(masses.iter().map(|&mass| f64::from(mass)))).collect()
 }
 
 #[cfg(test)]
@@ -313,7 +372,13 @@ mod tests {
                 .collect()
         };
         let vertices: Vec<_> = (0..200).map(vertex).collect();
-        let compressed = compress(&vertices, &[Vec3::Y; 200], &[false; 200], 3);
+        let sources: Vec<_> = (0..200).map(|vertex| vec![(vertex, 1.0)]).collect();
+        let receivers = Receivers {
+            sources: &sources,
+            normals: &[Vec3::Y; 200],
+            shared: &[false; 200],
+        };
+        let compressed = compress(&vertices, &receivers, 3);
         let Group {
             rank,
             squared_error,
@@ -329,7 +394,13 @@ mod tests {
 
     #[test]
     fn darkness_takes_no_components() {
-        let compressed = compress(&vec![vec![0.0; 12]; 5], &[Vec3::Y; 5], &[false; 5], 3);
+        let sources: Vec<_> = (0..5).map(|vertex| vec![(vertex, 1.0)]).collect();
+        let receivers = Receivers {
+            sources: &sources,
+            normals: &[Vec3::Y; 5],
+            shared: &[false; 5],
+        };
+        let compressed = compress(&vec![vec![0.0; 12]; 5], &receivers, 3);
         assert_eq!(compressed.group.rank, 0);
         assert_eq!(compressed.group.scales, [0.0; 3]);
         assert_eq!(compressed.group.squared_error, 0.0);

@@ -21,7 +21,7 @@ mod emerging;
 
 use super::ray::RayCaster;
 use emerging::Emerging;
-pub(crate) use emerging::sees;
+pub(crate) use emerging::Occluders;
 
 /// Triangles whose fronts enclose more than this, radians, are two sides of a thin thing.
 const THIN: f64 = 330.0 / 180.0 * std::f64::consts::PI;
@@ -69,13 +69,14 @@ impl Places {
         };
         let mut ends: Vec<Option<Vec3>> = (0..triangles.len())
             .into_par_iter()
-            .flat_map_iter(|triangle| {
+            .map_init(Occluders::new, |occluders, triangle| {
                 let around = |k: usize| {
                     let members = members.of(of[3 * triangle + k]).iter();
                     members.map(|&member| normals[member as usize / 3])
                 };
-                emerging(triangle).ends(around)
+                emerging(triangle).ends(around, occluders)
             })
+            .flatten_iter()
             .collect();
         let mut sums = vec![Vec3::ZERO; places];
         let mut starts = vec![Vec3::ZERO; places];
@@ -91,19 +92,21 @@ impl Places {
             .collect();
         // Where nothing is seen from, though no crossing tells so, the triangles may see something all the same.
         let dark: Vec<bool> = (origins.par_iter().zip(&sums))
-            .map(|(origin, sum)| *sum != Vec3::ZERO && !sees(caster, *origin, *sum))
+            .map_init(Occluders::new, |occluders, (origin, sum)| {
+                *sum != Vec3::ZERO && !occluders.see(caster, *origin, *sum)
+            })
             .collect();
-        let elsewhere = |(triangle, ends): (usize, &mut [Option<Vec3>])| {
+        let elsewhere = |occluders: &mut Occluders, (triangle, ends): (usize, &mut [Option<Vec3>])| {
             let is_dark = |k: &usize| ends[*k].is_none() && dark[of[3 * triangle + k] as usize];
             let corners: Vec<usize> = (0..3).filter(is_dark).collect();
             if normals[triangle] != Vec3::ZERO && !corners.is_empty() {
-                let from = emerging(triangle).seen_from();
+                let from = emerging(triangle).seen_from(occluders);
                 for k in corners {
                     ends[k] = from[k];
                 }
             }
         };
-        ends.par_chunks_exact_mut(3).enumerate().for_each(elsewhere);
+        (ends.par_chunks_exact_mut(3).enumerate()).for_each_init(Occluders::new, elsewhere);
         for place in 0..members.count() {
             let moved = members.of(place).iter();
             let mut moved: Vec<(Vec3, usize)> = moved

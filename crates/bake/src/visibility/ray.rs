@@ -105,6 +105,32 @@ impl RayCaster {
         })
     }
 
+    /// [`Self::any_hit`] that looks first at what an earlier ray met, most often one in about the same direction from
+    /// near by, and remembers what this one does. [`NOTHING`] for what none has met yet.
+    pub(crate) fn any_hit_as_before(
+        &self,
+        origin: Vec3,
+        direction: Vec3,
+        occluder: &mut u32,
+    ) -> bool {
+        if let Some(triangle) = self.triangles.get(*occluder as usize)
+            && intersect(triangle, origin.into(), direction.into()).is_some()
+        {
+            return true;
+        }
+        if self.triangles.is_empty() {
+            return false;
+        }
+        let ray = Ray::new_inf(origin.into(), direction.into());
+        !self.bvh.ray_traverse_miss(ray, |ray, index| {
+            let hit = intersect(&self.triangles[index], ray.origin, ray.direction);
+            if hit.is_some() {
+                *occluder = index as u32;
+            }
+            hit.map_or(f32::INFINITY, |(t, _)| t)
+        })
+    }
+
     /// [`Self::any_hit`] of the triangles, by their numbers in the slice given to [`Self::new`],
     /// that `counted` names.
     pub(crate) fn any_hit_of(
@@ -200,6 +226,9 @@ pub(crate) fn meets(triangle: [Vec3; 3], origin: Vec3, direction: Vec3) -> bool 
     )
     .is_some()
 }
+
+/// No triangle, where one is remembered.
+pub(crate) const NOTHING: u32 = u32::MAX;
 
 /// What is met from behind lies so much farther, a few steps of rounding.
 const BEHIND: f32 = 1.0 + 8.0 * f32::EPSILON;

@@ -3,7 +3,7 @@
 use glam::Vec3;
 use relight_shading::octahedral;
 
-use super::super::ray::{Crossing, RayCaster};
+use super::super::ray::{Crossing, NOTHING, RayCaster};
 
 /// How close to another surface a corner touches it, and how close to a position crossings
 /// may be of the surface that goes on there, in offsets.
@@ -24,18 +24,38 @@ const CENTRES: [[f32; 3]; 4] = [
 /// Rays per side of the map that tells how open a point lies.
 const EXPOSURE_RESOLUTION: u32 = 8;
 
-/// Of a few directions over the hemisphere about a normal, those that are open.
-fn open_rays(caster: &RayCaster, origin: Vec3, normal: Vec3) -> impl Iterator<Item = Vec3> {
-    let count = EXPOSURE_RESOLUTION;
-    let directions =
-        (0..count * count).map(move |i| octahedral::texel_direction(i % count, i / count, count));
-    directions
-        .filter(move |&direction| direction.dot(normal) > 0.0 && !caster.any_hit(origin, direction))
-}
+/// What was last met in each of a few directions: rays from the next place most often meet the same.
+#[derive(Clone)]
+pub(crate) struct Occluders([u32; (EXPOSURE_RESOLUTION * EXPOSURE_RESOLUTION) as usize]);
 
-/// Whether something is seen in a few directions over the hemisphere about a normal.
-pub(crate) fn sees(caster: &RayCaster, origin: Vec3, normal: Vec3) -> bool {
-    open_rays(caster, origin, normal).next().is_some()
+impl Occluders {
+    pub(crate) fn new() -> Self {
+        Self([NOTHING; _])
+    }
+
+    /// Of the directions over the hemisphere about a normal, those that are open.
+    fn open_rays(
+        &mut self,
+        caster: &RayCaster,
+        origin: Vec3,
+        normal: Vec3,
+    ) -> impl Iterator<Item = Vec3> {
+        let count = EXPOSURE_RESOLUTION;
+        let directions = (self.0.iter_mut().zip(0..)).map(move |(occluder, i)| {
+            let direction = octahedral::texel_direction(i % count, i / count, count);
+            (direction, occluder)
+        });
+        directions.filter_map(move |(direction, occluder)| {
+            let is_open = direction.dot(normal) > 0.0
+                && !caster.any_hit_as_before(origin, direction, occluder);
+            is_open.then_some(direction)
+        })
+    }
+
+    /// Whether something is seen in one of the directions over the hemisphere about a normal.
+    pub(crate) fn see(&mut self, caster: &RayCaster, origin: Vec3, normal: Vec3) -> bool {
+        self.open_rays(caster, origin, normal).next().is_some()
+    }
 }
 
 /// What lies on the way from a point of a triangle to one of its corners.
@@ -69,6 +89,7 @@ impl Emerging<'_> {
     pub(super) fn ends<I: Iterator<Item = Vec3>>(
         &self,
         around: impl Fn(usize) -> I,
+        occluders: &mut Occluders,
     ) -> [Option<Vec3>; 3] {
         if self.normal == Vec3::ZERO {
             return [None; 3];
@@ -81,14 +102,17 @@ impl Emerging<'_> {
         if ways.iter().all(|way| way.last.is_none()) {
             return [None; 3];
         }
-        // What people see of the triangle may be near one of its corners alone.
-        let exposure =
-            |weights: [f32; 3]| open_rays(self.caster, self.above(weights), self.normal).count();
         // With nothing in its way a middle that sees something tells of the triangle, however dim it is there.
-        let open = exposure(CENTRES[0]);
-        if open > 0 && ways.iter().all(|way| way.end.is_none()) {
+        let middle = self.above(CENTRES[0]);
+        if ways.iter().all(|way| way.end.is_none())
+            && occluders.see(self.caster, middle, self.normal)
+        {
             return [None; 3];
         }
+        // What people see of the triangle may be near one of its corners alone.
+        let mut exposure = |weights: [f32; 3]| {
+            (occluders.open_rays(self.caster, self.above(weights), self.normal)).count()
+        };
         // Halfway to the corner from where the centre's way to it comes out of something.
         let tips = ways.into_iter().enumerate().filter_map(|(k, way)| {
             let along = 0.5 + 0.5 * way.last?;
@@ -96,7 +120,7 @@ impl Emerging<'_> {
             weights[k] += along;
             way.end.is_none().then_some(weights)
         });
-        let mut best = (CENTRES[0], open);
+        let mut best = (CENTRES[0], exposure(CENTRES[0]));
         for weights in CENTRES.into_iter().skip(1).chain(tips) {
             let open = exposure(weights);
             if open > 2 * best.1 {
@@ -113,9 +137,9 @@ impl Emerging<'_> {
 
     /// For every corner, a point of the triangle near by that sees something, or else its centre, if that does: where
     /// neither does, a corner that sees nothing tells of the whole triangle, as in a gap behind a ledge.
-    pub(super) fn seen_from(&self) -> [Option<Vec3>; 3] {
+    pub(super) fn seen_from(&self, occluders: &mut Occluders) -> [Option<Vec3>; 3] {
         let points = CENTRES.map(|weights| self.above(weights));
-        let sees = |point: usize| sees(self.caster, points[point], self.normal);
+        let mut sees = |point: usize| occluders.see(self.caster, points[point], self.normal);
         if !sees(0) {
             return [None; 3];
         }

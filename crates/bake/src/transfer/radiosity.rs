@@ -2,6 +2,7 @@
 
 use relight_format::math;
 use std::f32::consts::PI;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
 use glam::{Vec2, Vec3};
@@ -67,6 +68,8 @@ pub(crate) struct Radiosity {
     /// Of every point that something is above within it, the harmonic mean of how far its rays go, metres; without
     /// bound of others: what is beside a wall differs less from what is farther away than rays by chance do.
     clearances: Vec<f32>,
+    /// For each side of every triangle, how [`Self::standing_at`] knows the point that stands for it.
+    standing: Vec<[AtomicU32; 2]>,
     /// Irradiance of every point: per channel `columns` numbers.
     pub(super) irradiance: Vec<f32>,
     /// What points send on of what is emitted, as triangles about them.
@@ -145,6 +148,7 @@ impl Radiosity {
             columns,
             ray_offset,
             clearances: Vec::new(),
+            standing: Vec::new(),
             irradiance: Vec::new(),
             relays: Emitters::default(),
             bounces: 1,
@@ -156,6 +160,7 @@ impl Radiosity {
             all.points = Points::new(&all.surfaces, sizes, 2 * options.points, true);
             all.look_around(caster, options.point_rays / FEW);
         }
+        all.standing.resize_with(all.surfaces.triangle_count(), Default::default);
         let (direct, senders) = all.first(caster, options, monitor)?;
         all.bounce(direct, &senders, options.bounces, monitor)?;
         all.relays = all.relays();
@@ -370,7 +375,7 @@ impl Radiosity {
         };
         for step in 0..MOST_STEPS {
             let number = hash(number, 11 * step);
-            if let Some(point) = self.standing_for(caster, &met, number) {
+            if let Some(point) = self.standing_at(caster, &met, number) {
                 sender.end = End::Point(point as u32);
                 return sender;
             }
@@ -390,6 +395,28 @@ impl Radiosity {
         let nearest = self.points.nearest(met.position, met.normal);
         sender.end = End::Point(nearest.expect("there are points") as u32);
         sender
+    }
+
+    /// The point that stands for what a ray met; for all of a small triangle's side the same, found once.
+    fn standing_at(&self, caster: &RayCaster, met: &Met, number: u32) -> Option<usize> {
+        const UNKNOWN: u32 = 0;
+        const NONE: u32 = 1;
+        let corners = self.surfaces.corners(met.triangle);
+        let [a, b, c] = corners;
+        let longest = (a.distance(b)).max(b.distance(c)).max(c.distance(a));
+        if longest > BLUR * self.points.spacing_at(met.position) {
+            return self.standing_for(caster, met, number);
+        }
+        let kept = &self.standing[met.triangle][usize::from(met.behind)];
+        let mut stored = kept.load(Ordering::Relaxed);
+        if stored == UNKNOWN {
+            let position = (a + b + c) / 3.0;
+            let side = 2 * met.triangle as u32 + u32::from(met.behind);
+            let point = self.standing_for(caster, &Met { position, ..*met }, hash(side, 12));
+            stored = point.map_or(NONE, |point| point as u32 + 2);
+            kept.store(stored, Ordering::Relaxed);
+        }
+        (stored != NONE).then(|| stored as usize - 2)
     }
 
     /// The point that stands for what a ray met: one of those about it, by chance, that has the

@@ -4,9 +4,11 @@
 use std::io::{self, Read};
 
 #[cfg(not(target_family = "wasm"))]
-pub(crate) use c::{Decoder, compress, compress_noise};
+pub(crate) use c::{Decoder, compress, compress_bulk, compress_noise};
 #[cfg(target_family = "wasm")]
-pub(crate) use rust::{Decoder, compress, compress as compress_noise};
+pub(crate) use rust::{
+    Decoder, compress, compress as compress_bulk, compress as compress_noise,
+};
 
 /// Does two things at the same time, where there are threads.
 pub(crate) fn both<A, B: Send>(
@@ -39,10 +41,17 @@ mod c {
     /// The last of the fast ones: the next takes three times as long for 0.2 % of the bytes. Decoding speed does
     /// not depend on it.
     const LEVEL: i32 = 12;
+    const BULK_LEVEL: i32 = 9;
 
     /// All bytes in one frame.
     pub(crate) fn compress(raw: &[u8]) -> io::Result<Vec<u8>> {
         zstd::bulk::compress(raw, LEVEL)
+    }
+
+    /// The same of what is most of a file: in half the time, or a quarter, of images to 0.8 % more bytes and of bounced
+    /// light to 0.2 % more.
+    pub(crate) fn compress_bulk(raw: &[u8]) -> io::Result<Vec<u8>> {
+        zstd::bulk::compress(raw, BULK_LEVEL)
     }
 
     /// The same of bytes that hardly repeat each other, but of which few are large: what takes fewest bits is chosen

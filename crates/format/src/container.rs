@@ -465,6 +465,7 @@ impl Writer {
         let raw: &[u8] = bytemuck::cast_slice(values);
         let compress = match kind {
             SectionKind::Basis => compression::compress_noise,
+            SectionKind::Texels | SectionKind::Transfer => compression::compress_bulk,
             _ => compression::compress,
         };
         let stored = compress(raw).map_err(|error| {

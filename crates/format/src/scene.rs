@@ -249,11 +249,15 @@ pub fn read_scene(bytes: &[u8], limits: &Limits) -> Result<Scene, Error> {
 /// Encodes a scene; the same value gives the same bytes.
 pub fn write_scene(scene: &Scene) -> Result<Vec<u8>, Error> {
     scene.validate()?;
-    let (early, late) = compression::both(|| early_sections(scene), || late_sections(scene));
-    Ok(early?.followed_by(late?).finish())
+    let (others, texels) = compression::both(
+        || Ok([early_sections(scene)?, late_sections(scene)?]),
+        || texels_section(scene),
+    );
+    let [early, late] = others?;
+    Ok(early.followed_by(texels?).followed_by(late).finish())
 }
 
-/// Metadata and what belongs to vertices.
+/// What comes before texels, which take about as long as all others.
 fn early_sections(scene: &Scene) -> Result<Writer, Error> {
     let mut writer = Writer::new(Kind::Scene);
     writer.metadata(&Metadata {
@@ -277,16 +281,21 @@ fn early_sections(scene: &Scene) -> Result<Writer, Error> {
         &places,
     );
     writer.section(SectionKind::Coefficients, &coefficients)?;
-    Ok(writer)
-}
-
-/// The sections after those.
-fn late_sections(scene: &Scene) -> Result<Writer, Error> {
-    let mut writer = Writer::new(Kind::Scene);
     let resolution = scene.visibility.basis_resolution;
     let differences = prediction::differences(&scene.basis, resolution);
     writer.section(SectionKind::Basis, &differences)?;
+    Ok(writer)
+}
+
+fn texels_section(scene: &Scene) -> Result<Writer, Error> {
+    let mut writer = Writer::new(Kind::Scene);
     writer.section(SectionKind::Texels, &concatenate_texels(&scene.textures))?;
+    Ok(writer)
+}
+
+/// What comes after them.
+fn late_sections(scene: &Scene) -> Result<Writer, Error> {
+    let mut writer = Writer::new(Kind::Scene);
     if let Some(transfer) = &scene.transfer {
         writer.section(SectionKind::Transfer, &transfer.encode(&scene.clusters))?;
     }

@@ -8,6 +8,8 @@
 #![warn(unreachable_pub)]
 
 #[cfg(not(target_family = "wasm"))]
+pub mod clock;
+#[cfg(not(target_family = "wasm"))]
 mod compress;
 pub mod environment;
 pub mod error;

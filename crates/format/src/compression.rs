@@ -6,9 +6,7 @@ use std::io::{self, Read};
 #[cfg(not(target_family = "wasm"))]
 pub(crate) use c::{Decoder, compress, compress_bulk, compress_noise};
 #[cfg(target_family = "wasm")]
-pub(crate) use rust::{
-    Decoder, compress, compress as compress_bulk, compress as compress_noise,
-};
+pub(crate) use rust::{Decoder, compress, compress as compress_bulk, compress as compress_noise};
 
 /// Does two things at the same time, where there are threads.
 pub(crate) fn both<A, B: Send>(

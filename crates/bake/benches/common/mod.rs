@@ -10,8 +10,8 @@ use relight_bake::import;
 use relight_bake::internals::compress::Normal;
 use relight_bake::internals::visibility;
 use relight_bake::internals::visibility::GROUP;
-use relight_bake::internals::visibility::Places;
 use relight_bake::internals::visibility::RayCaster;
+use relight_bake::internals::visibility::{EXPOSURE_RESOLUTION, Places};
 
 /// Meshes that are measured unless others are named, below the data folder.
 const MESHES: [&str; 5] = [
@@ -161,9 +161,10 @@ pub fn subject(path: &Path, count: usize) -> Subject {
     let (soup, triangles) = (mesh.soup(), mesh.indices());
     let caster = RayCaster::new(&soup);
     let offset = 1e-4 * low.distance(high);
+    let positions = mesh.positions();
     let Places {
         origins, corners, ..
-    } = Places::new(&mesh.positions(), &triangles, &caster, offset);
+    } = Places::new(&positions, &triangles, &caster, offset, EXPOSURE_RESOLUTION);
     let mut vertices = vec![0; origins.len()];
     for (triangle, corners) in triangles.iter().zip(&corners) {
         for (vertex, place) in triangle.iter().zip(corners) {

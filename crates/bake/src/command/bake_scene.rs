@@ -9,6 +9,7 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 use anyhow::bail;
+use relight_bake::clock::ProcessorClock;
 use relight_bake::error::Error;
 use relight_bake::files::{self, Files};
 use relight_bake::import;
@@ -36,7 +37,7 @@ pub fn bake(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Summ
     let path = PathBuf::from(path);
     files::check_output(&arguments.output)?;
     files::check_output(&path)?;
-    let start = Instant::now();
+    let (start, clock) = (Instant::now(), ProcessorClock::start());
     monitor.step("read", 0.0)?;
     let files = Files::new(&arguments.input, &arguments.access())?;
     let asked = import::Options {
@@ -51,7 +52,7 @@ pub fn bake(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Summ
     }
     let input = input.fit()?;
     warn_of_overruled(arguments, input.refinement.as_ref());
-    let read = start.elapsed();
+    let read = clock.elapsed();
     let of_input = |error| blame(error, &arguments.input);
     let bake = scene::Bake::new(input, &options, monitor);
     let mut bake = bake.map_err(|error| of_input(error.into()))?;
@@ -98,7 +99,7 @@ pub fn bake(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Summ
         show::warn(warning.as_str());
     }
     let chunks = parts.finished();
-    let clock = Instant::now();
+    let clock = ProcessorClock::start();
     monitor.step("write", 0.0)?;
     let mut summary = if arguments.shard.is_some() {
         parts.finish(&head)?;

@@ -19,6 +19,7 @@ use super::overlaps;
 use super::queue::Queue;
 use super::sample::{CHUNK_VERTICES, Placed, Prepared};
 use super::statistics::{Statistics, add_time, load};
+use crate::clock::ProcessorClock;
 use crate::mesh::size::SizeFunction;
 use crate::mesh::{Mesh, cluster, refine};
 use crate::monitor::{Interrupted, Monitor};
@@ -82,7 +83,7 @@ impl<'a> Bake<'a> {
     pub fn new(input: SceneInput, options: &Options, monitor: Monitor<'a>) -> Result<Self, Error> {
         options.check()?;
         let mut stages = Vec::new();
-        let clock = Instant::now();
+        let clock = ProcessorClock::start();
         monitor.step("build bvh", 0.0)?;
         // Refinement does not move the surface: what was imported blocks the same light with
         // the fewest edges.
@@ -100,7 +101,7 @@ impl<'a> Bake<'a> {
             &mut stages,
         )?;
 
-        let clock = Instant::now();
+        let clock = ProcessorClock::start();
         monitor.step("refine", 0.0)?;
         let dependencies = Dependencies::new(&input, options);
         let mut report = format::BakeReport {
@@ -141,8 +142,7 @@ impl<'a> Bake<'a> {
             basis: Vec::new(),
             transfer: (radiosity.as_ref()).map(|all| all.head(options.transfer.order)),
         };
-        let spacing = options.sample_spacing;
-        let placed = Placed::new(&mut mesh, &contours, ray_offset, sizes, spacing);
+        let placed = Placed::new(&mut mesh, &contours, ray_offset, sizes, options);
         head.report.warnings.extend(darkness::warning(
             &mesh,
             &|index| placed.origin(index),
@@ -173,7 +173,7 @@ impl<'a> Bake<'a> {
         };
         let asked = options.max_error.is_some() || options.max_bytes.is_some();
         if options.representation == Representation::ClusteredPca {
-            let clock = Instant::now();
+            let clock = ProcessorClock::start();
             if asked {
                 let chosen = budget::choose_aim(&bake.prepared, &bake.head)?;
                 bake.aim = chosen.aim;
@@ -316,13 +316,14 @@ fn bounces(
     stages: &mut Vec<(&'static str, Duration)>,
 ) -> Result<(Option<Radiosity>, Vec<String>), Interrupted> {
     monitor.step("bounces", 0.0)?;
+    let clock = ProcessorClock::start();
     let surfaces = Surfaces::new(mesh);
     let Some(radiosity) = Radiosity::new(surfaces, caster, &options.transfer, scale, monitor)?
     else {
         return Ok((None, Vec::new()));
     };
-    stages.push(("bounces", radiosity.time()));
-    let clock = Instant::now();
+    stages.push(("bounces", clock.elapsed()));
+    let clock = ProcessorClock::start();
     let error = |material| radiosity.reflection_error(caster, material, monitor);
     let warnings = highlights::of_surfaces(mesh, error)?;
     stages.push(("reflections", clock.elapsed()));

@@ -6,6 +6,7 @@ use serde::Serialize;
 use super::error::Error;
 use crate::error::Objection;
 use crate::transfer;
+use crate::visibility::places::EXPOSURE_RESOLUTION;
 
 /// Whether this build can represent a scene by one basis, to compare with the paper.
 pub const PAPER: bool = cfg!(feature = "paper");
@@ -46,6 +47,9 @@ pub struct Options {
     /// are found at places so far apart, and interpolated at those between
     /// (`crate::visibility::sparse`). 0: they are found everywhere.
     pub sample_spacing: f32,
+    /// Rays per side of an octahedral map of all directions that tell whether a place sees anything, or lies behind
+    /// what touches it (`crate::visibility::places`); 1 to 64.
+    pub exposure_resolution: u32,
     /// Triangles in which interpolation is checked once a scene is baked, about; at least 1.
     pub probes: usize,
     /// Edges are cut further where interpolated visibility is off by more than this, radians
@@ -69,6 +73,7 @@ impl Options {
             max_edge: 0.08,
             least_vertices: 32_768,
             sample_spacing: 0.008,
+            exposure_resolution: 4,
             probes: 512,
             refine_error: f32::INFINITY,
             transfer: transfer::Options::draft(),
@@ -91,6 +96,7 @@ impl Options {
             max_edge: 0.02,
             least_vertices: 0,
             sample_spacing: 0.0,
+            exposure_resolution: EXPOSURE_RESOLUTION,
             probes: 2048,
             refine_error: f32::INFINITY,
             max_vertices: 1_000_000,
@@ -161,6 +167,13 @@ impl Options {
                 "sample_spacing",
                 "a fraction of the diagonal below 1".into(),
                 self.sample_spacing.to_string(),
+            );
+        }
+        if !(1..=64).contains(&self.exposure_resolution) {
+            return wrong(
+                "exposure_resolution",
+                "1..=64".into(),
+                self.exposure_resolution.to_string(),
             );
         }
         if self.probes == 0 {

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use crate::mesh::Mesh;
-use crate::visibility::places::Occluders;
+use crate::visibility::places::{EXPOSURE_RESOLUTION, Exposure};
 use crate::visibility::ray::RayCaster;
 
 /// Most triangles that are looked at.
@@ -18,9 +18,10 @@ const VISIBLE: f64 = 0.001;
 /// A warning where middles of triangles lie on triangles of another material. `caster` casts at the triangles of `mesh`.
 pub(super) fn warning(mesh: &Mesh, caster: &RayCaster) -> Option<String> {
     let height = SAME_HEIGHT * mesh.diagonal();
+    let exposure = || Exposure::new(EXPOSURE_RESOLUTION);
     let step = mesh.triangles.len().div_ceil(PROBES).max(1);
     let probed: Vec<(f64, bool)> = (mesh.triangles.par_iter().step_by(step))
-        .map_init(Occluders::new, |occluders, triangle| {
+        .map_init(exposure, |exposure, triangle| {
             let [a, b, c] = mesh.corners(triangle);
             let across = (b - a).cross(c - a);
             let normal = across.normalize_or_zero();
@@ -36,8 +37,8 @@ pub(super) fn warning(mesh: &Mesh, caster: &RayCaster) -> Option<String> {
             };
             // Of what stands on a floor the bottom is never seen from within, and seldom from below.
             let mut sees_both_ways = || {
-                occluders.see(caster, above, normal)
-                    && occluders.see(caster, above - 2.0 * height * normal, -normal)
+                exposure.sees(caster, above, normal)
+                    && exposure.sees(caster, above - 2.0 * height * normal, -normal)
             };
             let overlaps = there_is(false, 1.0) && (!there_is(true, -1.0) || sees_both_ways());
             (f64::from(across.length()), overlaps)

@@ -78,18 +78,25 @@ impl Placed {
         self.origins[self.triangles[triangle][0] as usize]
     }
 
-    /// Copies vertices that see different things from different sides. `spacing` of samples is in sizes of what is
-    /// there, 0 for all places.
+    /// Copies vertices that see different things from different sides. Distances of samples are in sizes of what
+    /// is there.
     pub(super) fn new(
         mesh: &mut Mesh,
         contours: &ContourMesh,
         ray_offset: f32,
         sizes: SizeFunction,
-        spacing: f32,
+        options: &Options,
     ) -> Self {
+        let spacing = options.sample_spacing;
         let triangles = mesh.indices();
         let positions = mesh.positions();
-        let places = Places::new(&positions, &triangles, contours.caster(), ray_offset);
+        let places = Places::new(
+            &positions,
+            &triangles,
+            contours.caster(),
+            ray_offset,
+            options.exposure_resolution,
+        );
         let sizes_at: Vec<f32> = (places.origins.par_iter())
             .map(|&origin| sizes.at(origin))
             .collect();

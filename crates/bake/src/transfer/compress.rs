@@ -116,11 +116,7 @@ impl Receivers<'_> {
 }
 
 /// Compresses the outputs of vertices by what was `gathered` for them, each of `outputs` blocks of equal length.
-pub(crate) fn compress(
-    gathered: &[Vec<f32>],
-    vertices: &Receivers,
-    outputs: usize,
-) -> Compressed {
+pub(crate) fn compress(gathered: &[Vec<f32>], vertices: &Receivers, outputs: usize) -> Compressed {
     let length = gathered.first().map_or(0, Vec::len);
     let block = length / outputs.max(1);
     let factor = |row: usize| {
@@ -131,7 +127,9 @@ pub(crate) fn compress(
         }
     };
     let factors: Vec<f32> = (0..length).map(factor).collect();
-    let values = gathered.iter().flat_map(|values| values.iter().zip(&factors));
+    let values = gathered
+        .iter()
+        .flat_map(|values| values.iter().zip(&factors));
     let values = values.map(|(value, factor)| value * factor).collect();
     let mut samples = DMatrix::from_vec(length, gathered.len(), values);
     let metric = Metric::new(vertices.normals);
@@ -347,7 +345,10 @@ fn counted(mut squares: Vec<(f64, f64)>) -> f64 {
 fn weighed_squares(values: &DMatrix<f32>, masses: &[f32]) -> Vec<(f64, f64)> {
     let square = |column: &[f32]| column.iter().map(|x| f64::from(*x) * f64::from(*x)).sum();
     let columns = values.as_slice().chunks_exact(values.nrows().max(1));
-    (columns.map(square).zip(masses.iter().map(|&mass| f64::from(mass)))).collect()
+    (columns
+        .map(square)
+        .zip(masses.iter().map(|&mass| f64::from(mass))))
+    .collect()
 }
 
 #[cfg(test)]

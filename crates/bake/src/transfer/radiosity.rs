@@ -3,7 +3,6 @@
 use relight_format::math;
 use std::f32::consts::PI;
 use std::sync::atomic::{AtomicU32, Ordering};
-use std::time::{Duration, Instant};
 
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
@@ -79,8 +78,6 @@ pub(crate) struct Radiosity {
     /// What the last added, relative to all before.
     last_bounce: f32,
     rays: u64,
-    /// Processor time of the rays.
-    time: Duration,
 }
 
 /// What a ray meets, and what it sends on.
@@ -154,13 +151,13 @@ impl Radiosity {
             bounces: 1,
             last_bounce: 0.0,
             rays: 0,
-            time: Duration::ZERO,
         };
         if all.look_around(caster, options.point_rays / FEW) > BACKS {
             all.points = Points::new(&all.surfaces, sizes, 2 * options.points, true);
             all.look_around(caster, options.point_rays / FEW);
         }
-        all.standing.resize_with(all.surfaces.triangle_count(), Default::default);
+        all.standing
+            .resize_with(all.surfaces.triangle_count(), Default::default);
         let (direct, senders) = all.first(caster, options, monitor)?;
         all.bounce(direct, &senders, options.bounces, monitor)?;
         all.relays = all.relays();
@@ -172,7 +169,6 @@ impl Radiosity {
     fn look_around(&mut self, caster: &RayCaster, count: u32) -> f64 {
         let points = self.points.as_slice();
         let look = |(index, point): (usize, &Point)| {
-            let start = Instant::now();
             let origin = point.position + self.ray_offset * point.geometric_normal;
             let (mut backs, mut inverse) = (0, 0.0);
             for ray in self.hemisphere(point.normal, count, index as u32) {
@@ -185,14 +181,13 @@ impl Radiosity {
             let above = origin + clearance * point.geometric_normal;
             let covered = clearance.is_finite() && caster.blocked(origin, above);
             let clearance = if covered { clearance } else { f32::INFINITY };
-            (backs, clearance, start.elapsed())
+            (backs, clearance)
         };
         let found: Vec<_> = points.par_iter().enumerate().map(look).collect();
         let rays = points.len() as u64 * u64::from(count);
         self.rays += rays;
-        self.time += found.iter().map(|(.., time)| *time).sum::<Duration>();
-        self.clearances = found.iter().map(|(_, clearance, _)| *clearance).collect();
-        let backs: u32 = found.iter().map(|(backs, ..)| backs).sum();
+        self.clearances = found.iter().map(|(_, clearance)| *clearance).collect();
+        let backs: u32 = found.iter().map(|(backs, _)| backs).sum();
         f64::from(backs) / rays.max(1) as f64
     }
 
@@ -211,7 +206,6 @@ impl Radiosity {
             .enumerate()
             .map(|(index, (direct, point))| {
                 monitor.step("bounces", 0.0)?;
-                let start = Instant::now();
                 let origin = point.position + this.ray_offset * point.geometric_normal;
                 let count = options.point_rays;
                 let mut values = vec![0.0; this.harmonics.count()];
@@ -250,14 +244,12 @@ impl Radiosity {
                 for (radiance, weight) in beyond {
                     this.add_emitted(direct, radiance * weight);
                 }
-                Ok((senders, start.elapsed()))
+                Ok(senders)
             })
             .collect();
         let gathered = gathered?;
         self.rays += (self.points.as_slice().len() * options.point_rays as usize) as u64;
-        self.time += gathered.iter().map(|(_, time)| *time).sum::<Duration>();
-        let senders = gathered.into_iter().map(|(senders, _)| senders).collect();
-        Ok((direct, senders))
+        Ok((direct, gathered))
     }
 
     /// Adds up bounces. Gathering at vertices is one more.
@@ -531,11 +523,6 @@ impl Radiosity {
             last_bounce: self.last_bounce,
             ..Default::default()
         }
-    }
-
-    /// Processor time that they took.
-    pub(crate) fn time(&self) -> Duration {
-        self.time
     }
 
     /// Rays cast between points.

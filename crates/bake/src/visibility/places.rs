@@ -21,8 +21,10 @@ mod emerging;
 
 use super::ray::RayCaster;
 use emerging::Emerging;
-pub(crate) use emerging::Occluders;
+pub(crate) use emerging::Exposure;
 
+/// Rays per side of an octahedral map of all directions that tell whether a place sees anything, usually.
+pub const EXPOSURE_RESOLUTION: u32 = 8;
 /// Triangles whose fronts enclose more than this, radians, are two sides of a thin thing.
 const THIN: f64 = 330.0 / 180.0 * std::f64::consts::PI;
 /// Directions from an edge that differ by less, radians, are the same.
@@ -44,13 +46,16 @@ pub struct Places {
 impl Places {
     /// Each place is a position moved by `offset`, in metres, along the area-weighted mean
     /// normal of its triangles, or where a triangle emerges from another one. `caster` casts
-    /// at the same surface, however it is divided. Triangles without area stay where they are.
+    /// at the same surface, however it is divided; `exposure_resolution`² rays over all directions tell whether a place
+    /// sees anything. Triangles without area stay where they are.
     pub fn new(
         positions: &[Vec3],
         triangles: &[[u32; 3]],
         caster: &RayCaster,
         offset: f32,
+        exposure_resolution: u32,
     ) -> Self {
+        let exposure = || Exposure::new(exposure_resolution);
         let welded = weld(positions, triangles);
         let corner = |index: usize| positions[triangles[index / 3][index % 3] as usize];
         let (mut places, mut of) = umbrellas(positions, triangles, &welded);
@@ -69,12 +74,12 @@ impl Places {
         };
         let mut ends: Vec<Option<Vec3>> = (0..triangles.len())
             .into_par_iter()
-            .map_init(Occluders::new, |occluders, triangle| {
+            .map_init(exposure, |exposure, triangle| {
                 let around = |k: usize| {
                     let members = members.of(of[3 * triangle + k]).iter();
                     members.map(|&member| normals[member as usize / 3])
                 };
-                emerging(triangle).ends(around, occluders)
+                emerging(triangle).ends(around, exposure)
             })
             .flatten_iter()
             .collect();
@@ -92,21 +97,22 @@ impl Places {
             .collect();
         // Where nothing is seen from, though no crossing tells so, the triangles may see something all the same.
         let dark: Vec<bool> = (origins.par_iter().zip(&sums))
-            .map_init(Occluders::new, |occluders, (origin, sum)| {
-                *sum != Vec3::ZERO && !occluders.see(caster, *origin, *sum)
+            .map_init(exposure, |exposure, (origin, sum)| {
+                *sum != Vec3::ZERO && !exposure.sees(caster, *origin, *sum)
             })
             .collect();
-        let elsewhere = |occluders: &mut Occluders, (triangle, ends): (usize, &mut [Option<Vec3>])| {
+        let elsewhere = |exposure: &mut Exposure,
+                         (triangle, ends): (usize, &mut [Option<Vec3>])| {
             let is_dark = |k: &usize| ends[*k].is_none() && dark[of[3 * triangle + k] as usize];
             let corners: Vec<usize> = (0..3).filter(is_dark).collect();
             if normals[triangle] != Vec3::ZERO && !corners.is_empty() {
-                let from = emerging(triangle).seen_from(occluders);
+                let from = emerging(triangle).seen_from(exposure);
                 for k in corners {
                     ends[k] = from[k];
                 }
             }
         };
-        (ends.par_chunks_exact_mut(3).enumerate()).for_each_init(Occluders::new, elsewhere);
+        (ends.par_chunks_exact_mut(3).enumerate()).for_each_init(exposure, elsewhere);
         for place in 0..members.count() {
             let moved = members.of(place).iter();
             let mut moved: Vec<(Vec3, usize)> = moved
@@ -416,7 +422,13 @@ mod tests {
         let soup: Vec<_> = corners
             .map(|triangle| triangle.map(|vertex| positions[vertex as usize]))
             .collect();
-        Places::new(&positions, triangles, &RayCaster::new(&soup), OFFSET)
+        Places::new(
+            &positions,
+            triangles,
+            &RayCaster::new(&soup),
+            OFFSET,
+            EXPOSURE_RESOLUTION,
+        )
     }
 
     /// Squares of two triangles each, which share no vertices.

@@ -17,7 +17,7 @@ use crate::mesh::size::SizeFunction;
 use crate::monitor::{Interrupted, Monitor};
 use crate::ssdf;
 use crate::visibility::contour::ContourMesh;
-use crate::visibility::places::Places;
+use crate::visibility::places::{EXPOSURE_RESOLUTION, Places};
 
 /// Texels per side of the visibility that is compared: half of a bake's.
 const SAMPLE_RESOLUTION: u32 = 64;
@@ -226,7 +226,14 @@ fn sample_ends(
     }
     let triangles = mesh.indices();
     let caster = comparison.contours.caster();
-    let places = Places::new(&mesh.positions(), &triangles, caster, bound.ray_offset);
+    let positions = mesh.positions();
+    let places = Places::new(
+        &positions,
+        &triangles,
+        caster,
+        bound.ray_offset,
+        EXPOSURE_RESOLUTION,
+    );
     // Of a vertex on several sides any will do.
     let mut place_of = vec![0; mesh.vertices.len()];
     for (triangle, corners) in triangles.iter().zip(&places.corners) {

@@ -21,16 +21,21 @@ const CENTRES: [[f32; 3]; 4] = [
     [0.1, 0.8, 0.1],
     [0.1, 0.1, 0.8],
 ];
-/// Rays per side of the map that tells how open a point lies.
-const EXPOSURE_RESOLUTION: u32 = 8;
 
-/// What was last met in each of a few directions: rays from the next place most often meet the same.
-#[derive(Clone)]
-pub(crate) struct Occluders([u32; (EXPOSURE_RESOLUTION * EXPOSURE_RESOLUTION) as usize]);
+/// How open places lie, by a few rays.
+pub(crate) struct Exposure {
+    /// Rays per side of an octahedral map of all directions.
+    resolution: u32,
+    /// What was last met in each of them: rays from the next place often meet the same.
+    occluders: Vec<u32>,
+}
 
-impl Occluders {
-    pub(crate) fn new() -> Self {
-        Self([NOTHING; _])
+impl Exposure {
+    pub(crate) fn new(resolution: u32) -> Self {
+        Self {
+            resolution,
+            occluders: vec![NOTHING; (resolution * resolution) as usize],
+        }
     }
 
     /// Of the directions over the hemisphere about a normal, those that are open.
@@ -40,8 +45,8 @@ impl Occluders {
         origin: Vec3,
         normal: Vec3,
     ) -> impl Iterator<Item = Vec3> {
-        let count = EXPOSURE_RESOLUTION;
-        let directions = (self.0.iter_mut().zip(0..)).map(move |(occluder, i)| {
+        let count = self.resolution;
+        let directions = (self.occluders.iter_mut().zip(0..)).map(move |(occluder, i)| {
             let direction = octahedral::texel_direction(i % count, i / count, count);
             (direction, occluder)
         });
@@ -53,7 +58,7 @@ impl Occluders {
     }
 
     /// Whether something is seen in one of the directions over the hemisphere about a normal.
-    pub(crate) fn see(&mut self, caster: &RayCaster, origin: Vec3, normal: Vec3) -> bool {
+    pub(crate) fn sees(&mut self, caster: &RayCaster, origin: Vec3, normal: Vec3) -> bool {
         self.open_rays(caster, origin, normal).next().is_some()
     }
 }
@@ -89,7 +94,7 @@ impl Emerging<'_> {
     pub(super) fn ends<I: Iterator<Item = Vec3>>(
         &self,
         around: impl Fn(usize) -> I,
-        occluders: &mut Occluders,
+        exposure: &mut Exposure,
     ) -> [Option<Vec3>; 3] {
         if self.normal == Vec3::ZERO {
             return [None; 3];
@@ -105,13 +110,13 @@ impl Emerging<'_> {
         // With nothing in its way a middle that sees something tells of the triangle, however dim it is there.
         let middle = self.above(CENTRES[0]);
         if ways.iter().all(|way| way.end.is_none())
-            && occluders.see(self.caster, middle, self.normal)
+            && exposure.sees(self.caster, middle, self.normal)
         {
             return [None; 3];
         }
         // What people see of the triangle may be near one of its corners alone.
-        let mut exposure = |weights: [f32; 3]| {
-            (occluders.open_rays(self.caster, self.above(weights), self.normal)).count()
+        let mut open = |weights: [f32; 3]| {
+            (exposure.open_rays(self.caster, self.above(weights), self.normal)).count()
         };
         // Halfway to the corner from where the centre's way to it comes out of something.
         let tips = ways.into_iter().enumerate().filter_map(|(k, way)| {
@@ -120,9 +125,9 @@ impl Emerging<'_> {
             weights[k] += along;
             way.end.is_none().then_some(weights)
         });
-        let mut best = (CENTRES[0], exposure(CENTRES[0]));
+        let mut best = (CENTRES[0], open(CENTRES[0]));
         for weights in CENTRES.into_iter().skip(1).chain(tips) {
-            let open = exposure(weights);
+            let open = open(weights);
             if open > 2 * best.1 {
                 best = (weights, open);
             }
@@ -137,9 +142,9 @@ impl Emerging<'_> {
 
     /// For every corner, a point of the triangle near by that sees something, or else its centre, if that does: where
     /// neither does, a corner that sees nothing tells of the whole triangle, as in a gap behind a ledge.
-    pub(super) fn seen_from(&self, occluders: &mut Occluders) -> [Option<Vec3>; 3] {
+    pub(super) fn seen_from(&self, exposure: &mut Exposure) -> [Option<Vec3>; 3] {
         let points = CENTRES.map(|weights| self.above(weights));
-        let mut sees = |point: usize| occluders.see(self.caster, points[point], self.normal);
+        let mut sees = |point: usize| exposure.sees(self.caster, points[point], self.normal);
         if !sees(0) {
             return [None; 3];
         }

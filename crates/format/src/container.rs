@@ -465,7 +465,8 @@ impl Writer {
         let raw: &[u8] = bytemuck::cast_slice(values);
         let compress = match kind {
             SectionKind::Basis => compression::compress_noise,
-            SectionKind::Texels | SectionKind::Transfer => compression::compress_bulk,
+            SectionKind::Texels => compression::compress_images,
+            SectionKind::Coefficients | SectionKind::Transfer => compression::compress_numbers,
             _ => compression::compress,
         };
         let stored = compress(raw).map_err(|error| {

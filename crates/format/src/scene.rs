@@ -1,9 +1,10 @@
 //! Geometry, materials and compressed visibility.
 
+use std::panic::resume_unwind;
+
 use bytemuck::{Pod, Zeroable};
 use serde::{Deserialize, Serialize};
 
-use crate::compression;
 use crate::container::{Kind, Limits, Reader, SectionKind, Writer};
 use crate::geometry::{self, Places};
 use crate::material::TextureShape;
@@ -249,15 +250,29 @@ pub fn read_scene(bytes: &[u8], limits: &Limits) -> Result<Scene, Error> {
 /// Encodes a scene; the same value gives the same bytes.
 pub fn write_scene(scene: &Scene) -> Result<Vec<u8>, Error> {
     scene.validate()?;
-    let (others, texels) = compression::both(
+    let (others, images) = both(
         || Ok([early_sections(scene)?, late_sections(scene)?]),
-        || texels_section(scene),
+        || image_sections(scene),
     );
     let [early, late] = others?;
-    Ok(early.followed_by(texels?).followed_by(late).finish())
+    Ok(early.followed_by(images?).followed_by(late).finish())
 }
 
-/// What comes before texels, which take about as long as all others.
+/// Does two things at the same time, where there are threads to be had.
+fn both<A, B: Send>(first: impl FnOnce() -> A, second: impl Fn() -> B + Sync) -> (A, B) {
+    std::thread::scope(|scope| {
+        let thread = std::thread::Builder::new().spawn_scoped(scope, &second);
+        let first = first();
+        let second = match thread {
+            Ok(thread) => thread.join().unwrap_or_else(|panic| resume_unwind(panic)),
+            // WebAssembly has none.
+            Err(_) => second(),
+        };
+        (first, second)
+    })
+}
+
+/// What comes before images, which take about as long as all others.
 fn early_sections(scene: &Scene) -> Result<Writer, Error> {
     let mut writer = Writer::new(Kind::Scene);
     writer.metadata(&Metadata {
@@ -281,14 +296,14 @@ fn early_sections(scene: &Scene) -> Result<Writer, Error> {
         &places,
     );
     writer.section(SectionKind::Coefficients, &coefficients)?;
-    let resolution = scene.visibility.basis_resolution;
-    let differences = prediction::differences(&scene.basis, resolution);
-    writer.section(SectionKind::Basis, &differences)?;
     Ok(writer)
 }
 
-fn texels_section(scene: &Scene) -> Result<Writer, Error> {
+fn image_sections(scene: &Scene) -> Result<Writer, Error> {
     let mut writer = Writer::new(Kind::Scene);
+    let resolution = scene.visibility.basis_resolution;
+    let differences = prediction::differences(&scene.basis, resolution);
+    writer.section(SectionKind::Basis, &differences)?;
     writer.section(SectionKind::Texels, &concatenate_texels(&scene.textures))?;
     Ok(writer)
 }

@@ -263,10 +263,11 @@ fn assemble(
 /// Writes an asset and checks what arrived. The scene is dropped before it is read back:
 /// two of them may not fit.
 fn write(path: &Path, scene: format::Scene) -> anyhow::Result<Summary> {
-    let bytes = format::write_scene(&scene)?;
+    let measured = || (seam::measure(&scene), fingerprint(&scene));
+    let (bytes, (seams, meant)) = rayon::join(|| format::write_scene(&scene), measured);
+    let bytes = bytes?;
     let tiles: u32 = scene.clusters.iter().map(|cluster| cluster.tiles).sum();
     let report = &scene.report;
-    let seams = seam::measure(&scene);
     let summary = Summary {
         text: format!(
             "{}: {} vertices, {} triangles, {} clusters, {} bytes ({:.0} per vertex)\n\
@@ -299,7 +300,6 @@ fn write(path: &Path, scene: format::Scene) -> anyhow::Result<Summary> {
             })),
         }),
     };
-    let meant = fingerprint(&scene);
     drop(scene);
     crate::command::write_checked(path, &bytes, |bytes| {
         let read = format::read_scene(bytes, &format::Limits::default())?;

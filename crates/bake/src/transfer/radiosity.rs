@@ -51,6 +51,12 @@ const ABOVE: f32 = 0.1;
 /// Directions about a circle that random ones are drawn from.
 const TURNS: usize = 256;
 
+/// In place of the point that stands for a triangle: there is none, it has not been found yet, or there is not one for all
+/// of it.
+const NONE: u32 = u32::MAX;
+const UNKNOWN: u32 = u32::MAX - 1;
+const LARGE: u32 = u32::MAX - 2;
+
 /// Light of the scene after all bounces.
 pub(crate) struct Radiosity {
     pub(super) surfaces: Surfaces,
@@ -67,7 +73,7 @@ pub(crate) struct Radiosity {
     /// Of every point that something is above within it, the harmonic mean of how far its rays go, metres; without
     /// bound of others: what is beside a wall differs less from what is farther away than rays by chance do.
     clearances: Vec<f32>,
-    /// For each side of every triangle, how [`Self::standing_at`] knows the point that stands for it.
+    /// For each side of every triangle, the point that stands for it, or [`NONE`], [`UNKNOWN`] or [`LARGE`].
     standing: Vec<[AtomicU32; 2]>,
     /// Irradiance of every point: per channel `columns` numbers.
     pub(super) irradiance: Vec<f32>,
@@ -156,8 +162,7 @@ impl Radiosity {
             all.points = Points::new(&all.surfaces, sizes, 2 * options.points, true);
             all.look_around(caster, options.point_rays / FEW);
         }
-        all.standing
-            .resize_with(all.surfaces.triangle_count(), Default::default);
+        all.find_small();
         let (direct, senders) = all.first(caster, options, monitor)?;
         all.bounce(direct, &senders, options.bounces, monitor)?;
         all.relays = all.relays();
@@ -389,26 +394,39 @@ impl Radiosity {
         sender
     }
 
+    /// Finds out which triangles are so small that one point, and one albedo, stand for all of each.
+    fn find_small(&mut self) {
+        let is_small = |triangle: usize| {
+            let [a, b, c] = self.surfaces.corners(triangle);
+            let longest = (a.distance(b)).max(b.distance(c)).max(c.distance(a));
+            longest <= BLUR * self.points.spacing_at((a + b + c) / 3.0)
+        };
+        let all = (0..self.surfaces.triangle_count()).into_par_iter();
+        let small: Vec<bool> = all.map(is_small).collect();
+        let unknown = |small: &bool| if *small { UNKNOWN } else { LARGE };
+        self.standing = (small.iter())
+            .map(|small| [(); 2].map(|()| AtomicU32::new(unknown(small))))
+            .collect();
+        self.surfaces.average(&small);
+    }
+
     /// The point that stands for what a ray met; for all of a small triangle's side the same, found once.
     fn standing_at(&self, caster: &RayCaster, met: &Met, number: u32) -> Option<usize> {
-        const UNKNOWN: u32 = 0;
-        const NONE: u32 = 1;
-        let corners = self.surfaces.corners(met.triangle);
-        let [a, b, c] = corners;
-        let longest = (a.distance(b)).max(b.distance(c)).max(c.distance(a));
-        if longest > BLUR * self.points.spacing_at(met.position) {
-            return self.standing_for(caster, met, number);
-        }
         let kept = &self.standing[met.triangle][usize::from(met.behind)];
-        let mut stored = kept.load(Ordering::Relaxed);
-        if stored == UNKNOWN {
-            let position = (a + b + c) / 3.0;
-            let side = 2 * met.triangle as u32 + u32::from(met.behind);
-            let point = self.standing_for(caster, &Met { position, ..*met }, hash(side, 12));
-            stored = point.map_or(NONE, |point| point as u32 + 2);
-            kept.store(stored, Ordering::Relaxed);
-        }
-        (stored != NONE).then(|| stored as usize - 2)
+        let stored = match kept.load(Ordering::Relaxed) {
+            LARGE => return self.standing_for(caster, met, number),
+            UNKNOWN => {
+                let [a, b, c] = self.surfaces.corners(met.triangle);
+                let position = (a + b + c) / 3.0;
+                let side = 2 * met.triangle as u32 + u32::from(met.behind);
+                let point = self.standing_for(caster, &Met { position, ..*met }, hash(side, 12));
+                let stored = point.map_or(NONE, |point| point as u32);
+                kept.store(stored, Ordering::Relaxed);
+                stored
+            }
+            stored => stored,
+        };
+        (stored != NONE).then_some(stored as usize)
     }
 
     /// The point that stands for what a ray met: one of those about it, by chance, that has the

@@ -1,6 +1,7 @@
 //! What rays meet: reflectance and emission of the scene as it was imported.
 
 use glam::Vec3;
+use rayon::prelude::*;
 use relight_format as format;
 use relight_shading::surface::{Join, emission, surface_point, visit_layers};
 use relight_shading::transfer::albedo;
@@ -14,6 +15,8 @@ pub(crate) struct Surfaces {
     scene: format::Scene,
     /// By material: albedo, where it is the same everywhere and from all sides.
     plain: Vec<Option<Vec3>>,
+    /// By triangle: the same of those that are so small that its mean will do; none where there are no such.
+    small: Vec<Option<Vec3>>,
     emitters: Emitters,
 }
 
@@ -68,6 +71,7 @@ impl Surfaces {
         let mut surfaces = Self {
             plain: vec![None; scene.materials.len()],
             scene,
+            small: Vec::new(),
             emitters: Emitters::default(),
         };
         let mut known = vec![false; surfaces.plain.len()];
@@ -237,11 +241,31 @@ impl Surfaces {
         (b - a).cross(c - a).normalize_or(Vec3::Y)
     }
 
+    /// From here on some triangles have the same albedo everywhere and from all sides.
+    pub(crate) fn average(&mut self, small: &[bool]) {
+        let mean = |(triangle, small): (usize, &bool)| {
+            let material = usize::from(self.scene.triangles[triangle].material);
+            let is_plain = self.plain[material].is_some();
+            (*small && !is_plain).then(|| {
+                // Exact for what changes as squares of places do.
+                let places = [[4.0, 1.0, 1.0], [1.0, 4.0, 1.0], [1.0, 1.0, 4.0]];
+                let albedo = |place: [f32; 3]| {
+                    let barycentrics = Vec3::from(place) / 6.0;
+                    let position = self.position(triangle, barycentrics);
+                    let eye = position + self.geometric_normal(triangle);
+                    self.albedo(triangle, barycentrics, eye)
+                };
+                places.into_iter().map(albedo).sum::<Vec3>() / 3.0
+            })
+        };
+        self.small = small.par_iter().enumerate().map(mean).collect();
+    }
+
     /// Part of diffuse light that a point of a triangle sends on towards `eye`.
     pub(crate) fn albedo(&self, triangle: usize, barycentrics: Vec3, eye: Vec3) -> Vec3 {
         let material = usize::from(self.scene.triangles[triangle].material);
-        self.plain[material]
-            .unwrap_or_else(|| albedo(&surface_point(&self.scene, triangle, barycentrics, eye)))
+        let known = self.plain[material].or_else(|| *self.small.get(triangle)?);
+        known.unwrap_or_else(|| albedo(&surface_point(&self.scene, triangle, barycentrics, eye)))
     }
 
     /// What a ray from `origin` meets at a point of a triangle.

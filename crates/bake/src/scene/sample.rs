@@ -63,8 +63,6 @@ const LEAST_COUNT: f32 = 0.2;
 /// Area of a vertex of an even mesh, in squares of its edges.
 const EVEN_AREA: f32 = 0.866;
 
-/// How far from its vertex, in offsets, a place lies at most that has not been moved.
-const MOVED: f32 = 1.5;
 /// Least cosine between normals of places that stand for each other.
 const SMOOTH: f32 = 0.8;
 /// The same for bounced light, which varies less, and less with the normal; and how far apart it is
@@ -102,7 +100,7 @@ impl Placed {
             .collect();
         let [sparse, sparse_light] = if spacing > 0.0 {
             let spacings: Vec<f32> = sizes_at.iter().map(|size| spacing * size).collect();
-            spread(&positions, &triangles, &places, ray_offset, &spacings)
+            spread(&places, &spacings)
         } else {
             [(); 2].map(|()| Sparse::all(places.origins.len()))
         };
@@ -128,29 +126,14 @@ impl Placed {
     }
 }
 
-/// Which places are sampled so far apart, and at which light is gathered: those moved off other surfaces in any
-/// case.
-fn spread(
-    positions: &[Vec3],
-    triangles: &[[u32; 3]],
-    places: &Places,
-    ray_offset: f32,
-    spacings: &[f32],
-) -> [Sparse; 2] {
-    let mut moved = vec![false; places.origins.len()];
-    let corners = triangles.as_flattened().iter();
-    for (&vertex, &place) in corners.zip(places.corners.as_flattened()) {
-        let origin = places.origins[place as usize];
-        let away = origin.distance(positions[vertex as usize]);
-        moved[place as usize] |= away > MOVED * ray_offset;
-    }
+/// Which places are sampled so far apart, and at which light is gathered.
+fn spread(places: &Places, spacings: &[f32]) -> [Sparse; 2] {
     let sparse = |factor: f32, smooth| {
         let spacing = Spacing {
             distances: spacings.iter().map(|spacing| factor * spacing).collect(),
             smooth,
         };
-        let touched = |place: u32| moved[place as usize];
-        Sparse::new(&places.origins, &places.corners, &spacing, touched)
+        Sparse::new(&places.origins, &places.corners, &spacing)
     };
     let (seen, light) = rayon::join(
         || sparse(1.0, SMOOTH),

@@ -4,8 +4,8 @@
 //! Scans have vertices far closer together than visibility needs. Places are sampled so far apart that each of the
 //! others has some within a given way along the surface; those around it stand for it, weighted so that
 //! what changes linearly over the surface comes out right (moving least squares: Lancaster & Salkauskas 1981).
-//! Those on borders and creases, and those where other surfaces touch, stand for each other and for what is beside them, but
-//! nothing beside them stands for them.
+//! Those on borders and creases stand for each other and for what is beside them, but nothing beside them stands for
+//! them.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
@@ -50,21 +50,15 @@ impl Sparse {
         }
     }
 
-    /// Sampled places are at most about `spacing` apart. `triangles` have places for corners; `touched`
-    /// says at which of them other surfaces touch.
-    pub(crate) fn new(
-        origins: &[Vec3],
-        triangles: &[[u32; 3]],
-        spacing: &Spacing,
-        touched: impl Fn(u32) -> bool,
-    ) -> Self {
-        let surface = Surface::new(origins, triangles, spacing.smooth, touched);
+    /// Sampled places are at most about `spacing` apart. `triangles` have places for corners.
+    pub(crate) fn new(origins: &[Vec3], triangles: &[[u32; 3]], spacing: &Spacing) -> Self {
+        let surface = Surface::new(origins, triangles, spacing.smooth);
         let mut reached: Vec<Vec<(f32, u32)>> = vec![Vec::new(); origins.len()];
         let mut covered = vec![false; origins.len()];
         let mut sampled = vec![false; origins.len()];
         let mut walk = Walk::new(origins.len());
         let (first, others): (Vec<u32>, Vec<u32>) =
-            (0..origins.len() as u32).partition(|&place| surface.kind(place) != PLAIN);
+            (0..origins.len() as u32).partition(|&place| surface.is_edge(place));
         for place in first.into_iter().chain(others) {
             if covered[place as usize] {
                 continue;
@@ -76,12 +70,12 @@ impl Sparse {
                 reached[other as usize].push((way, place));
             };
             walk.over_faces(&surface, place, REACH * distance, |other, way| {
-                if surface.kind(other) == PLAIN {
+                if !surface.is_edge(other) {
                     visit(other, way);
                 }
             });
-            if surface.kind(place) != PLAIN {
-                walk.over_kind(&surface, place, REACH * distance, visit);
+            if surface.is_edge(place) {
+                walk.along_edges(&surface, place, REACH * distance, visit);
             }
         }
         let mut sparse = Self {
@@ -166,14 +160,6 @@ fn weights(
         .collect()
 }
 
-/// What a place is on: nothing of note, or one of the others or both.
-type Kind = u8;
-const PLAIN: Kind = 0;
-/// A border or a crease.
-const EDGE: Kind = 1;
-/// Another surface.
-const TOUCHED: Kind = 2;
-
 /// Places with their neighbours.
 struct Surface<'a> {
     origins: &'a [Vec3],
@@ -182,18 +168,13 @@ struct Surface<'a> {
     /// Where each place's begin in `neighbours`.
     first: Vec<u32>,
     neighbours: Vec<u32>,
-    /// What each place is on.
-    kinds: Vec<Kind>,
+    /// Whether each place is on a border or a crease.
+    edges: Vec<bool>,
     smooth: f32,
 }
 
 impl<'a> Surface<'a> {
-    fn new(
-        origins: &'a [Vec3],
-        triangles: &[[u32; 3]],
-        smooth: f32,
-        touched: impl Fn(u32) -> bool,
-    ) -> Self {
+    fn new(origins: &'a [Vec3], triangles: &[[u32; 3]], smooth: f32) -> Self {
         let count = origins.len();
         let face = |triangle: &[u32; 3]| {
             let [a, b, c] = triangle.map(|place| origins[place as usize]);
@@ -211,15 +192,11 @@ impl<'a> Surface<'a> {
         for normal in &mut normals {
             *normal = normal.normalize_or_zero();
         }
-        let mut kinds: Vec<Kind> = (0..count as u32)
-            .map(|place| if touched(place) { TOUCHED } else { PLAIN })
-            .collect();
+        let mut edges = vec![false; count];
         for triangle in triangles {
             let face = face(triangle).normalize_or_zero();
             for &place in triangle {
-                if normals[place as usize].dot(face) < smooth {
-                    kinds[place as usize] |= EDGE;
-                }
+                edges[place as usize] |= normals[place as usize].dot(face) < smooth;
             }
         }
         ends.sort_unstable();
@@ -228,9 +205,7 @@ impl<'a> Surface<'a> {
         for side in sides() {
             for place in side[0] {
                 first[place as usize + 1] += 1;
-                if side.len() != 2 {
-                    kinds[place as usize] |= EDGE;
-                }
+                edges[place as usize] |= side.len() != 2;
             }
         }
         for place in 0..count {
@@ -251,13 +226,13 @@ impl<'a> Surface<'a> {
             normals,
             first,
             neighbours,
-            kinds,
+            edges,
             smooth,
         }
     }
 
-    fn kind(&self, place: u32) -> Kind {
-        self.kinds[place as usize]
+    fn is_edge(&self, place: u32) -> bool {
+        self.edges[place as usize]
     }
 
     fn neighbours(&self, place: u32) -> &[u32] {
@@ -316,20 +291,20 @@ impl Walk {
         visit: impl FnMut(u32, f32),
     ) {
         // Beyond a crease or a border the surface goes on as another.
-        let goes_on = |place: u32| place == start || surface.kind(place) == PLAIN;
+        let goes_on = |place: u32| place == start || !surface.is_edge(place);
         self.walk(surface, (start, reach), goes_on, |_| true, visit);
     }
 
-    /// The same over what is of the kind that it starts on.
-    fn over_kind(
+    /// The same along borders and creases.
+    fn along_edges(
         &mut self,
         surface: &Surface,
         start: u32,
         reach: f32,
         visit: impl FnMut(u32, f32),
     ) {
-        let alike = |place: u32| surface.kind(place) == surface.kind(start);
-        self.walk(surface, (start, reach), |_| true, alike, visit);
+        let is_edge = |place: u32| surface.is_edge(place);
+        self.walk(surface, (start, reach), |_| true, is_edge, visit);
     }
 
     fn walk(
@@ -395,7 +370,7 @@ mod tests {
     fn few_stand_for_a_fine_plane_and_linear_functions_come_out() {
         let n = 60;
         let (origins, triangles) = grid(n, |_, _| 0.0);
-        let sparse = Sparse::new(&origins, &triangles, &spacing(4.0, &origins), |_| false);
+        let sparse = Sparse::new(&origins, &triangles, &spacing(4.0, &origins));
         let count = origins.len() as u32;
         let sampled = sampled(&sparse, count);
         let border = 4 * n as usize;
@@ -426,15 +401,12 @@ mod tests {
     #[test]
     fn creases_are_not_crossed() {
         let (origins, triangles) = grid(20, |x, _| x.abs_diff(10) as f32);
-        let sparse = Sparse::new(&origins, &triangles, &spacing(5.0, &origins), |place| {
-            place == 30
-        });
+        let sparse = Sparse::new(&origins, &triangles, &spacing(5.0, &origins));
         let count = origins.len() as u32;
         let sampled = sampled(&sparse, count);
         assert!(sampled.len() < 220, "{}", sampled.len());
         for place in 0..count {
             let at = origins[place as usize];
-            assert!(place != 30 || sampled.contains(&place));
             for &(source, _) in sparse.sources(place) {
                 let other = origins[source as usize];
                 assert!((at.x - 10.0) * (other.x - 10.0) >= 0.0, "{at} {other}");
@@ -446,12 +418,9 @@ mod tests {
     fn places_on_edges_stand_for_others_there_alone() {
         let n = 40;
         let (origins, triangles) = grid(n, |x, _| x.abs_diff(20) as f32);
-        let sparse = Sparse::new(&origins, &triangles, &spacing(5.0, &origins), |place| {
-            place == 25
-        });
+        let sparse = Sparse::new(&origins, &triangles, &spacing(5.0, &origins));
         let count = origins.len() as u32;
         let sampled = sampled(&sparse, count);
-        assert!(sampled.contains(&25));
         let is_edge = |at: Vec3| at.x == 20.0 || [at.x, at.z].iter().any(|x| x % n as f32 == 0.0);
         let on_edges = (0..count).filter(|&place| is_edge(origins[place as usize]));
         assert!(on_edges.clone().count() == 5 * n as usize - 1);
@@ -462,7 +431,7 @@ mod tests {
             let mut found = 0.0;
             for &(source, weight) in sparse.sources(place) {
                 let from = origins[source as usize];
-                assert!(source == 25 || is_edge(from), "{at} {from}");
+                assert!(is_edge(from), "{at} {from}");
                 found += weight * (from.x + 0.5 * from.z);
             }
             let off = (found - at.x - 0.5 * at.z).abs();
@@ -480,44 +449,15 @@ mod tests {
     }
 
     #[test]
-    fn touched_places_stand_for_others_there_alone() {
-        let n = 40;
-        let (origins, triangles) = grid(n, |_, _| 0.0);
-        // A strip within, wider than a line.
-        let touched = |place: u32| {
-            let at = origins[place as usize];
-            (18.0..=22.0).contains(&at.z) && (1.0..=39.0).contains(&at.x)
-        };
-        let sparse = Sparse::new(&origins, &triangles, &spacing(5.0, &origins), touched);
-        let count = origins.len() as u32;
-        let sampled = sampled(&sparse, count);
-        let (mut strip, mut few, mut beside) = (0, 0, 0);
-        for place in 0..count {
-            let sources = sparse.sources(place);
-            if touched(place) {
-                strip += 1;
-                few += usize::from(sampled.contains(&place));
-                assert!(sources.iter().all(|&(source, _)| touched(source)));
-            } else {
-                beside += usize::from(sources.iter().any(|&(source, _)| touched(source)));
-            }
-        }
-        assert_eq!(strip, 39 * 5);
-        assert!(few < strip / 4, "{few} of {strip}");
-        // They stand for what lies beside them, too.
-        assert!(beside > 39, "{beside}");
-    }
-
-    #[test]
     fn coarse_meshes_are_sampled_everywhere() {
         let (origins, triangles) = grid(10, |_, _| 0.0);
         let count = origins.len();
         assert_eq!(
-            Sparse::new(&origins, &triangles, &spacing(0.5, &origins), |_| false),
+            Sparse::new(&origins, &triangles, &spacing(0.5, &origins)),
             Sparse::all(count)
         );
         assert_eq!(
-            Sparse::new(&[], &[], &spacing(1.0, &origins), |_| false),
+            Sparse::new(&[], &[], &spacing(1.0, &origins)),
             Sparse::all(0)
         );
     }

@@ -131,7 +131,7 @@ mod tests {
             distances: vec![distance; origins.len()],
             smooth: 0.9,
         };
-        let sparse = |distance| Sparse::new(&origins, &triangles, &spacing(distance), |_| false);
+        let sparse = |distance| Sparse::new(&origins, &triangles, &spacing(distance));
         let some = sparse(4.0);
         let kept = Kept::new(&some, &origins, 16);
         let mut places = kept.places.clone();

@@ -101,7 +101,9 @@ impl Receivers<'_> {
             }
         }
         // Single weights may be less than nothing.
-        masses.iter_mut().for_each(|mass| *mass = mass.max(0.0));
+        for mass in &mut masses {
+            *mass = mass.max(0.0);
+        }
         masses
     }
 
@@ -391,6 +393,72 @@ mod tests {
         // What is allowed, and steps of 1/254.
         assert!(error < RELATIVE_GAIN + 0.004, "{error}");
         assert_eq!(compressed.weights.len(), 200 * rank as usize);
+    }
+
+    /// Compressing what a few stand for, or all of them as mixed, comes to the same light.
+    #[test]
+    fn what_stands_for_others_is_compressed_for_them() {
+        let value = |i: usize, k: usize| {
+            let (t, k) = (i as f32 / 60.0, k as f32);
+            1.0 + math::sin(0.1 * k) * t + math::cos(0.3 * k) * math::sin(3.0 * t)
+        };
+        let gathered: Vec<Vec<f32>> = (0..60)
+            .map(|i| (0..90).map(|k| value(i, k)).collect())
+            .collect();
+        // Between each and the next three more.
+        let sources: Vec<Vec<(u32, f32)>> = (0..236u32)
+            .map(|i| {
+                let part = (i % 4) as f32 / 4.0;
+                vec![(i / 4, 1.0 - part), (i / 4 + 1, part)]
+            })
+            .collect();
+        let mixed: Vec<Vec<f32>> = (sources.iter())
+            .map(|sources| {
+                let at = |k: usize| -> f32 {
+                    let parts = sources.iter();
+                    (parts.map(|&(source, weight)| weight * gathered[source as usize][k])).sum()
+                };
+                (0..90).map(at).collect()
+            })
+            .collect();
+        let alone: Vec<_> = (0..236).map(|vertex| vec![(vertex, 1.0)]).collect();
+        let of = |gathered: &[Vec<f32>], sources: &[Vec<(u32, f32)>]| {
+            let receivers = Receivers {
+                sources,
+                normals: &[Vec3::Y; 236],
+                shared: &[false; 236],
+            };
+            compress(gathered, &receivers, 3)
+        };
+        let (few, all) = (of(&gathered, &sources), of(&mixed, &alone));
+        assert_eq!(few.group.rank, all.group.rank);
+        let relative = |group: &Group| (group.squared_error / group.squared).sqrt();
+        assert!((few.group.squared / all.group.squared - 1.0).abs() < 0.01);
+        assert!(relative(&few.group) < 1.2 * relative(&all.group));
+        let error = |compressed: &Compressed, vertex: usize| -> f32 {
+            let Group { scales, basis, .. } = &compressed.group;
+            let row = |row: usize, k: usize| {
+                f32::from(basis[row * 90 + k]) / 127.0 * scales[row * 3 + k / 30]
+            };
+            let weights = compressed.weights_of(vertex).iter().enumerate();
+            let shown = |k: usize| -> f32 {
+                let parts = weights.clone();
+                row(0, k)
+                    + parts
+                        .map(|(i, weight)| f32::from(*weight) / 127.0 * row(i + 1, k))
+                        .sum::<f32>()
+            };
+            let off = |k: usize| (shown(k) - mixed[vertex][k]).powi(2);
+            ((0..90).map(off).sum::<f32>() / 90.0).sqrt()
+        };
+        for vertex in 0..236 {
+            let errors = [error(&few, vertex), error(&all, vertex)];
+            // Of values about 1 to 3.
+            assert!(
+                errors.iter().all(|error| *error < 0.03),
+                "{vertex}: {errors:?}"
+            );
+        }
     }
 
     #[test]

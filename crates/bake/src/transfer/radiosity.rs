@@ -687,6 +687,63 @@ pub(crate) mod tests {
         }
     }
 
+    /// A floor and a wall of so many squares along each side.
+    fn corner_of(n: usize) -> Mesh {
+        let step = 1.0 / n as f32;
+        let at = |i: usize| [(i % n) as f32 * step, (i / n) as f32 * step];
+        let floor = (0..n * n).map(|i| {
+            let [x, z] = at(i);
+            [Vec3::new(x, 0.0, z), step * Vec3::Z, step * Vec3::X]
+        });
+        let wall = (0..n * n).map(|i| {
+            let [y, z] = at(i);
+            [Vec3::new(0.0, y, z), step * Vec3::Y, step * Vec3::Z]
+        });
+        squares(&floor.chain(wall).collect::<Vec<_>>(), 0.5, 0.0)
+    }
+
+    #[test]
+    fn one_point_stands_for_all_of_a_small_triangle() {
+        // Squares wider than what one point stands for, and many times narrower.
+        let [coarse, fine] = [4, 60].map(|n| solve(&corner_of(n), Some(64)));
+        let stored = |solved: &Radiosity| -> Vec<u32> {
+            let sides = solved.standing.iter();
+            sides
+                .map(|[front, _]| front.load(Ordering::Relaxed))
+                .collect()
+        };
+        assert!(stored(&coarse.0).iter().all(|stored| *stored == LARGE));
+        let (solved, caster) = &fine;
+        let points = solved.points.as_slice();
+        let mut known = 0;
+        for (triangle, stored) in stored(solved).into_iter().enumerate() {
+            assert!(stored != LARGE && stored != NONE);
+            if let Some(point) = points.get(stored as usize) {
+                known += 1;
+                let [corner, ..] = solved.surfaces.corners(triangle);
+                let reach = (REACH + BLUR) * solved.points.spacing_at(corner);
+                assert!(point.position.distance(corner) < reach);
+                let up = corner + point.geometric_normal;
+                let met = solved.surfaces.meet(triangle, Vec3::splat(1.0 / 3.0), up);
+                let again = solved.standing_at(caster, &met, triangle as u32);
+                assert_eq!(again, Some(stored as usize));
+            }
+        }
+        assert!(known > 1000, "{known}");
+        // The light is the same.
+        let [one, other] = [&coarse, &fine].map(|(solved, caster)| {
+            let light = |i: u32| {
+                let receiver = Receiver {
+                    origin: Vec3::new(0.05 + 0.03 * i as f32, 1e-4, 0.5),
+                    normal: Vec3::Y,
+                };
+                gathered_at(solved, caster, &receiver)[3 * solved.columns]
+            };
+            (0..30).map(light).sum::<f32>()
+        });
+        assert!((one / other - 1.0).abs() < 0.03, "{one} {other}");
+    }
+
     /// All that arrives at a place.
     fn gathered_at(solved: &Radiosity, caster: &RayCaster, receiver: &Receiver) -> Vec<f32> {
         let mut gathered = solved.gather(caster, receiver, 128, true, |_| false);

@@ -349,6 +349,27 @@ mod tests {
     }
 
     #[test]
+    fn what_was_met_before_changes_no_answer() {
+        let triangles = quad_grid(12);
+        let caster = RayCaster::new(&triangles);
+        let (mut hits, mut again, mut occluder) = (0, 0, NOTHING);
+        for i in 0..2000u32 {
+            let direction = relight_shading::octahedral::texel_direction(i % 40, i / 40, 50);
+            let origin = Vec3::new(0.1, 0.08 - 0.0001 * i as f32, -0.07);
+            let expected = caster.any_hit(origin, direction);
+            let before = occluder;
+            let found = caster.any_hit_as_before(origin, direction, &mut occluder);
+            assert_eq!(found, expected, "{direction}");
+            hits += u32::from(found);
+            again += u32::from(found && before == occluder);
+        }
+        assert!(
+            hits > 300 && again > 30 && again < hits,
+            "{again} of {hits}"
+        );
+    }
+
+    #[test]
     fn of_two_sides_the_one_that_faces_the_ray_is_hit() {
         let front = quad_grid(6);
         let back = front.iter().map(|&[a, b, c]| [a, c, b]);

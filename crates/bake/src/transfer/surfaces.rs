@@ -15,7 +15,7 @@ pub(crate) struct Surfaces {
     scene: format::Scene,
     /// By material: albedo, where it is the same everywhere and from all sides.
     plain: Vec<Option<Vec3>>,
-    /// By triangle: the same of those that are so small that its mean will do; none where there are no such.
+    /// By triangle: the same of those that are so small that its mean will do; empty where no albedo needs that.
     small: Vec<Option<Vec3>>,
     emitters: Emitters,
 }
@@ -241,12 +241,19 @@ impl Surfaces {
         (b - a).cross(c - a).normalize_or(Vec3::Y)
     }
 
-    /// From here on some triangles have the same albedo everywhere and from all sides.
+    /// From here on some triangles have the same albedo everywhere, unless it depends on where they are seen from.
     pub(crate) fn average(&mut self, small: &[bool]) {
+        let is_textured = |(material, plain): (&format::Material, &Option<Vec3>)| {
+            plain.is_none() && !depends_on_view(material)
+        };
+        let materials = self.scene.materials.iter().zip(&self.plain);
+        let textured: Vec<bool> = materials.map(is_textured).collect();
+        if !textured.contains(&true) {
+            return;
+        }
         let mean = |(triangle, small): (usize, &bool)| {
             let material = usize::from(self.scene.triangles[triangle].material);
-            let is_plain = self.plain[material].is_some();
-            (*small && !is_plain).then(|| {
+            (*small && textured[material]).then(|| {
                 // Exact for what changes as squares of places do.
                 let places = [[4.0, 1.0, 1.0], [1.0, 4.0, 1.0], [1.0, 1.0, 4.0]];
                 let albedo = |place: [f32; 3]| {
@@ -319,7 +326,7 @@ fn is_plain(material: &format::Material) -> bool {
         ];
         return textures.into_iter().all(Option::is_none);
     }
-    let mut plain = true;
+    let mut plain = !depends_on_view(material);
     visit_layers(material, |layer| {
         let textures = [
             layer.diffuse_texture,
@@ -327,10 +334,16 @@ fn is_plain(material: &format::Material) -> bool {
             layer.roughness_texture,
             layer.weight_texture,
         ];
-        // What a coat lets through depends on the view.
-        plain &= layer.join != Join::Coat && textures.iter().all(Option::is_none);
+        plain &= textures.iter().all(Option::is_none);
     });
     plain
+}
+
+/// Whether the albedo of a material does: what a coat lets through.
+fn depends_on_view(material: &format::Material) -> bool {
+    let mut depends = false;
+    visit_layers(material, |layer| depends |= layer.join == Join::Coat);
+    depends
 }
 
 /// A mesh as the runtime would see it, without visibility.

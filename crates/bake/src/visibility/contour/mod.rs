@@ -125,15 +125,6 @@ impl ContourMesh {
     /// Welds vertices of equal coordinates and collects edges. Triangles without area and
     /// repeated triangles are left out: neither changes what is visible.
     pub fn new(triangles: &[[Vec3; 3]]) -> Self {
-        let (caster, mut mesh) = rayon::join(
-            || RayCaster::new(triangles),
-            || Self::without_caster(triangles),
-        );
-        mesh.caster = caster;
-        mesh
-    }
-
-    fn without_caster(triangles: &[[Vec3; 3]]) -> Self {
         let near = near(triangles);
         let mut ids = HashMap::new();
         let mut positions = Vec::new();
@@ -165,7 +156,7 @@ impl ContourMesh {
         }
         let parts = Parts::new(&positions, &welded);
         Self {
-            caster: RayCaster::new(&[]),
+            caster: RayCaster::new(triangles),
             facing: Facing::new(&positions, &welded, &parts),
             parts,
             vertices: all_vertices,

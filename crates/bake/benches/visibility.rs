@@ -21,8 +21,8 @@ use common::Subject;
 use glam::Vec3;
 use rayon::prelude::*;
 use relight_bake::internals::DistanceTransform;
+use relight_bake::internals::visibility::ContourMesh;
 use relight_bake::internals::visibility::{self, Bitmap, Directions};
-use relight_bake::internals::visibility::{ContourMesh, GROUP};
 use serde_json::{Value, json};
 
 const RESOLUTION: u32 = 128;
@@ -95,6 +95,7 @@ fn measure(subject: &Subject, rounds: usize, threads: usize) -> Value {
         name,
         soup,
         origins,
+        group,
         ..
     } = subject;
     let directions = Directions::new(RESOLUTION);
@@ -115,7 +116,7 @@ fn measure(subject: &Subject, rounds: usize, threads: usize) -> Value {
             best[contender] = best[contender].min(start.elapsed().as_secs_f64());
         };
         lap(0, &mut || {
-            fast = (origins.par_chunks(GROUP))
+            fast = (origins.par_chunks(*group))
                 .map_init(
                     || contours.scratch(&directions),
                     |scratch, group| {
@@ -144,7 +145,7 @@ fn measure(subject: &Subject, rounds: usize, threads: usize) -> Value {
         };
         for (contender, transform) in [(3, None), (4, Some(&transform))] {
             lap(contender, &mut || {
-                (origins.par_chunks(GROUP)).for_each_init(
+                (origins.par_chunks(*group)).for_each_init(
                     || contours.scratch(&directions),
                     |scratch, group| distances(scratch, group, transform),
                 );

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use super::sample::Prepared;
 use crate::monitor::Interrupted;
 use crate::visibility::arrange;
-use crate::visibility::contour::GROUP;
+use crate::visibility::contour::{RUN, group_of};
 use crate::visibility::sparse::Sparse;
 
 /// Where what is kept would take more, each chunk samples what it needs.
@@ -27,6 +27,8 @@ pub(super) struct Kept {
     number: Vec<u32>,
     /// Of each group, one place after the other.
     ssdfs: Vec<OnceLock<Vec<f32>>>,
+    /// Places of a group.
+    group: usize,
     texels: usize,
 }
 
@@ -38,7 +40,8 @@ impl Kept {
         if places.len() == origins.len() || bytes > MOST_BYTES {
             return Self::default();
         }
-        arrange(&mut places, GROUP, &|&place| {
+        let group = group_of(places.len());
+        arrange(&mut places, &[group, RUN], &|&place| {
             (origins[place as usize].to_array(), place)
         });
         let mut number = vec![u32::MAX; origins.len()];
@@ -46,11 +49,12 @@ impl Kept {
             number[place as usize] = index;
         }
         Self {
-            ssdfs: (0..places.len().div_ceil(GROUP))
+            ssdfs: (0..places.len().div_ceil(group))
                 .map(|_| OnceLock::new())
                 .collect(),
             places,
             number,
+            group,
             texels,
         }
     }
@@ -75,8 +79,8 @@ impl Kept {
     /// The SSDF of a place, once its group was sampled.
     pub(super) fn ssdf(&self, place: u32) -> Option<&[f32]> {
         let number = *self.number.get(place as usize)? as usize;
-        let group = self.ssdfs.get(number / GROUP)?.get()?;
-        group.chunks_exact(self.texels).nth(number % GROUP)
+        let group = self.ssdfs.get(number.checked_div(self.group)?)?.get()?;
+        group.chunks_exact(self.texels).nth(number % self.group)
     }
 }
 
@@ -84,7 +88,7 @@ impl Prepared<'_> {
     /// Samples some places and those of their groups, unless that was done before.
     pub(super) fn sample_kept(&self, places: &[u32]) -> Result<(), Interrupted> {
         let kept = &self.kept;
-        let group = |&place: &u32| kept.number[place as usize] as usize / GROUP;
+        let group = |&place: &u32| kept.number[place as usize] as usize / kept.group;
         let mut groups: Vec<usize> = places.iter().map(group).collect();
         groups.sort_unstable();
         groups.dedup();
@@ -94,8 +98,8 @@ impl Prepared<'_> {
                 // Nothing in here is divided among threads: one that waited for another part would start on a
                 // group that it has begun itself.
                 kept.ssdfs[group].get_or_init(|| {
-                    let end = kept.places.len().min((group + 1) * GROUP);
-                    let places = &kept.places[group * GROUP..end];
+                    let end = kept.places.len().min((group + 1) * kept.group);
+                    let places = &kept.places[group * kept.group..end];
                     let origin = |&place: &u32| self.origins[place as usize];
                     let origins: Vec<Vec3> = places.iter().map(origin).collect();
                     let mut ssdfs = vec![0.0; places.len() * kept.texels];
@@ -137,10 +141,11 @@ mod tests {
         let mut places = kept.places.clone();
         places.sort_unstable();
         assert_eq!(places, some.sources_of(0..origins.len() as u32));
-        assert_eq!(kept.ssdfs.len(), places.len().div_ceil(GROUP));
+        assert_eq!(kept.ssdfs.len(), places.len().div_ceil(kept.group));
         assert_eq!(kept.ssdf(places[0]), None);
         for group in 0..kept.ssdfs.len() {
-            let members = &kept.places[group * GROUP..places.len().min((group + 1) * GROUP)];
+            let members =
+                &kept.places[group * kept.group..places.len().min((group + 1) * kept.group)];
             let ssdfs = members.iter().flat_map(|&place| [place as f32; 16]);
             kept.ssdfs[group].set(ssdfs.collect()).unwrap();
         }

@@ -8,7 +8,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::DistanceTransform;
-use crate::visibility::contour::{ContourMesh, GROUP, Lent, Scratch};
+use crate::visibility::contour::{ContourMesh, Lent, RUN, Scratch, group_of};
 use crate::visibility::{Bitmap, Crossings, Directions, arrange};
 
 /// What is seen from a point.
@@ -86,10 +86,11 @@ impl Sampler {
             .zip(points)
             .map(|(number, (origin, for_whom))| (number, origin, for_whom))
             .collect();
-        arrange(&mut points, GROUP, &|(number, origin, _)| {
+        let group = group_of(points.len());
+        arrange(&mut points, &[group, RUN], &|(number, origin, _)| {
             (origin.to_array(), *number)
         });
-        points.par_chunks_mut(GROUP).try_for_each_init(
+        points.par_chunks_mut(group).try_for_each_init(
             || self.scratch(contours),
             |scratch, group| {
                 let origins: Vec<Vec3> = group.iter().map(|(_, origin, _)| *origin).collect();
@@ -105,7 +106,7 @@ impl Sampler {
         contours.scratch(&self.directions)
     }
 
-    /// Samples up to [`GROUP`] points that lie close together, by this thread alone, and hands over for each its number
+    /// Samples a group of points ([`group_of`]), by this thread alone, and hands over for each its number
     /// and what is seen from there.
     pub(crate) fn sample_group<E>(
         &self,

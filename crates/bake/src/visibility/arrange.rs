@@ -1,17 +1,17 @@
 //! An order in which neighbours in space are neighbours in a list.
 
-/// Brings items into an order in which runs of `run` are close together: recursive cuts, at
-/// multiples of it, along the feature of largest extent. `key` gives an item's features and
-/// a number of its own, by which items of a run are ordered.
+/// Brings items into an order in which runs of each of some lengths are close together: recursive cuts, at
+/// multiples of the longest that is shorter than what is cut, along the feature of largest extent. The longest comes
+/// first. `key` gives an item's features and a number of its own, by which items of the shortest runs are ordered.
 pub fn arrange<T: Send, const N: usize>(
     items: &mut [T],
-    run: usize,
+    runs: &[usize],
     key: &(impl Fn(&T) -> ([f32; N], u32) + Sync),
 ) {
-    if items.len() <= run {
+    let Some(&run) = runs.iter().find(|run| items.len() > **run) else {
         items.sort_unstable_by_key(|item| key(item).1);
         return;
-    }
+    };
     let mut range = [(f32::INFINITY, f32::NEG_INFINITY); N];
     for item in items.iter() {
         for ((low, high), value) in range.iter_mut().zip(key(item).0) {
@@ -29,5 +29,5 @@ pub fn arrange<T: Send, const N: usize>(
         a[axis].total_cmp(&b[axis]).then(first.cmp(&second))
     });
     let (lower, upper) = items.split_at_mut(middle);
-    rayon::join(|| arrange(lower, run, key), || arrange(upper, run, key));
+    rayon::join(|| arrange(lower, runs, key), || arrange(upper, runs, key));
 }

@@ -36,8 +36,9 @@ impl<const AXES: usize> Batch<AXES> {
         }
     }
 
+    /// Adds a contour to a new batch.
     #[cold]
-    fn begin(batches: &mut Vec<Self>, ends: [[f32; AXES]; 2], step: i32) {
+    pub(super) fn begin(batches: &mut Vec<Self>, ends: [[f32; AXES]; 2], step: i32) {
         let mut batch = Self::EMPTY;
         batch.set(0, ends, step);
         batch.count = 1;

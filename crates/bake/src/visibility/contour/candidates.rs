@@ -1,8 +1,8 @@
 //! What the points of a small group may see as contours.
 //!
 //! Seen from points close together, most contours are the same: the triangles at them face
-//! all of the points or none. Those are found once per group. What remains to be done for
-//! every point are the few triangles whose planes pass through the group.
+//! all of the points or none. Those are found once per group. Of what remains, the triangles whose planes pass through the
+//! group, fewer pass between the points of a run of it, and so once more (`level`). What remains then is done for every point.
 
 use std::ops::Range;
 
@@ -11,17 +11,20 @@ use pulp::{Simd, WithSimd};
 
 use crate::simd;
 
-use super::Contour;
 use super::batch::{Batch, LANES};
-use super::facing::{BLOCK, Facing, IrregularEdge, Sides, block_of, for_each_where};
+use super::facing::{BLOCK, Facing, Sides, block_of, for_each_where};
+use super::level::Level;
 use super::loose::Bundle;
 use super::parts::Parts;
+use super::{Contour, RUN};
 
 /// Numbers below this stand for triangles that face no point of the group, or every point, and
 /// for those that are not there.
-const KNOWN: usize = 3;
+pub(super) const KNOWN: u32 = 3;
 /// Stands for the second triangle of an edge that has one.
 pub(super) const ABSENT: u32 = 2;
+/// Where fewer edges remain to a group, narrowing takes as long as it saves.
+const MANY: usize = 2000;
 
 /// An edge that some points may see as a contour: the first triangle is wound along it, the second
 /// against it.
@@ -31,14 +34,29 @@ pub(super) struct CandidateEdge {
     pub(super) vertices: [u32; 2],
 }
 
-/// Contours of the points within a sphere.
-pub(super) struct Candidates {
-    centre: Vec3,
-    radius: f32,
+/// What is found of a group before it is sorted.
+#[derive(Default)]
+pub(super) struct Open {
     /// Contours that every point sees.
     pub(super) sure: Vec<Contour>,
-    /// The same, with the coordinates of their vertices, part after part.
-    sure_batches: Vec<Batch<3>>,
+    /// Edges that some may.
+    pub(super) edges: Vec<CandidateEdge>,
+}
+
+/// Contours of the points of a group.
+#[derive(Default)]
+pub(super) struct Candidates {
+    /// The points.
+    origins: Vec<Vec3>,
+    /// What all points of the group may see, and what a run of them may.
+    levels: [Level; 2],
+    /// How many of these the point looked at last needs; the last one has the edges that remain open.
+    depth: usize,
+    /// What the triangles of the group's level are called in the run's.
+    names: Vec<u32>,
+    open: Open,
+    /// Coordinates of the vertices of these edges.
+    edge_ends: Vec<[[f32; 3]; 2]>,
     /// Parts of the mesh: those that look largest come first. Their numbers here are their
     /// *places*.
     order: Vec<u32>,
@@ -48,25 +66,9 @@ pub(super) struct Candidates {
     boxes: Vec<[Vec3; 2]>,
     /// What each one takes to count, see [`Self::contours_of`].
     costs: Vec<u32>,
-    /// Where each one's batches begin, and where the last one's end; the same of its edges.
-    first_batch: Vec<u32>,
-    first_edge: Vec<u32>,
     /// What is being sorted.
     sorted_contours: Vec<Contour>,
     sorted_edges: Vec<CandidateEdge>,
-    /// Triangles that may face some points and others not, as in [`Facing`].
-    planes: [Vec<f32>; 4],
-    /// Their numbers there.
-    numbers: Vec<u32>,
-    /// Edges of such triangles. The first [`KNOWN`] numbers are not theirs.
-    pub(super) edges: Vec<CandidateEdge>,
-    /// The same, with the coordinates of their vertices.
-    edge_triangles: Vec<[u32; 2]>,
-    edge_ends: Vec<[[f32; 3]; 2]>,
-    /// Edges of more triangles than two, or of two that do not fit each other.
-    pub(super) irregular: Vec<IrregularEdge>,
-    /// Per bundle of loose triangles, their numbers.
-    pub(super) loose: Vec<[u32; LANES]>,
     /// Per number, 1 if the triangle faces the point looked at last, −1 if not, 0 if it is absent.
     faces: Vec<i8>,
     /// Triangles whose planes that point lies in, but for rounding.
@@ -78,38 +80,6 @@ pub(super) struct Candidates {
     sides: Sides,
 }
 
-impl Default for Candidates {
-    /// Of no point.
-    fn default() -> Self {
-        Self {
-            centre: Vec3::NAN,
-            radius: f32::NAN,
-            sure: Vec::new(),
-            sure_batches: Vec::new(),
-            order: Vec::new(),
-            boxes: Vec::new(),
-            places: Vec::new(),
-            costs: Vec::new(),
-            first_batch: Vec::new(),
-            first_edge: Vec::new(),
-            sorted_contours: Vec::new(),
-            sorted_edges: Vec::new(),
-            planes: [const { Vec::new() }; 4],
-            numbers: Vec::new(),
-            edges: Vec::new(),
-            edge_triangles: Vec::new(),
-            edge_ends: Vec::new(),
-            irregular: Vec::new(),
-            loose: Vec::new(),
-            faces: Vec::new(),
-            in_plane: Vec::new(),
-            touched: Vec::new(),
-            found_batches: Vec::new(),
-            sides: Sides::default(),
-        }
-    }
-}
-
 impl Candidates {
     /// Looks for the contours of all points in the bounds of `origins`.
     pub(super) fn prepare(
@@ -119,25 +89,54 @@ impl Candidates {
         positions: &[Vec3],
         origins: &[Vec3],
     ) {
-        let (low, high) = origins.iter().fold(
-            (Vec3::INFINITY, Vec3::NEG_INFINITY),
-            |(low, high), &origin| (low.min(origin), high.max(origin)),
-        );
-        self.centre = low.midpoint(high);
-        let distances = origins.iter().map(|origin| origin.distance(self.centre));
-        self.radius = distances.fold(0.0, f32::max);
-        let mut sides = std::mem::take(&mut self.sides);
-        facing.find_candidates(self.centre, self.radius, parts, &mut sides, self);
-        self.sides = sides;
-        self.arrange(parts, positions);
+        self.origins.clear();
+        self.origins.extend_from_slice(origins);
+        let sphere = sphere_around(origins);
+        let Self {
+            levels,
+            sides,
+            open,
+            ..
+        } = self;
+        open.sure.clear();
+        open.edges.clear();
+        levels[0].begin(sphere);
+        facing.find_candidates(sphere, parts, sides, &mut levels[0], open);
+        self.depth = 1;
+        self.arrange(sphere.0, parts, positions);
+    }
+
+    /// Narrows down what the group may see to what the run may that a point belongs to.
+    fn narrow(&mut self, facing: &Facing, parts: &Parts, eye: Vec3) {
+        let before = self.depth;
+        if before == 2 && self.levels[1].covers(eye) {
+            return;
+        }
+        let [group, run] = &mut self.levels;
+        let mut runs = self.origins.chunks(RUN);
+        let origins = (self.origins.len() > RUN && group.edge_triangles.len() >= MANY)
+            .then(|| runs.find(|run| run.contains(&eye)))
+            .flatten();
+        self.depth = 1;
+        if let Some(origins) = origins {
+            let sphere = sphere_around(origins);
+            group.narrow(facing, sphere, &self.edge_ends, &mut self.names, run);
+            self.depth = 2;
+        }
+        if before.max(self.depth) > 1 {
+            self.set_costs(parts);
+        }
+    }
+
+    fn level(&self) -> &Level {
+        &self.levels[self.depth - 1]
     }
 
     /// Gathers the contours part after part.
-    fn arrange(&mut self, parts: &Parts, positions: &[Vec3]) {
+    fn arrange(&mut self, centre: Vec3, parts: &Parts, positions: &[Vec3]) {
         self.order.clear();
         self.order.extend(0..parts.count() as u32);
         if parts.count() > 1 {
-            let centre = self.centre;
             let size = |&part: &u32| {
                 let [low, high] = parts.boxes[part as usize];
                 let distance = centre.distance_squared(centre.clamp(low, high));
@@ -157,37 +156,55 @@ impl Candidates {
         let mut first = Vec::new();
         let place = |contour: &Contour| place_at(contour.vertices[0]);
         let sorted = &mut self.sorted_contours;
-        sort(&mut self.sure, sorted, parts.count(), place, &mut first);
-        self.first_batch.clear();
-        self.sure_batches.clear();
+        sort(
+            &mut self.open.sure,
+            sorted,
+            parts.count(),
+            place,
+            &mut first,
+        );
+        let level = &mut self.levels[0];
         for range in first.windows(2) {
-            self.first_batch.push(self.sure_batches.len() as u32);
-            let contours = &self.sure[range[0] as usize..range[1] as usize];
-            gather(contours, positions, &mut self.sure_batches);
+            level.first_sure.push(level.sure.len() as u32);
+            let contours = &self.open.sure[range[0] as usize..range[1] as usize];
+            gather(contours, positions, &mut level.sure);
         }
-        self.first_batch.push(self.sure_batches.len() as u32);
-        self.costs.clear();
-        let ends = self.first_batch.windows(2);
-        self.costs
-            .extend(ends.zip(&self.order).map(|(ends, &part)| {
-                let bundle = parts.bundle_of(part).is_some();
-                (ends[1] - ends[0] + u32::from(bundle)) * LANES as u32
-            }));
+        level.first_sure.push(level.sure.len() as u32);
         let place = |edge: &CandidateEdge| place_at(edge.vertices[0]);
-        let (sorted, first) = (&mut self.sorted_edges, &mut self.first_edge);
-        sort(&mut self.edges, sorted, parts.count(), place, first);
-        self.edge_triangles.clear();
+        let (sorted, first) = (&mut self.sorted_edges, &mut level.first_edge);
+        sort(&mut self.open.edges, sorted, parts.count(), place, first);
+        level.edge_ends.extend(0..self.open.edges.len() as u32);
         self.edge_ends.clear();
-        for edge in &self.edges {
-            self.edge_triangles.push(edge.triangles);
+        for edge in &self.open.edges {
+            level.edge_triangles.push(edge.triangles);
             let end = |vertex: u32| positions[vertex as usize].to_array();
             self.edge_ends.push(edge.vertices.map(end));
         }
+        self.set_costs(parts);
+    }
+
+    fn set_costs(&mut self, parts: &Parts) {
+        self.costs.clear();
+        let bundles = self
+            .order
+            .iter()
+            .map(|&part| u32::from(parts.bundle_of(part).is_some()));
+        self.costs.extend(bundles);
+        for level in &self.levels[..self.depth] {
+            for (cost, ends) in self.costs.iter_mut().zip(level.first_sure.windows(2)) {
+                *cost += ends[1] - ends[0];
+            }
+        }
+        self.costs.iter_mut().for_each(|cost| *cost *= LANES as u32);
     }
 
     /// What all parts take to count, see [`Self::contours_of`].
     pub(super) fn expected(&self) -> usize {
-        self.sure.len() + self.loose.len() * LANES
+        let levels = &self.levels[..self.depth];
+        let sure: usize = (levels.iter().flat_map(|level| &level.sure))
+            .map(|batch| batch.count)
+            .sum();
+        sure + self.level().loose.len() * LANES
     }
 
     /// Parts of the mesh: those that look largest from the group come first.
@@ -215,7 +232,7 @@ impl Candidates {
     ) -> impl Iterator<Item = (usize, &'a Bundle, impl Fn(usize) -> i8)> {
         places.iter().filter_map(|&place| {
             let number = parts.bundle_of(self.order[place as usize])?;
-            let triangles = &self.loose[number];
+            let triangles = &self.level().loose[number];
             let face = |lane: usize| self.faces[triangles[lane] as usize];
             Some((number, &parts.bundles[number], face))
         })
@@ -227,8 +244,8 @@ impl Candidates {
         &'a self,
         places: &'a [u32],
     ) -> impl Iterator<Item = &'a [Batch<3>]> {
-        ranges(places, &self.first_batch)
-            .map(|range| &self.sure_batches[range])
+        (self.levels[..self.depth].iter())
+            .flat_map(|level| ranges(places, &level.first_sure).map(|range| &level.sure[range]))
             .chain([&self.found_batches[..]])
     }
 
@@ -237,11 +254,14 @@ impl Candidates {
     pub(super) fn find(&mut self, parts: &Parts, positions: &[Vec3], places: &[u32]) {
         self.found_batches.clear();
         simd::arch().dispatch(Find {
-            candidates: self,
+            level: &self.levels[self.depth - 1],
+            ends: &self.edge_ends,
+            faces: &self.faces,
+            found: &mut self.found_batches,
             places,
         });
         let face = |triangle: u32| self.faces[triangle as usize];
-        for edge in &self.irregular {
+        for edge in &self.levels[self.depth - 1].irregular {
             let place = self.places[parts.of_vertex(edge.vertices[0]) as usize];
             if let Some(contour) = edge.contour(face)
                 && places.binary_search(&place).is_ok()
@@ -255,22 +275,25 @@ impl Candidates {
     pub(super) fn contours_of_touched(&mut self, parts: &Parts, positions: &[Vec3]) -> &[Batch<3>] {
         self.found_batches.clear();
         for &(index, face, _) in &self.touched {
-            self.faces[KNOWN + index as usize] = face;
+            self.faces[(KNOWN + index) as usize] = face;
         }
         let is_touched = |triangle: u32| {
             let mut touched = self.touched.iter();
-            touched.any(|(index, ..)| KNOWN + *index as usize == triangle as usize)
+            touched.any(|(index, ..)| KNOWN + *index == triangle)
         };
         let face = |triangle: u32| self.faces[triangle as usize];
-        let regular = self.edges.iter().filter_map(|edge| {
-            let step = edge.triangles.map(|triangle| i32::from(face(triangle)));
-            let contour = Contour {
-                vertices: edge.vertices,
-                step: step[0] - step[1],
-            };
-            (contour.step != 0 && edge.triangles.into_iter().any(is_touched)).then_some(contour)
-        });
-        let irregular = self.irregular.iter().filter_map(|edge| {
+        let level = &self.levels[self.depth - 1];
+        for (triangles, ends) in level.edge_triangles.iter().zip(&level.edge_ends) {
+            let [a, b] = triangles.map(|triangle| i32::from(face(triangle)));
+            if a != b && triangles.iter().any(|triangle| is_touched(*triangle)) {
+                Batch::append(
+                    &mut self.found_batches,
+                    self.edge_ends[*ends as usize],
+                    a - b,
+                );
+            }
+        }
+        let irregular = level.irregular.iter().filter_map(|edge| {
             let mut triangles = edge.triangles.iter();
             (triangles.any(|(triangle, _)| is_touched(*triangle))).then(|| edge.contour(face))?
         });
@@ -281,7 +304,7 @@ impl Candidates {
             let step = i32::from(face);
             (edges.into_iter().flatten()).map(move |vertices| Contour { vertices, step })
         });
-        for contour in regular.chain(irregular).chain(loose) {
+        for contour in irregular.chain(loose) {
             append(&mut self.found_batches, contour, positions);
         }
         &self.found_batches
@@ -289,49 +312,24 @@ impl Candidates {
 
     /// Whether these are the contours of `eye` among others.
     pub(super) fn covers(&self, eye: Vec3) -> bool {
-        eye.distance(self.centre) <= self.radius
-    }
-
-    pub(super) fn clear(&mut self) {
-        self.sure.clear();
-        self.planes.iter_mut().for_each(Vec::clear);
-        self.numbers.clear();
-        self.edges.clear();
-        self.irregular.clear();
-        self.loose.clear();
-    }
-
-    /// What the triangle that is added next is called.
-    pub(super) fn next_triangle(&self) -> u32 {
-        (KNOWN + self.numbers.len()) as u32
-    }
-
-    /// `number` is that in [`Facing`].
-    pub(super) fn add_triangle(&mut self, plane: [f32; 4], number: u32) {
-        for (planes, value) in self.planes.iter_mut().zip(plane) {
-            planes.push(value);
-        }
-        self.numbers.push(number);
-    }
-
-    /// Pads the triangles to whole blocks, with some that nobody sees.
-    pub(super) fn finish_triangles(&mut self) {
-        let padded = self.numbers.len().next_multiple_of(BLOCK);
-        let [x, y, z, d] = &mut self.planes;
-        for normal in [x, y, z] {
-            normal.resize(padded, 0.0);
-        }
-        d.resize(padded, f32::INFINITY);
-        self.faces.resize(KNOWN + padded, 0);
-        self.faces[..KNOWN].copy_from_slice(&[-1, 1, 0]);
+        self.levels[0].covers(eye)
     }
 
     /// Finds what `eye` sees. Triangles that it lies on, but for rounding, are told by
     /// [`Self::touched`]: whether a ray from there meets them is a matter of its arithmetic.
-    pub(super) fn look(&mut self, facing: &Facing, positions: &[Vec3], eye: Vec3) {
+    pub(super) fn look(&mut self, facing: &Facing, parts: &Parts, positions: &[Vec3], eye: Vec3) {
+        self.narrow(facing, parts, eye);
         self.in_plane.clear();
+        self.faces.clear();
+        self.faces.extend([-1, 1, 0]);
+        self.faces.resize(
+            self.faces.len() + self.levels[self.depth - 1].planes[0].len(),
+            0,
+        );
         simd::arch().dispatch(Look {
-            candidates: self,
+            level: &self.levels[self.depth - 1],
+            faces: &mut self.faces[KNOWN as usize..],
+            in_plane: &mut self.in_plane,
             facing,
             rounding: facing.rounding_at(eye),
             rounding_of_axes: facing.rounding_of_axes(eye),
@@ -340,10 +338,10 @@ impl Candidates {
         self.touched.clear();
         for i in 0..self.in_plane.len() {
             let index = self.in_plane[i];
-            let corners = facing.corners(self.numbers[index as usize]);
+            let corners = facing.corners(self.level().numbers[index as usize]);
             let places = corners.map(|vertex| positions[vertex as usize].as_dvec3());
             if touches(places, eye, 4.0 * facing.rounding_at(eye)) {
-                let face = &mut self.faces[KNOWN + index as usize];
+                let face = &mut self.faces[(KNOWN + index) as usize];
                 self.touched.push((index, *face, corners));
                 *face = 0;
             }
@@ -354,39 +352,17 @@ impl Candidates {
     pub(super) fn touched(&self) -> impl Iterator<Item = [u32; 3]> {
         self.touched.iter().map(|(.., corners)| *corners)
     }
+}
 
-    #[inline(always)]
-    fn find_faces(
-        &mut self,
-        of: &Facing,
-        block: usize,
-        eye: Vec3,
-        (rounding, of_axes): (f32, DVec3),
-    ) {
-        let first = block * BLOCK;
-        let [x, y, z, d] = self.planes.each_ref().map(|plane| block_of(plane, block));
-        let faces = &mut self.faces[KNOWN + first..][..BLOCK];
-        let mut unclear = false;
-        for i in 0..BLOCK {
-            let height = x[i] * eye.x + y[i] * eye.y + z[i] * eye.z - d[i];
-            faces[i] = facing(height > 0.0);
-            unclear |= height.abs() < rounding;
-        }
-        if unclear {
-            let eye = eye.as_dvec3();
-            let numbers = &self.numbers[first..];
-            for ((face, number), index) in faces.iter_mut().zip(numbers).zip(first..) {
-                let [x, y, z, d] = of.precise(*number);
-                let height = x * eye.x + y * eye.y + z * eye.z - d;
-                *face = facing(height > 0.0);
-                let normal = DVec3::new(x, y, z);
-                let rounding = f64::from(rounding) * normal.length();
-                if height.abs() <= rounding.min(normal.abs().dot(of_axes)) {
-                    self.in_plane.push(index as u32);
-                }
-            }
-        }
-    }
+/// The sphere around the box of points, by its centre and radius.
+fn sphere_around(origins: &[Vec3]) -> (Vec3, f32) {
+    let (low, high) = origins.iter().fold(
+        (Vec3::INFINITY, Vec3::NEG_INFINITY),
+        |(low, high), &origin| (low.min(origin), high.max(origin)),
+    );
+    let centre = low.midpoint(high);
+    let distances = origins.iter().map(|origin| origin.distance(centre));
+    (centre, distances.fold(0.0, f32::max))
 }
 
 /// Whether a point in a triangle's plane lies on it, or within a margin.
@@ -419,7 +395,10 @@ fn gather(contours: &[Contour], positions: &[Vec3], batches: &mut Vec<Batch<3>>)
 
 /// The vectorised body of [`Candidates::look`].
 struct Look<'a> {
-    candidates: &'a mut Candidates,
+    level: &'a Level,
+    /// Of the level's triangles.
+    faces: &'a mut [i8],
+    in_plane: &'a mut Vec<u32>,
     facing: &'a Facing,
     eye: Vec3,
     rounding: f32,
@@ -430,23 +409,49 @@ impl WithSimd for Look<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) {
-        let Self {
-            candidates,
-            facing,
-            eye,
-            rounding,
-            rounding_of_axes,
-        } = self;
-        for block in 0..candidates.planes[0].len() / BLOCK {
-            candidates.find_faces(facing, block, eye, (rounding, rounding_of_axes));
+    fn with_simd<S: Simd>(mut self, _: S) {
+        for block in 0..self.faces.len() / BLOCK {
+            self.find_faces(block);
+        }
+    }
+}
+
+impl Look<'_> {
+    #[inline(always)]
+    fn find_faces(&mut self, block: usize) {
+        let first = block * BLOCK;
+        let [x, y, z, d] = (self.level.planes.each_ref()).map(|plane| block_of(plane, block));
+        let faces = &mut self.faces[first..][..BLOCK];
+        let eye = self.eye;
+        let mut unclear = false;
+        for i in 0..BLOCK {
+            let height = x[i] * eye.x + y[i] * eye.y + z[i] * eye.z - d[i];
+            faces[i] = facing(height > 0.0);
+            unclear |= height.abs() < self.rounding;
+        }
+        if unclear {
+            let eye = eye.as_dvec3();
+            let numbers = &self.level.numbers[first..];
+            for ((face, number), index) in faces.iter_mut().zip(numbers).zip(first..) {
+                let [x, y, z, d] = self.facing.precise(*number);
+                let height = x * eye.x + y * eye.y + z * eye.z - d;
+                *face = facing(height > 0.0);
+                let normal = DVec3::new(x, y, z);
+                let rounding = f64::from(self.rounding) * normal.length();
+                if height.abs() <= rounding.min(normal.abs().dot(self.rounding_of_axes)) {
+                    self.in_plane.push(index as u32);
+                }
+            }
         }
     }
 }
 
 /// The vectorised body of [`Candidates::find`].
 struct Find<'a> {
-    candidates: &'a mut Candidates,
+    level: &'a Level,
+    ends: &'a [[[f32; 3]; 2]],
+    faces: &'a [i8],
+    found: &'a mut Vec<Batch<3>>,
     places: &'a [u32],
 }
 
@@ -455,16 +460,24 @@ impl WithSimd for Find<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        let Self { candidates, places } = self;
-        let faces = &candidates.faces;
+        let Self {
+            level,
+            ends: all_ends,
+            faces,
+            found,
+            places,
+        } = self;
         let face = |triangle: u32| faces[triangle as usize];
         let differ = |[a, b]: [u32; 2]| face(a) != face(b);
-        let found = &mut candidates.found_batches;
-        for range in ranges(places, &candidates.first_edge) {
-            let triangles = &candidates.edge_triangles[range.clone()];
-            let ends = &candidates.edge_ends[range];
+        for range in ranges(places, &level.first_edge) {
+            let triangles = &level.edge_triangles[range.clone()];
+            let ends = &level.edge_ends[range];
             for_each_where(triangles, ends, differ, |[a, b], ends| {
-                Batch::append(found, ends, i32::from(face(a)) - i32::from(face(b)));
+                Batch::append(
+                    found,
+                    all_ends[ends as usize],
+                    i32::from(face(a)) - i32::from(face(b)),
+                );
             });
         }
     }
@@ -512,4 +525,67 @@ fn sort<T: Copy + Default>(
     }
     first.pop();
     std::mem::swap(items, sorted);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::visibility::contour::ContourMesh;
+    use crate::visibility::{self, Directions};
+
+    /// Deterministic numbers in [0, 1).
+    fn random(state: &mut u64) -> f32 {
+        *state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        (*state >> 40) as f32 / (1u64 << 24) as f32
+    }
+
+    /// Rough ground, from −1 to 1.
+    fn ground(state: &mut u64) -> Vec<[Vec3; 3]> {
+        const SIDE: usize = 64;
+        let heights: Vec<f32> = (0..(SIDE + 1).pow(2)).map(|_| random(state)).collect();
+        let at = |x: usize, z: usize| {
+            let [u, v] = [x, z].map(|i| 2.0 * i as f32 / SIDE as f32 - 1.0);
+            Vec3::new(u, 0.03 * heights[z * (SIDE + 1) + x], v)
+        };
+        let cells = (0..SIDE).flat_map(|z| (0..SIDE).map(move |x| (x, z)));
+        let halves = cells.flat_map(|(x, z)| {
+            let [a, b, c, d] = [at(x, z), at(x + 1, z), at(x + 1, z + 1), at(x, z + 1)];
+            [[a, d, c], [a, c, b]]
+        });
+        halves.collect()
+    }
+
+    #[test]
+    fn what_a_run_may_see_is_narrowed_down_to_the_same_bits() {
+        let mut state = 17;
+        let triangles = ground(&mut state);
+        let mesh = ContourMesh::new(&triangles);
+        let directions = Directions::new(32);
+        // Three runs, the last one of few, each around a place of its own.
+        let origins: Vec<Vec3> = (0..2 * RUN + 5)
+            .map(|index| {
+                let place = Vec3::new(0.1 * (index / RUN) as f32, 0.05, 0.0);
+                place + 0.02 * Vec3::new(random(&mut state), random(&mut state), random(&mut state))
+            })
+            .collect();
+        let mut scratch = mesh.scratch(&directions);
+        mesh.prepare(&origins, &mut scratch);
+        let of_group = scratch.candidates.level().edge_triangles.len();
+        assert!(of_group >= MANY, "{of_group} edges");
+        // One run after the other, then from run to run, and one that is in none.
+        let orders = (0..origins.len()).chain((0..origins.len()).map(|i| i * 17 % origins.len()));
+        let points = orders.map(|index| origins[index]);
+        let between = origins[0].midpoint(origins[RUN]);
+        let mut runs = 0;
+        for (index, eye) in points.chain([between, origins[1]]).enumerate() {
+            let (found, _) = mesh.sample(eye, &directions, &mut scratch);
+            let exact = visibility::sample(mesh.caster(), eye, &directions);
+            assert!(found == exact, "{index}");
+            let of_run = scratch.candidates.level().edge_triangles.len();
+            runs += usize::from(scratch.candidates.depth == 2 && of_run < of_group);
+        }
+        assert_eq!(runs, 2 * origins.len() + 1, "all but the one between");
+    }
 }

@@ -10,7 +10,8 @@ use pulp::{Simd, WithSimd};
 
 use super::Contour;
 use super::batch;
-use super::candidates::{ABSENT, CandidateEdge, Candidates};
+use super::candidates::{ABSENT, CandidateEdge, Open};
+use super::level::Level;
 use super::parts::Parts;
 use crate::simd;
 use crate::visibility::{self, ones, pack_bits};
@@ -193,34 +194,35 @@ impl Facing {
     /// `sides` is scratch memory.
     pub(super) fn find_candidates(
         &self,
-        centre: Vec3,
-        radius: f32,
+        sphere: (Vec3, f32),
         parts: &Parts,
         sides: &mut Sides,
-        candidates: &mut Candidates,
+        level: &mut Level,
+        open: &mut Open,
     ) {
         sides.blocks.resize(self.blocks, Side::default());
         sides.mixed.clear();
-        // Distances to planes are rounded, and so is the radius.
-        let reach = 1.001 * radius + 2.0 * (self.rounding_at(centre) + PLANE_ROUNDING * radius);
         simd::arch().dispatch(FindSides {
             mesh: self,
-            centre,
-            reach,
+            centre: sphere.0,
+            reach: self.reach(sphere),
             sides,
         });
-        candidates.clear();
         for &block in &sides.mixed {
             let side = &mut sides.blocks[block as usize];
-            side.first = candidates.next_triangle();
+            side.first = level.next_triangle();
             for index in ones(side.either) {
                 let triangle = block as usize * BLOCK + index;
                 let plane = self.planes.each_ref().map(|plane| plane[triangle]);
-                candidates.add_triangle(plane, triangle as u32);
+                level.add_triangle(plane, triangle as u32);
             }
         }
-        candidates.finish_triangles();
-        self.edges.collect(&sides.blocks, candidates);
+        level.finish_triangles();
+        simd::arch().dispatch(Collect {
+            edges: &self.edges,
+            sides: &sides.blocks,
+            open,
+        });
         let number = |triangle: u32| {
             let side = sides.blocks[triangle as usize / BLOCK];
             side.number((triangle % BLOCK as u32) as u8)
@@ -229,10 +231,10 @@ impl Facing {
             let mut triangles = edge.triangles.iter();
             if triangles.all(|&(triangle, _)| is_known(number(triangle))) {
                 let face = |triangle| if number(triangle) == FRONT { 1 } else { -1 };
-                candidates.sure.extend(edge.contour(face));
+                open.sure.extend(edge.contour(face));
             } else if let [(triangle, along)] = edge.triangles[..] {
                 let triangle = number(triangle);
-                candidates.edges.push(CandidateEdge {
+                open.edges.push(CandidateEdge {
                     triangles: if along {
                         [triangle, ABSENT]
                     } else {
@@ -245,10 +247,10 @@ impl Facing {
                 for (triangle, _) in &mut edge.triangles {
                     *triangle = number(*triangle);
                 }
-                candidates.irregular.push(edge);
+                level.irregular.push(edge);
             }
         }
-        candidates.loose.extend(parts.bundles.iter().map(|bundle| {
+        level.loose.extend(parts.bundles.iter().map(|bundle| {
             let mut numbers = [ABSENT; batch::LANES];
             for (out, triangle) in numbers.iter_mut().zip(bundle.triangles()) {
                 *out = number(self.places[*triangle as usize]);
@@ -272,6 +274,12 @@ impl Facing {
         self.rounding + PLANE_ROUNDING * eye.abs().element_sum()
     }
 
+    /// How far from the centre of a sphere a plane may seem that passes through it.
+    pub(super) fn reach(&self, (centre, radius): (Vec3, f32)) -> f32 {
+        // Distances to planes are rounded, and so is the radius.
+        1.001 * radius + 2.0 * (self.rounding_at(centre) + PLANE_ROUNDING * radius)
+    }
+
     /// The same along each axis, for planes along which it vanishes: however wide a floor is, it is as flat as its
     /// heights are exact.
     pub(super) fn rounding_of_axes(&self, eye: Vec3) -> DVec3 {
@@ -281,7 +289,8 @@ impl Facing {
 
 /// How a triangle lies to the points of a group: it faces all of them, or it is not known; 0 if it faces none. What is less than
 /// [`EITHER`] is also the number that stands for such triangles.
-const FRONT: u32 = 1;
+pub(super) const BACK: u32 = 0;
+pub(super) const FRONT: u32 = 1;
 const EITHER: u32 = 2;
 
 /// Whether a number stands for all triangles that face no point, or every point.
@@ -289,16 +298,26 @@ fn is_known(number: u32) -> bool {
     number < EITHER
 }
 
-impl Edges {
-    /// Adds those whose triangles lie to different sides or may.
-    fn collect(&self, sides: &[Side], candidates: &mut Candidates) {
-        for (blocks, range) in self.blocks.iter().zip(self.first.windows(2)) {
+/// Adds the edges whose triangles lie to different sides or may: for processors that count the bits of a word at once.
+struct Collect<'a> {
+    edges: &'a Edges,
+    sides: &'a [Side],
+    open: &'a mut Open,
+}
+
+impl WithSimd for Collect<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { edges, sides, open } = self;
+        for (blocks, range) in edges.blocks.iter().zip(edges.first.windows(2)) {
             let [a, b] = blocks.map(|block| sides[block as usize]);
             if a.is_same(b) {
                 continue;
             }
             let range = range[0] as usize..range[1] as usize;
-            let (triangles, vertices) = (&self.triangles[range.clone()], &self.vertices[range]);
+            let (triangles, vertices) = (&edges.triangles[range.clone()], &edges.vertices[range]);
             let differ = |[i, j]: [u8; 2]| {
                 let [i, j] = [i, j].map(u32::from);
                 let [front, other] = [a.front.wrapping_shr(i), b.front.wrapping_shr(j)];
@@ -308,12 +327,12 @@ impl Edges {
             for_each_where(triangles, vertices, differ, |[i, j], vertices| {
                 let triangles = [a.number(i), b.number(j)];
                 if triangles.into_iter().all(is_known) {
-                    candidates.sure.push(Contour {
+                    open.sure.push(Contour {
                         vertices,
                         step: step(triangles[0]),
                     });
                 } else {
-                    candidates.edges.push(CandidateEdge {
+                    open.edges.push(CandidateEdge {
                         triangles,
                         vertices,
                     });
@@ -327,9 +346,9 @@ impl Edges {
 #[inline(always)]
 pub(super) fn for_each_where<T: Copy, E: Copy>(
     triangles: &[[T; 2]],
-    ends: &[[E; 2]],
+    ends: &[E],
     wanted: impl Fn([T; 2]) -> bool,
-    mut take: impl FnMut([T; 2], [E; 2]),
+    mut take: impl FnMut([T; 2], E),
 ) {
     let mut found = [0; CHUNK];
     for (triangles, ends) in triangles.chunks(CHUNK).zip(ends.chunks(CHUNK)) {
@@ -499,14 +518,7 @@ impl WithSimd for FindSides<'_> {
                 if known == EITHER {
                     let index = number * LANES + lane;
                     let planes = mesh.planes.each_ref().map(|plane| block_of(plane, index));
-                    let [x, y, z, d] = planes;
-                    let (mut front, mut either) = ([0; BLOCK], [0; BLOCK]);
-                    for i in 0..BLOCK {
-                        let height = x[i] * centre.x + y[i] * centre.y + z[i] * centre.z - d[i];
-                        front[i] = u8::from(height > reach);
-                        // Also where the height is no number.
-                        either[i] = 1 - front[i] - u8::from(height < -reach);
-                    }
+                    let [front, either] = sides_of(planes, centre, reach);
                     side.front = pack_bits(&front);
                     side.either = pack_bits(&either);
                     sides.mixed.push(index as u32);
@@ -514,6 +526,23 @@ impl WithSimd for FindSides<'_> {
             }
         }
     }
+}
+
+/// Which triangles of a block face all points within `reach` of a point, and which may face some of them, by their planes.
+#[inline(always)]
+pub(super) fn sides_of(
+    [x, y, z, d]: [&[f32; BLOCK]; 4],
+    point: Vec3,
+    reach: f32,
+) -> [[u8; BLOCK]; 2] {
+    let (mut front, mut either) = ([0; BLOCK], [0; BLOCK]);
+    for i in 0..BLOCK {
+        let height = x[i] * point.x + y[i] * point.y + z[i] * point.z - d[i];
+        front[i] = u8::from(height > reach);
+        // Also where the height is no number.
+        either[i] = 1 - front[i] - u8::from(height < -reach);
+    }
+    [front, either]
 }
 
 /// The elements that belong to a block of triangles.
@@ -538,7 +567,7 @@ fn group(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<u32> {
         })
         .collect();
     let mut order: Vec<u32> = (0..triangles.len() as u32).collect();
-    visibility::arrange(&mut order, BLOCK, &|&triangle| {
+    visibility::arrange(&mut order, &[BLOCK], &|&triangle| {
         (features[triangle as usize], triangle)
     });
     order

@@ -21,6 +21,7 @@ mod candidates;
 mod crossings;
 mod facing;
 mod layers;
+mod level;
 mod loose;
 mod parts;
 mod rounds;
@@ -39,8 +40,18 @@ use layers::Layers;
 use parts::Parts;
 use rounds::Rounds;
 
-/// Points, close together, for which [`ContourMesh::prepare`] pays best.
-pub const GROUP: usize = 32;
+/// Points of a group, of few and of many points: those of many are closer together.
+const GROUPS: [usize; 2] = [32, 128];
+/// Points that are many.
+const MANY_POINTS: usize = 1 << 16;
+/// Points of a group that follow one another and are close together: what the group may see as contours is narrowed
+/// down to what they may. Divides what a group has.
+pub const RUN: usize = 16;
+
+/// How many points, close together, [`ContourMesh::prepare`] is best told of at once, of so many.
+pub fn group_of(points: usize) -> usize {
+    GROUPS[usize::from(points >= MANY_POINTS)]
+}
 
 /// A point that lies on more triangles, in a heap of them, asks a ray per direction what it sees.
 const MOST_TOUCHED: usize = 32;
@@ -186,7 +197,8 @@ impl ContourMesh {
     }
 
     /// Finds what the points between `origins` may see as contours. Points close together
-    /// have most of it in common: sampling them is then several times faster.
+    /// have most of it in common: sampling them is then several times faster. Best in runs of [`RUN`], see
+    /// [`visibility::arrange`], sampled in their order.
     pub fn prepare(&self, origins: &[Vec3], scratch: &mut Scratch) {
         let origins: Vec<Vec3> = origins.iter().map(|origin| *origin - self.near).collect();
         let candidates = &mut scratch.candidates;
@@ -204,7 +216,7 @@ impl ContourMesh {
         if !scratch.candidates.covers(eye) {
             self.prepare(&[origin], scratch);
         }
-        (scratch.candidates).look(&self.facing, &self.positions, eye);
+        (scratch.candidates).look(&self.facing, &self.parts, &self.positions, eye);
         let found = self.count(origin, directions.as_slice(), scratch, false);
         let again = |vertices| self.repeated.get(&ascending(vertices)).map_or(0, Vec::len);
         let touched: usize = scratch.candidates.touched().map(|at| 1 + again(at)).sum();
@@ -629,7 +641,7 @@ mod tests {
                 "{index}"
             );
             mesh.prepare(&[origin], &mut all);
-            all.candidates.look(&mesh.facing, &mesh.positions, origin);
+            (all.candidates).look(&mesh.facing, &mesh.parts, &mesh.positions, origin);
             let at_once = mesh.count(origin, directions.as_slice(), &mut all, true);
             assert!(at_once.is_some_and(|(found, _)| found == bitmap), "{index}");
             let bits = |crossings: &Crossings| -> Vec<u32> {

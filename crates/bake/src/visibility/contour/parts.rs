@@ -51,7 +51,7 @@ impl Parts {
         let (mut loose, mut others): (Vec<u32>, Vec<u32>) =
             pieces.partition(|&piece| sizes[piece as usize] <= MOST_LOOSE);
         for pieces in [&mut loose, &mut others] {
-            visibility::arrange(pieces, 1, &|&piece| {
+            visibility::arrange(pieces, &[1], &|&piece| {
                 let [low, high] = boxes[piece as usize];
                 (low.midpoint(high).to_array(), piece)
             });

@@ -1,0 +1,210 @@
+//! What the points within a sphere may see as contours, and what those within smaller spheres in it may.
+
+use glam::Vec3;
+use pulp::{Simd, WithSimd};
+
+use super::batch::{Batch, LANES};
+use super::candidates::{ABSENT, KNOWN};
+use super::facing::{
+    BACK, BLOCK, FRONT, Facing, IrregularEdge, block_of, for_each_where, sides_of,
+};
+use crate::simd;
+
+/// Triangles that may face some of the points within a sphere and not others, their edges, and contours that
+/// all of the points see.
+#[derive(Default)]
+pub(super) struct Level {
+    /// Nothing is in it before a level was made.
+    sphere: Option<(Vec3, f32)>,
+    /// Contours that every point sees, part after part, but for those that a wider level has.
+    pub(super) sure: Vec<Batch<3>>,
+    /// Where each part's begin, and where the last one's end; the same of its edges. By *places*, see
+    /// [`super::candidates::Candidates`].
+    pub(super) first_sure: Vec<u32>,
+    pub(super) first_edge: Vec<u32>,
+    /// Planes of the triangles, as in [`super::facing::Facing`], padded to whole blocks.
+    pub(super) planes: [Vec<f32>; 4],
+    /// Their numbers there.
+    pub(super) numbers: Vec<u32>,
+    /// Edges of such triangles. The first [`KNOWN`] numbers are not theirs.
+    pub(super) edge_triangles: Vec<[u32; 2]>,
+    /// Where their ends are among those of the group's edges.
+    pub(super) edge_ends: Vec<u32>,
+    /// Edges of more triangles than two, or of two that do not fit each other.
+    pub(super) irregular: Vec<IrregularEdge>,
+    /// Per bundle of loose triangles, their numbers.
+    pub(super) loose: Vec<[u32; LANES]>,
+}
+
+impl Level {
+    /// Whether a point is in the sphere.
+    pub(super) fn covers(&self, eye: Vec3) -> bool {
+        (self.sphere).is_some_and(|(centre, radius)| eye.distance(centre) <= radius)
+    }
+
+    /// Forgets what it was.
+    pub(super) fn begin(&mut self, sphere: (Vec3, f32)) {
+        self.sphere = Some(sphere);
+        self.sure.clear();
+        self.first_sure.clear();
+        self.first_edge.clear();
+        self.planes.iter_mut().for_each(Vec::clear);
+        self.numbers.clear();
+        self.edge_triangles.clear();
+        self.edge_ends.clear();
+        self.irregular.clear();
+        self.loose.clear();
+    }
+
+    /// What the triangle that is added next is called.
+    pub(super) fn next_triangle(&self) -> u32 {
+        KNOWN + self.numbers.len() as u32
+    }
+
+    /// `number` is that in [`super::facing::Facing`].
+    pub(super) fn add_triangle(&mut self, plane: [f32; 4], number: u32) {
+        for (planes, value) in self.planes.iter_mut().zip(plane) {
+            planes.push(value);
+        }
+        self.numbers.push(number);
+    }
+
+    /// Pads the triangles to whole blocks, with some that nobody sees.
+    pub(super) fn finish_triangles(&mut self) {
+        let padded = self.numbers.len().next_multiple_of(BLOCK);
+        for (planes, value) in self.planes.iter_mut().zip([0.0, 0.0, 0.0, f32::INFINITY]) {
+            planes.resize(padded, value);
+        }
+    }
+
+    /// Makes of `inner` what remains of this level for a smaller sphere in it. `names` is scratch memory.
+    pub(super) fn narrow(
+        &self,
+        facing: &Facing,
+        sphere: (Vec3, f32),
+        ends: &[[[f32; 3]; 2]],
+        names: &mut Vec<u32>,
+        inner: &mut Self,
+    ) {
+        inner.begin(sphere);
+        simd::arch().dispatch(Narrow {
+            outer: self,
+            centre: sphere.0,
+            reach: facing.reach(sphere),
+            names,
+            ends,
+            inner,
+        });
+        let named = |triangle: u32| names[triangle as usize];
+        inner.irregular.extend(self.irregular.iter().map(|edge| {
+            let mut edge = edge.clone();
+            for (triangle, _) in &mut edge.triangles {
+                *triangle = named(*triangle);
+            }
+            edge
+        }));
+        let loose = self.loose.iter().map(|triangles| triangles.map(named));
+        inner.loose.extend(loose);
+    }
+}
+
+/// The vectorised body of [`Level::narrow`].
+struct Narrow<'a> {
+    outer: &'a Level,
+    centre: Vec3,
+    /// How far from it a plane may be that passes through the sphere.
+    reach: f32,
+    /// What the outer level's triangles are called in the inner one.
+    names: &'a mut Vec<u32>,
+    ends: &'a [[[f32; 3]; 2]],
+    inner: &'a mut Level,
+}
+
+impl WithSimd for Narrow<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self {
+            outer,
+            centre,
+            reach,
+            names,
+            ends,
+            inner,
+        } = self;
+        names.clear();
+        names.extend([BACK, FRONT, ABSENT]);
+        let padded = outer.planes[0].len();
+        names.resize(KNOWN as usize + padded, BACK);
+        let (blocks, _) = names[KNOWN as usize..].as_chunks_mut::<BLOCK>();
+        for (block, (names, numbers)) in blocks
+            .iter_mut()
+            .zip(outer.numbers.chunks(BLOCK))
+            .enumerate()
+        {
+            let planes = outer.planes.each_ref().map(|plane| block_of(plane, block));
+            let [front, either] = sides_of(planes, centre, reach);
+            // Without a branch, which would often be guessed wrong.
+            let (mut open, mut count) = ([0; BLOCK], 0);
+            for index in 0..numbers.len().min(BLOCK) {
+                names[index] = u32::from(front[index]);
+                open[count % BLOCK] = index as u8;
+                count += usize::from(either[index]);
+            }
+            let open = &open[..count.min(BLOCK)];
+            for (name, index) in (inner.next_triangle()..).zip(open) {
+                names[usize::from(*index) % BLOCK] = name;
+            }
+            for (all, plane) in inner.planes.iter_mut().zip(planes) {
+                all.extend(open.iter().map(|index| plane[usize::from(*index) % BLOCK]));
+            }
+            let numbers = open.iter().map(|index| numbers[usize::from(*index)]);
+            inner.numbers.extend(numbers);
+        }
+        inner.finish_triangles();
+        keep_edges(outer, names, ends, inner);
+    }
+}
+
+/// Sorts the edges of a level into those that remain open and those that every point of the inner one sees as a contour.
+#[inline(always)]
+fn keep_edges(outer: &Level, names: &[u32], all_ends: &[[[f32; 3]; 2]], inner: &mut Level) {
+    for range in outer.first_edge.windows(2) {
+        let first = inner.sure.len();
+        inner.first_sure.push(first as u32);
+        inner.first_edge.push(inner.edge_triangles.len() as u32);
+        let range = range[0] as usize..range[1] as usize;
+        let (triangles, ends) = (
+            &outer.edge_triangles[range.clone()],
+            &outer.edge_ends[range],
+        );
+        let named = |triangles: [u32; 2]| triangles.map(|triangle| names[triangle as usize]);
+        let differ = |triangles: [u32; 2]| {
+            let [a, b] = named(triangles);
+            a != b
+        };
+        for_each_where(triangles, ends, differ, |triangles, ends| {
+            let triangles = named(triangles);
+            if triangles.iter().any(|triangle| *triangle >= KNOWN) {
+                inner.edge_triangles.push(triangles);
+                inner.edge_ends.push(ends);
+                return;
+            }
+            let [a, b] = triangles.map(face_of_known);
+            let ends = all_ends[ends as usize];
+            if inner.sure.len() == first {
+                Batch::begin(&mut inner.sure, ends, a - b);
+            } else {
+                Batch::append(&mut inner.sure, ends, a - b);
+            }
+        });
+    }
+    inner.first_sure.push(inner.sure.len() as u32);
+    inner.first_edge.push(inner.edge_triangles.len() as u32);
+}
+
+/// 1 for what faces every point, −1 for what faces none, 0 for what is not there.
+fn face_of_known(triangle: u32) -> i32 {
+    [-1, 1, 0][triangle as usize]
+}

@@ -66,6 +66,8 @@ pub(super) struct Candidates {
     boxes: Vec<[Vec3; 2]>,
     /// What each one takes to count, see [`Self::contours_of`].
     costs: Vec<u32>,
+    /// See [`Self::expected`].
+    expected: usize,
     /// What is being sorted.
     sorted_contours: Vec<Contour>,
     sorted_edges: Vec<CandidateEdge>,
@@ -184,27 +186,23 @@ impl Candidates {
     }
 
     fn set_costs(&mut self, parts: &Parts) {
+        let is_bundle = |&part: &u32| u32::from(parts.bundle_of(part).is_some());
         self.costs.clear();
-        let bundles = self
-            .order
-            .iter()
-            .map(|&part| u32::from(parts.bundle_of(part).is_some()));
-        self.costs.extend(bundles);
+        self.costs.extend(self.order.iter().map(is_bundle));
+        self.expected = parts.bundles.len() * LANES;
         for level in &self.levels[..self.depth] {
             for (cost, ends) in self.costs.iter_mut().zip(level.first_sure.windows(2)) {
                 *cost += ends[1] - ends[0];
             }
+            let counts = level.sure.iter().map(|batch| batch.count);
+            self.expected += counts.sum::<usize>();
         }
         self.costs.iter_mut().for_each(|cost| *cost *= LANES as u32);
     }
 
-    /// What all parts take to count, see [`Self::contours_of`].
+    /// Contours that every point sees, and lanes of loose triangles.
     pub(super) fn expected(&self) -> usize {
-        let levels = &self.levels[..self.depth];
-        let sure: usize = (levels.iter().flat_map(|level| &level.sure))
-            .map(|batch| batch.count)
-            .sum();
-        sure + self.level().loose.len() * LANES
+        self.expected
     }
 
     /// Parts of the mesh: those that look largest from the group come first.

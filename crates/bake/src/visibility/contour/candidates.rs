@@ -43,6 +43,22 @@ pub(super) struct Open {
     pub(super) edges: Vec<CandidateEdge>,
 }
 
+/// A group's edges, to ask for the coordinates of their vertices: of large meshes, to have them at hand takes more memory
+/// than all else that is known of the edges.
+#[derive(Clone, Copy)]
+pub(super) struct Ends<'a> {
+    edges: &'a [CandidateEdge],
+    positions: &'a [Vec3],
+}
+
+impl Ends<'_> {
+    #[inline(always)]
+    pub(super) fn of(self, edge: u32) -> [[f32; 3]; 2] {
+        let end = |vertex: u32| self.positions[vertex as usize].to_array();
+        self.edges[edge as usize].vertices.map(end)
+    }
+}
+
 /// Contours of the points of a group.
 #[derive(Default)]
 pub(super) struct Candidates {
@@ -55,8 +71,6 @@ pub(super) struct Candidates {
     /// What the triangles of the group's level are called in the run's.
     names: Vec<u32>,
     open: Open,
-    /// Coordinates of the vertices of these edges.
-    edge_ends: Vec<[[f32; 3]; 2]>,
     /// Parts of the mesh: those that look largest come first. Their numbers here are their
     /// *places*.
     order: Vec<u32>,
@@ -109,7 +123,7 @@ impl Candidates {
     }
 
     /// Narrows down what the group may see to what the run may that a point belongs to.
-    fn narrow(&mut self, facing: &Facing, parts: &Parts, eye: Vec3) {
+    fn narrow(&mut self, facing: &Facing, parts: &Parts, positions: &[Vec3], eye: Vec3) {
         let before = self.depth;
         if before == 2 && self.levels[1].covers(eye) {
             return;
@@ -122,7 +136,9 @@ impl Candidates {
         self.depth = 1;
         if let Some(origins) = origins {
             let sphere = sphere_around(origins);
-            group.narrow(facing, sphere, &self.edge_ends, &mut self.names, run);
+            let edges = &self.open.edges;
+            let ends = Ends { edges, positions };
+            group.narrow(facing, sphere, ends, &mut self.names, run);
             self.depth = 2;
         }
         if before.max(self.depth) > 1 {
@@ -176,12 +192,8 @@ impl Candidates {
         let (sorted, first) = (&mut self.sorted_edges, &mut level.first_edge);
         sort(&mut self.open.edges, sorted, parts.count(), place, first);
         level.edge_ends.extend(0..self.open.edges.len() as u32);
-        self.edge_ends.clear();
-        for edge in &self.open.edges {
-            level.edge_triangles.push(edge.triangles);
-            let end = |vertex: u32| positions[vertex as usize].to_array();
-            self.edge_ends.push(edge.vertices.map(end));
-        }
+        let triangles = self.open.edges.iter().map(|edge| edge.triangles);
+        level.edge_triangles.extend(triangles);
         self.set_costs(parts);
     }
 
@@ -253,7 +265,10 @@ impl Candidates {
         self.found_batches.clear();
         simd::arch().dispatch(Find {
             level: &self.levels[self.depth - 1],
-            ends: &self.edge_ends,
+            ends: Ends {
+                edges: &self.open.edges,
+                positions,
+            },
             faces: &self.faces,
             found: &mut self.found_batches,
             places,
@@ -281,14 +296,12 @@ impl Candidates {
         };
         let face = |triangle: u32| self.faces[triangle as usize];
         let level = &self.levels[self.depth - 1];
+        let edges = &self.open.edges;
+        let all_ends = Ends { edges, positions };
         for (triangles, ends) in level.edge_triangles.iter().zip(&level.edge_ends) {
             let [a, b] = triangles.map(|triangle| i32::from(face(triangle)));
             if a != b && triangles.iter().any(|triangle| is_touched(*triangle)) {
-                Batch::append(
-                    &mut self.found_batches,
-                    self.edge_ends[*ends as usize],
-                    a - b,
-                );
+                Batch::append(&mut self.found_batches, all_ends.of(*ends), a - b);
             }
         }
         let irregular = level.irregular.iter().filter_map(|edge| {
@@ -316,7 +329,7 @@ impl Candidates {
     /// Finds what `eye` sees. Triangles that it lies on, but for rounding, are told by
     /// [`Self::touched`]: whether a ray from there meets them is a matter of its arithmetic.
     pub(super) fn look(&mut self, facing: &Facing, parts: &Parts, positions: &[Vec3], eye: Vec3) {
-        self.narrow(facing, parts, eye);
+        self.narrow(facing, parts, positions, eye);
         self.in_plane.clear();
         self.faces.clear();
         self.faces.extend([-1, 1, 0]);
@@ -447,7 +460,7 @@ impl Look<'_> {
 /// The vectorised body of [`Candidates::find`].
 struct Find<'a> {
     level: &'a Level,
-    ends: &'a [[[f32; 3]; 2]],
+    ends: Ends<'a>,
     faces: &'a [i8],
     found: &'a mut Vec<Batch<3>>,
     places: &'a [u32],
@@ -473,7 +486,7 @@ impl WithSimd for Find<'_> {
             for_each_where(triangles, ends, differ, |[a, b], ends| {
                 Batch::append(
                     found,
-                    all_ends[ends as usize],
+                    all_ends.of(ends),
                     i32::from(face(a)) - i32::from(face(b)),
                 );
             });

@@ -4,7 +4,7 @@ use glam::Vec3;
 use pulp::{Simd, WithSimd};
 
 use super::batch::{Batch, LANES};
-use super::candidates::{ABSENT, KNOWN};
+use super::candidates::{ABSENT, Ends, KNOWN};
 use super::facing::{
     BACK, BLOCK, FRONT, Facing, IrregularEdge, block_of, for_each_where, sides_of,
 };
@@ -28,7 +28,7 @@ pub(super) struct Level {
     pub(super) numbers: Vec<u32>,
     /// Edges of such triangles. The first [`KNOWN`] numbers are not theirs.
     pub(super) edge_triangles: Vec<[u32; 2]>,
-    /// Where their ends are among those of the group's edges.
+    /// Their numbers among the group's edges.
     pub(super) edge_ends: Vec<u32>,
     /// Edges of more triangles than two, or of two that do not fit each other.
     pub(super) irregular: Vec<IrregularEdge>,
@@ -82,7 +82,7 @@ impl Level {
         &self,
         facing: &Facing,
         sphere: (Vec3, f32),
-        ends: &[[[f32; 3]; 2]],
+        ends: Ends,
         names: &mut Vec<u32>,
         inner: &mut Self,
     ) {
@@ -116,7 +116,7 @@ struct Narrow<'a> {
     reach: f32,
     /// What the outer level's triangles are called in the inner one.
     names: &'a mut Vec<u32>,
-    ends: &'a [[[f32; 3]; 2]],
+    ends: Ends<'a>,
     inner: &'a mut Level,
 }
 
@@ -169,7 +169,7 @@ impl WithSimd for Narrow<'_> {
 
 /// Sorts the edges of a level into those that remain open and those that every point of the inner one sees as a contour.
 #[inline(always)]
-fn keep_edges(outer: &Level, names: &[u32], all_ends: &[[[f32; 3]; 2]], inner: &mut Level) {
+fn keep_edges(outer: &Level, names: &[u32], all_ends: Ends, inner: &mut Level) {
     for range in outer.first_edge.windows(2) {
         let first = inner.sure.len();
         inner.first_sure.push(first as u32);
@@ -192,7 +192,7 @@ fn keep_edges(outer: &Level, names: &[u32], all_ends: &[[[f32; 3]; 2]], inner: &
                 return;
             }
             let [a, b] = triangles.map(face_of_known);
-            let ends = all_ends[ends as usize];
+            let ends = all_ends.of(ends);
             if inner.sure.len() == first {
                 Batch::begin(&mut inner.sure, ends, a - b);
             } else {

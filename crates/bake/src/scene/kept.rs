@@ -79,7 +79,7 @@ impl Kept {
     /// The SSDF of a place, once its group was sampled.
     pub(super) fn ssdf(&self, place: u32) -> Option<&[f32]> {
         let number = *self.number.get(place as usize)? as usize;
-        let group = self.ssdfs.get(number.checked_div(self.group)?)?.get()?;
+        let group = self.ssdfs.get(number / self.group)?.get()?;
         group.chunks_exact(self.texels).nth(number % self.group)
     }
 }

@@ -23,6 +23,8 @@ use super::{Contour, RUN};
 pub(super) const KNOWN: u32 = 3;
 /// Stands for the second triangle of an edge that has one.
 pub(super) const ABSENT: u32 = 2;
+/// Of what these numbers stand for: −1 faces no point, 1 every point, 0 is absent.
+pub(super) const FACES_OF_KNOWN: [i8; KNOWN as usize] = [-1, 1, 0];
 /// Where fewer edges remain to a group, narrowing takes as long as it saves.
 const MANY: usize = 2000;
 
@@ -191,7 +193,7 @@ impl Candidates {
         let place = |edge: &CandidateEdge| place_at(edge.vertices[0]);
         let (sorted, first) = (&mut self.sorted_edges, &mut level.first_edge);
         sort(&mut self.open.edges, sorted, parts.count(), place, first);
-        level.edge_ends.extend(0..self.open.edges.len() as u32);
+        level.edge_numbers.extend(0..self.open.edges.len() as u32);
         let triangles = self.open.edges.iter().map(|edge| edge.triangles);
         level.edge_triangles.extend(triangles);
         self.set_costs(parts);
@@ -297,11 +299,11 @@ impl Candidates {
         let face = |triangle: u32| self.faces[triangle as usize];
         let level = &self.levels[self.depth - 1];
         let edges = &self.open.edges;
-        let all_ends = Ends { edges, positions };
-        for (triangles, ends) in level.edge_triangles.iter().zip(&level.edge_ends) {
+        let ends = Ends { edges, positions };
+        for (triangles, edge) in level.edge_triangles.iter().zip(&level.edge_numbers) {
             let [a, b] = triangles.map(|triangle| i32::from(face(triangle)));
             if a != b && triangles.iter().any(|triangle| is_touched(*triangle)) {
-                Batch::append(&mut self.found_batches, all_ends.of(*ends), a - b);
+                Batch::append(&mut self.found_batches, ends.of(*edge), a - b);
             }
         }
         let irregular = level.irregular.iter().filter_map(|edge| {
@@ -331,12 +333,9 @@ impl Candidates {
     pub(super) fn look(&mut self, facing: &Facing, parts: &Parts, positions: &[Vec3], eye: Vec3) {
         self.narrow(facing, parts, positions, eye);
         self.in_plane.clear();
-        self.faces.clear();
-        self.faces.extend([-1, 1, 0]);
-        self.faces.resize(
-            self.faces.len() + self.levels[self.depth - 1].planes[0].len(),
-            0,
-        );
+        let triangles = self.level().planes[0].len();
+        self.faces.resize(KNOWN as usize + triangles, 0);
+        self.faces[..KNOWN as usize].copy_from_slice(&FACES_OF_KNOWN);
         simd::arch().dispatch(Look {
             level: &self.levels[self.depth - 1],
             faces: &mut self.faces[KNOWN as usize..],
@@ -473,7 +472,7 @@ impl WithSimd for Find<'_> {
     fn with_simd<S: Simd>(self, _: S) {
         let Self {
             level,
-            ends: all_ends,
+            ends,
             faces,
             found,
             places,
@@ -482,13 +481,10 @@ impl WithSimd for Find<'_> {
         let differ = |[a, b]: [u32; 2]| face(a) != face(b);
         for range in ranges(places, &level.first_edge) {
             let triangles = &level.edge_triangles[range.clone()];
-            let ends = &level.edge_ends[range];
-            for_each_where(triangles, ends, differ, |[a, b], ends| {
-                Batch::append(
-                    found,
-                    all_ends.of(ends),
-                    i32::from(face(a)) - i32::from(face(b)),
-                );
+            let numbers = &level.edge_numbers[range];
+            for_each_where(triangles, numbers, differ, |[a, b], edge| {
+                let step = i32::from(face(a)) - i32::from(face(b));
+                Batch::append(found, ends.of(edge), step);
             });
         }
     }
@@ -542,15 +538,8 @@ fn sort<T: Copy + Default>(
 mod tests {
     use super::*;
     use crate::visibility::contour::ContourMesh;
+    use crate::visibility::contour::tests::random;
     use crate::visibility::{self, Directions};
-
-    /// Deterministic numbers in [0, 1).
-    fn random(state: &mut u64) -> f32 {
-        *state = state
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        (*state >> 40) as f32 / (1u64 << 24) as f32
-    }
 
     /// Rough ground, from −1 to 1.
     fn ground(state: &mut u64) -> Vec<[Vec3; 3]> {

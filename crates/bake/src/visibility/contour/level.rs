@@ -4,7 +4,7 @@ use glam::Vec3;
 use pulp::{Simd, WithSimd};
 
 use super::batch::{Batch, LANES};
-use super::candidates::{ABSENT, Ends, KNOWN};
+use super::candidates::{ABSENT, Ends, FACES_OF_KNOWN, KNOWN};
 use super::facing::{
     BACK, BLOCK, FRONT, Facing, IrregularEdge, block_of, for_each_where, sides_of,
 };
@@ -29,7 +29,7 @@ pub(super) struct Level {
     /// Edges of such triangles. The first [`KNOWN`] numbers are not theirs.
     pub(super) edge_triangles: Vec<[u32; 2]>,
     /// Their numbers among the group's edges.
-    pub(super) edge_ends: Vec<u32>,
+    pub(super) edge_numbers: Vec<u32>,
     /// Edges of more triangles than two, or of two that do not fit each other.
     pub(super) irregular: Vec<IrregularEdge>,
     /// Per bundle of loose triangles, their numbers.
@@ -51,7 +51,7 @@ impl Level {
         self.planes.iter_mut().for_each(Vec::clear);
         self.numbers.clear();
         self.edge_triangles.clear();
-        self.edge_ends.clear();
+        self.edge_numbers.clear();
         self.irregular.clear();
         self.loose.clear();
     }
@@ -169,30 +169,28 @@ impl WithSimd for Narrow<'_> {
 
 /// Sorts the edges of a level into those that remain open and those that every point of the inner one sees as a contour.
 #[inline(always)]
-fn keep_edges(outer: &Level, names: &[u32], all_ends: Ends, inner: &mut Level) {
+fn keep_edges(outer: &Level, names: &[u32], ends: Ends, inner: &mut Level) {
     for range in outer.first_edge.windows(2) {
         let first = inner.sure.len();
         inner.first_sure.push(first as u32);
         inner.first_edge.push(inner.edge_triangles.len() as u32);
         let range = range[0] as usize..range[1] as usize;
-        let (triangles, ends) = (
-            &outer.edge_triangles[range.clone()],
-            &outer.edge_ends[range],
-        );
+        let triangles = &outer.edge_triangles[range.clone()];
+        let numbers = &outer.edge_numbers[range];
         let named = |triangles: [u32; 2]| triangles.map(|triangle| names[triangle as usize]);
         let differ = |triangles: [u32; 2]| {
             let [a, b] = named(triangles);
             a != b
         };
-        for_each_where(triangles, ends, differ, |triangles, ends| {
+        for_each_where(triangles, numbers, differ, |triangles, edge| {
             let triangles = named(triangles);
             if triangles.iter().any(|triangle| *triangle >= KNOWN) {
                 inner.edge_triangles.push(triangles);
-                inner.edge_ends.push(ends);
+                inner.edge_numbers.push(edge);
                 return;
             }
-            let [a, b] = triangles.map(face_of_known);
-            let ends = all_ends.of(ends);
+            let [a, b] = triangles.map(|triangle| i32::from(FACES_OF_KNOWN[triangle as usize]));
+            let ends = ends.of(edge);
             if inner.sure.len() == first {
                 Batch::begin(&mut inner.sure, ends, a - b);
             } else {
@@ -202,9 +200,4 @@ fn keep_edges(outer: &Level, names: &[u32], all_ends: Ends, inner: &mut Level) {
     }
     inner.first_sure.push(inner.sure.len() as u32);
     inner.first_edge.push(inner.edge_triangles.len() as u32);
-}
-
-/// 1 for what faces every point, −1 for what faces none, 0 for what is not there.
-fn face_of_known(triangle: u32) -> i32 {
-    [-1, 1, 0][triangle as usize]
 }

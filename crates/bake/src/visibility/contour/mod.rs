@@ -384,7 +384,7 @@ mod tests {
     }
 
     /// Deterministic numbers in [0, 1).
-    fn random(state: &mut u64) -> f32 {
+    pub(super) fn random(state: &mut u64) -> f32 {
         *state = state
             .wrapping_mul(6_364_136_223_846_793_005)
             .wrapping_add(1_442_695_040_888_963_407);

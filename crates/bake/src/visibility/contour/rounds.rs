@@ -340,14 +340,8 @@ impl WithSimd for Cull<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::visibility::contour::tests::random;
     use relight_shading::octahedral;
-
-    fn random(state: &mut u64) -> f32 {
-        *state = state
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        (*state >> 40) as f32 / (1u64 << 24) as f32
-    }
 
     #[test]
     fn rectangles_are_asked_about_as_texel_by_texel() {

@@ -8,7 +8,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::DistanceTransform;
-use crate::visibility::contour::{ContourMesh, Lent, RUN, Scratch, group_of};
+use crate::visibility::contour::{ContourMesh, Lent, RUN, Scratch};
 use crate::visibility::{Bitmap, Crossings, Directions, arrange};
 
 /// What is seen from a point.
@@ -86,7 +86,7 @@ impl Sampler {
             .zip(points)
             .map(|(number, (origin, for_whom))| (number, origin, for_whom))
             .collect();
-        let group = group_of(points.len());
+        let group = contours.group_of(points.iter().map(|(_, origin, _)| *origin));
         arrange(&mut points, &[group, RUN], &|(number, origin, _)| {
             (origin.to_array(), *number)
         });
@@ -106,7 +106,7 @@ impl Sampler {
         contours.scratch(&self.directions)
     }
 
-    /// Samples a group of points ([`group_of`]), by this thread alone, and hands over for each its number
+    /// Samples a group of points that lie close together, by this thread alone, and hands over for each its number
     /// and what is seen from there.
     pub(crate) fn sample_group<E>(
         &self,

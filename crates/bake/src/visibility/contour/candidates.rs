@@ -16,7 +16,7 @@ use super::facing::{BLOCK, Facing, Sides, block_of, for_each_where};
 use super::level::Level;
 use super::loose::Bundle;
 use super::parts::Parts;
-use super::{Contour, RUN};
+use super::{Contour, RUN, bounds};
 
 /// Numbers below this stand for triangles that face no point of the group, or every point, and
 /// for those that are not there.
@@ -366,10 +366,7 @@ impl Candidates {
 
 /// The sphere around the box of points, by its centre and radius.
 fn sphere_around(origins: &[Vec3]) -> (Vec3, f32) {
-    let (low, high) = origins.iter().fold(
-        (Vec3::INFINITY, Vec3::NEG_INFINITY),
-        |(low, high), &origin| (low.min(origin), high.max(origin)),
-    );
+    let (low, high) = bounds(origins.iter().copied());
     let centre = low.midpoint(high);
     let distances = origins.iter().map(|origin| origin.distance(centre));
     (centre, distances.fold(0.0, f32::max))

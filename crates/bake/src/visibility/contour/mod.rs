@@ -62,6 +62,8 @@ pub struct ContourMesh {
     caster: RayCaster,
     /// See [`near`].
     near: Vec3,
+    /// Diagonal of the box.
+    size: f32,
     /// Welded vertex positions, from `near`.
     positions: Vec<Vec3>,
     facing: Facing,
@@ -136,7 +138,8 @@ impl ContourMesh {
     /// Welds vertices of equal coordinates and collects edges. Triangles without area and
     /// repeated triangles are left out: neither changes what is visible.
     pub fn new(triangles: &[[Vec3; 3]]) -> Self {
-        let near = near(triangles);
+        let bounds = bounds(triangles.as_flattened().iter().copied());
+        let near = near(bounds);
         let mut ids = HashMap::new();
         let mut positions = Vec::new();
         let mut weld = |vertex: Vec3| {
@@ -173,6 +176,7 @@ impl ContourMesh {
             vertices: all_vertices,
             repeated,
             near,
+            size: diagonal(bounds),
             positions,
             unused: Mutex::default(),
         }
@@ -181,6 +185,14 @@ impl ContourMesh {
     /// Casts rays at the same triangles.
     pub fn caster(&self) -> &RayCaster {
         &self.caster
+    }
+
+    /// How many of some points [`Self::prepare`] is best told of at once: as many as of points that lie as close
+    /// together all over the mesh, see [`group_of`].
+    pub(crate) fn group_of(&self, points: impl ExactSizeIterator<Item = Vec3>) -> usize {
+        let count = points.len() as f32;
+        let share = diagonal(bounds(points)) / self.size;
+        group_of((count / (share * share)) as usize)
     }
 
     /// Memory for [`Self::sample`] at the directions' resolution.
@@ -321,16 +333,12 @@ impl ContourMesh {
     }
 }
 
-/// What the coordinates of a mesh are counted from that lies far from zero, so that planes are as exact as its points: a
+/// What the coordinates of a mesh within these bounds are counted from that lies far from zero, so that planes are as exact as its points: a
 /// corner of its box, on those axes on which differences to that are exact, of points in the box or near it (Sterbenz
 /// 1974).
-fn near(triangles: &[[Vec3; 3]]) -> Vec3 {
-    let points = triangles.as_flattened().iter();
-    let (low, high) = points.fold(
-        (Vec3::INFINITY, Vec3::NEG_INFINITY),
-        |(low, high), point| (low.min(*point), high.max(*point)),
-    );
-    if triangles.is_empty() {
+fn near((low, high): (Vec3, Vec3)) -> Vec3 {
+    // Of nothing.
+    if low.x > high.x {
         return Vec3::ZERO;
     }
     let of_axis = |low: f32, high: f32| {
@@ -347,6 +355,18 @@ fn near(triangles: &[[Vec3; 3]]) -> Vec3 {
         of_axis(low.y, high.y),
         of_axis(low.z, high.z),
     )
+}
+
+/// Lowest and highest corner of the box of points; infinite, the wrong way about, of none.
+fn bounds(points: impl Iterator<Item = Vec3>) -> (Vec3, Vec3) {
+    points.fold(
+        (Vec3::INFINITY, Vec3::NEG_INFINITY),
+        |(low, high), point| (low.min(point), high.max(point)),
+    )
+}
+
+fn diagonal((low, high): (Vec3, Vec3)) -> f32 {
+    low.distance(high)
 }
 
 /// Three numbers in order.

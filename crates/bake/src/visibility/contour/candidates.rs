@@ -10,6 +10,7 @@ use glam::{DVec3, Vec3};
 use pulp::{Simd, WithSimd};
 
 use crate::simd;
+use crate::visibility::{ones, pack_bits};
 
 use super::batch::{Batch, LANES};
 use super::facing::{BLOCK, Facing, Sides, block_of, for_each_where};
@@ -36,6 +37,60 @@ pub(super) struct CandidateEdge {
     pub(super) vertices: [u32; 2],
 }
 
+/// What faces tell of flats whose triangles do not face a point alike: each has its own. That of a triangle that the
+/// point lies on is 0.
+const PARTED: i8 = 2;
+
+/// A triangle of a flat.
+#[derive(Clone, Copy)]
+struct Member {
+    /// The flat's number.
+    flat: u32,
+    corners: [u32; 3],
+    /// 1 if it faces the point looked at last, −1 if not.
+    face: i8,
+    /// The same, and 0 if that lies on it.
+    counted: i8,
+    /// Whether it lies in its plane, but for rounding.
+    in_plane: bool,
+}
+
+impl Member {
+    /// Whether an edge of that flat is an edge of this triangle.
+    fn has(&self, flat: u32, edge: [u32; 2]) -> bool {
+        self.flat == flat && edge.iter().all(|end| self.corners.contains(end))
+    }
+}
+
+/// How flats face a point.
+#[derive(Clone, Copy)]
+struct Faces<'a> {
+    of_flats: &'a [i8],
+    parted: &'a [Member],
+}
+
+impl Faces<'_> {
+    #[inline(always)]
+    fn of(self, flat: u32) -> i8 {
+        self.of_flats[flat as usize]
+    }
+
+    /// How a flat's triangle does that has one of its edges.
+    #[inline(always)]
+    fn at(self, flat: u32, edge: impl FnOnce() -> [u32; 2]) -> i8 {
+        match self.of(flat) {
+            PARTED => self.of_part(flat, edge()),
+            face => face,
+        }
+    }
+
+    #[cold]
+    fn of_part(self, flat: u32, edge: [u32; 2]) -> i8 {
+        let mut parts = self.parted.iter();
+        (parts.find(|member| member.has(flat, edge))).map_or(0, |member| member.counted)
+    }
+}
+
 /// What is found of a group before it is sorted.
 #[derive(Default)]
 pub(super) struct Open {
@@ -57,7 +112,12 @@ impl Ends<'_> {
     #[inline(always)]
     pub(super) fn of(self, edge: u32) -> [[f32; 3]; 2] {
         let end = |vertex: u32| self.positions[vertex as usize].to_array();
-        self.edges[edge as usize].vertices.map(end)
+        self.vertices(edge).map(end)
+    }
+
+    #[inline(always)]
+    fn vertices(self, edge: u32) -> [u32; 2] {
+        self.edges[edge as usize].vertices
     }
 }
 
@@ -87,12 +147,16 @@ pub(super) struct Candidates {
     /// What is being sorted.
     sorted_contours: Vec<Contour>,
     sorted_edges: Vec<CandidateEdge>,
-    /// Per number, 1 if the triangle faces the point looked at last, −1 if not, 0 if it is absent.
+    /// Per number, 1 if the flat faces the point looked at last, −1 if not, 0 if it is absent; or [`PARTED`].
     faces: Vec<i8>,
-    /// Triangles whose planes that point lies in, but for rounding.
-    in_plane: Vec<u32>,
-    /// Those of them that it lies on, which way they face, and their vertices.
-    touched: Vec<(u32, i8, [u32; 3])>,
+    /// Triangles of flats that were looked at one by one.
+    members: Vec<Member>,
+    /// Those that the point lies on.
+    touched: Vec<Member>,
+    /// All those of flats that are parted.
+    parted: Vec<Member>,
+    /// Contours within such flats.
+    within: Vec<Contour>,
     /// Contours that this point sees besides.
     found_batches: Vec<Batch<3>>,
     sides: Sides,
@@ -265,22 +329,26 @@ impl Candidates {
     /// The triangles that it lies on do not count.
     pub(super) fn find(&mut self, parts: &Parts, positions: &[Vec3], places: &[u32]) {
         self.found_batches.clear();
+        let faces = Faces {
+            of_flats: &self.faces,
+            parted: &self.parted,
+        };
         simd::arch().dispatch(Find {
             level: &self.levels[self.depth - 1],
             ends: Ends {
                 edges: &self.open.edges,
                 positions,
             },
-            faces: &self.faces,
+            faces,
             found: &mut self.found_batches,
             places,
         });
-        let face = |triangle: u32| self.faces[triangle as usize];
-        for edge in &self.levels[self.depth - 1].irregular {
-            let place = self.places[parts.of_vertex(edge.vertices[0]) as usize];
-            if let Some(contour) = edge.contour(face)
-                && places.binary_search(&place).is_ok()
-            {
+        let irregular = self.levels[self.depth - 1].irregular.iter();
+        let others =
+            irregular.filter_map(|edge| edge.contour(|flat| faces.at(flat, || edge.vertices)));
+        for contour in others.chain(self.within.iter().copied()) {
+            let place = self.places[parts.of_vertex(contour.vertices[0]) as usize];
+            if places.binary_search(&place).is_ok() {
                 append(&mut self.found_batches, contour, positions);
             }
         }
@@ -289,32 +357,49 @@ impl Candidates {
     /// Contours of the triangles that the point looked at last lies on.
     pub(super) fn contours_of_touched(&mut self, parts: &Parts, positions: &[Vec3]) -> &[Batch<3>] {
         self.found_batches.clear();
-        for &(index, face, _) in &self.touched {
-            self.faces[(KNOWN + index) as usize] = face;
-        }
-        let is_touched = |triangle: u32| {
-            let mut touched = self.touched.iter();
-            touched.any(|(index, ..)| KNOWN + *index == triangle)
+        let faces = Faces {
+            of_flats: &self.faces,
+            parted: &self.parted,
         };
-        let face = |triangle: u32| self.faces[triangle as usize];
+        let touched = |flat: u32, edge: [u32; 2]| {
+            let mut touched = self.touched.iter();
+            touched
+                .find(|member| member.has(flat, edge))
+                .map(|member| member.face)
+        };
+        let face = |flat: u32, edge: [u32; 2]| {
+            touched(flat, edge).unwrap_or_else(|| faces.at(flat, || edge))
+        };
         let level = &self.levels[self.depth - 1];
         let edges = &self.open.edges;
-        let ends = Ends { edges, positions };
-        for (triangles, edge) in level.edge_triangles.iter().zip(&level.edge_numbers) {
-            let [a, b] = triangles.map(|triangle| i32::from(face(triangle)));
-            if a != b && triangles.iter().any(|triangle| is_touched(*triangle)) {
-                Batch::append(&mut self.found_batches, ends.of(*edge), a - b);
+        for (flats, edge) in level.edge_triangles.iter().zip(&level.edge_numbers) {
+            if !flats
+                .iter()
+                .any(|flat| self.touched.iter().any(|member| member.flat == *flat))
+            {
+                continue;
+            }
+            let vertices = edges[*edge as usize].vertices;
+            let [a, b] = flats.map(|flat| i32::from(face(flat, vertices)));
+            if a != b && flats.iter().any(|flat| touched(*flat, vertices).is_some()) {
+                let contour = Contour {
+                    vertices,
+                    step: a - b,
+                };
+                append(&mut self.found_batches, contour, positions);
             }
         }
         let irregular = level.irregular.iter().filter_map(|edge| {
-            let mut triangles = edge.triangles.iter();
-            (triangles.any(|(triangle, _)| is_touched(*triangle))).then(|| edge.contour(face))?
+            let mut flats = edge.triangles.iter();
+            let is_touched = flats.any(|(flat, _)| touched(*flat, edge.vertices).is_some());
+            is_touched.then(|| edge.contour(|flat| face(flat, edge.vertices)))?
         });
-        let loose = self.touched.iter().flat_map(|&(_, face, corners)| {
-            let loose = parts.bundle_of(parts.of_vertex(corners[0])).is_some();
-            let edges =
-                loose.then(|| [[0, 1], [1, 2], [2, 0]].map(|edge| edge.map(|i| corners[i])));
-            let step = i32::from(face);
+        let loose = self.touched.iter().flat_map(|member| {
+            let loose = parts
+                .bundle_of(parts.of_vertex(member.corners[0]))
+                .is_some();
+            let edges = loose.then(|| outline(member.corners));
+            let step = i32::from(member.face);
             (edges.into_iter().flatten()).map(move |vertices| Contour { vertices, step })
         });
         for contour in irregular.chain(loose) {
@@ -332,36 +417,88 @@ impl Candidates {
     /// [`Self::touched`]: whether a ray from there meets them is a matter of its arithmetic.
     pub(super) fn look(&mut self, facing: &Facing, parts: &Parts, positions: &[Vec3], eye: Vec3) {
         self.narrow(facing, parts, positions, eye);
-        self.in_plane.clear();
-        let triangles = self.level().planes[0].len();
-        self.faces.resize(KNOWN as usize + triangles, 0);
+        self.members.clear();
+        let flats = self.level().planes[0].len();
+        self.faces.resize(KNOWN as usize + flats, 0);
         self.faces[..KNOWN as usize].copy_from_slice(&FACES_OF_KNOWN);
+        let rounding = facing.rounding_at(eye);
         simd::arch().dispatch(Look {
             level: &self.levels[self.depth - 1],
             faces: &mut self.faces[KNOWN as usize..],
-            in_plane: &mut self.in_plane,
+            members: &mut self.members,
             facing,
-            rounding: facing.rounding_at(eye),
+            unclear: rounding + facing.spread_at(eye),
+            rounding,
             rounding_of_axes: facing.rounding_of_axes(eye),
             eye,
         });
         self.touched.clear();
-        for i in 0..self.in_plane.len() {
-            let index = self.in_plane[i];
-            let corners = facing.corners(self.level().numbers[index as usize]);
-            let places = corners.map(|vertex| positions[vertex as usize].as_dvec3());
-            if touches(places, eye, 4.0 * facing.rounding_at(eye)) {
-                let face = &mut self.faces[(KNOWN + index) as usize];
-                self.touched.push((index, *face, corners));
-                *face = 0;
+        self.parted.clear();
+        self.within.clear();
+        for members in self.members.chunk_by_mut(|a, b| a.flat == b.flat) {
+            for member in members.iter_mut() {
+                let corners = member
+                    .corners
+                    .map(|vertex| positions[vertex as usize].as_dvec3());
+                if member.in_plane && touches(corners, eye, 4.0 * rounding) {
+                    member.counted = 0;
+                    self.touched.push(*member);
+                }
             }
+            let Member { flat, counted, .. } = members[0];
+            self.faces[flat as usize] = if members.iter().all(|member| member.counted == counted) {
+                counted
+            } else {
+                self.parted.extend_from_slice(members);
+                self.within.extend(within(members));
+                PARTED
+            };
         }
+    }
+
+    /// Whether triangles of some flat do not face the point looked at last alike.
+    #[cfg(test)]
+    pub(super) fn is_parted(&self) -> bool {
+        !self.parted.is_empty()
     }
 
     /// Vertices of the triangles that the point looked at last lies on.
     pub(super) fn touched(&self) -> impl Iterator<Item = [u32; 3]> {
-        self.touched.iter().map(|(.., corners)| *corners)
+        self.touched.iter().map(|member| member.corners)
     }
+}
+
+/// The edges of a triangle, as it is wound.
+fn outline([a, b, c]: [u32; 3]) -> [[u32; 2]; 3] {
+    [[a, b], [b, c], [c, a]]
+}
+
+/// Contours between triangles of a flat.
+fn within(members: &[Member]) -> impl Iterator<Item = Contour> {
+    let mut sides: Vec<([u32; 2], i32)> = (members.iter())
+        .flat_map(|member| outline(member.corners).map(|edge| (edge, i32::from(member.counted))))
+        .map(|([a, b], face)| {
+            if a < b {
+                ([a, b], face)
+            } else {
+                ([b, a], -face)
+            }
+        })
+        .collect();
+    sides.sort_unstable();
+    let mut contours = Vec::new();
+    for pair in sides.chunk_by(|a, b| a.0 == b.0) {
+        // Of other edges, flats that are neighbours tell.
+        if let [(vertices, along), (_, against)] = *pair
+            && along + against != 0
+        {
+            contours.push(Contour {
+                vertices,
+                step: along + against,
+            });
+        }
+    }
+    contours.into_iter()
 }
 
 /// The sphere around the box of points, by its centre and radius.
@@ -405,9 +542,11 @@ struct Look<'a> {
     level: &'a Level,
     /// Of the level's triangles.
     faces: &'a mut [i8],
-    in_plane: &'a mut Vec<u32>,
+    members: &'a mut Vec<Member>,
     facing: &'a Facing,
     eye: Vec3,
+    /// Of the flats' heights as they are told here, and of those of their triangles.
+    unclear: f32,
     rounding: f32,
     rounding_of_axes: DVec3,
 }
@@ -430,25 +569,43 @@ impl Look<'_> {
         let [x, y, z, d] = (self.level.planes.each_ref()).map(|plane| block_of(plane, block));
         let faces = &mut self.faces[first..][..BLOCK];
         let eye = self.eye;
-        let mut unclear = false;
+        let mut unclear = [0; BLOCK];
         for i in 0..BLOCK {
             let height = x[i] * eye.x + y[i] * eye.y + z[i] * eye.z - d[i];
             faces[i] = facing(height > 0.0);
-            unclear |= height.abs() < self.rounding;
+            unclear[i] = u8::from(height.abs() < self.unclear);
         }
-        if unclear {
-            let eye = eye.as_dvec3();
-            let numbers = &self.level.numbers[first..];
-            for ((face, number), index) in faces.iter_mut().zip(numbers).zip(first..) {
-                let [x, y, z, d] = self.facing.precise(*number);
-                let height = x * eye.x + y * eye.y + z * eye.z - d;
-                *face = facing(height > 0.0);
-                let normal = DVec3::new(x, y, z);
-                let rounding = f64::from(self.rounding) * normal.length();
-                if height.abs() <= rounding.min(normal.abs().dot(self.rounding_of_axes)) {
-                    self.in_plane.push(index as u32);
-                }
-            }
+        for i in ones(pack_bits(&unclear)) {
+            self.look_closely(first + i);
+        }
+    }
+
+    /// Looks at the triangles of a flat.
+    fn look_closely(&mut self, flat: usize) {
+        let eye = self.eye.as_dvec3();
+        let begin = self.members.len();
+        for triangle in self.facing.triangles_of(self.level.numbers[flat]) {
+            let [x, y, z, d] = self.facing.precise(triangle);
+            let height = x * eye.x + y * eye.y + z * eye.z - d;
+            let face = facing(height > 0.0);
+            let normal = DVec3::new(x, y, z);
+            let rounding = f64::from(self.rounding) * normal.length();
+            self.members.push(Member {
+                flat: KNOWN + flat as u32,
+                corners: self.facing.corners(triangle),
+                face,
+                counted: face,
+                in_plane: height.abs() <= rounding.min(normal.abs().dot(self.rounding_of_axes)),
+            });
+        }
+        let face = self.members[begin].face;
+        self.faces[flat] = face;
+        let members = &self.members[begin..];
+        if members
+            .iter()
+            .all(|member| member.face == face && !member.in_plane)
+        {
+            self.members.truncate(begin);
         }
     }
 }
@@ -457,7 +614,7 @@ impl Look<'_> {
 struct Find<'a> {
     level: &'a Level,
     ends: Ends<'a>,
-    faces: &'a [i8],
+    faces: Faces<'a>,
     found: &'a mut Vec<Batch<3>>,
     places: &'a [u32],
 }
@@ -474,14 +631,19 @@ impl WithSimd for Find<'_> {
             found,
             places,
         } = self;
-        let face = |triangle: u32| faces[triangle as usize];
-        let differ = |[a, b]: [u32; 2]| face(a) != face(b);
+        let differ = |[a, b]: [u32; 2]| {
+            let a = faces.of(a);
+            (a != faces.of(b)) | (a == PARTED)
+        };
         for range in ranges(places, &level.first_edge) {
             let triangles = &level.edge_triangles[range.clone()];
             let numbers = &level.edge_numbers[range];
             for_each_where(triangles, numbers, differ, |[a, b], edge| {
-                let step = i32::from(face(a)) - i32::from(face(b));
-                Batch::append(found, ends.of(edge), step);
+                let face = |flat| i32::from(faces.at(flat, || ends.vertices(edge)));
+                let step = face(a) - face(b);
+                if step != 0 {
+                    Batch::append(found, ends.of(edge), step);
+                }
             });
         }
     }

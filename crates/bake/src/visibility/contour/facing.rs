@@ -1,18 +1,22 @@
 //! Which triangles face all points of a small group, and which face some and not others.
 //! Contours lie between triangles that face a point and those that do not.
 //!
-//! Triangles are grouped into blocks of similar place and normal. A cone of normals and the
+//! Triangles that make up a flat (`flats`) are looked at as one; what is said of triangles here and of what candidates are
+//! made of is said of flats, of which most are single triangles. They are grouped into blocks of similar place and normal. A cone of normals and the
 //! range of the planes' offsets tell for most blocks that all of their triangles face one
 //! way (Johnson & Cohen 2001); only the others are looked at one by one.
+
+use std::ops::Range;
 
 use glam::{DVec3, Vec3};
 use pulp::{Simd, WithSimd};
 
-use super::Contour;
 use super::batch;
 use super::candidates::{ABSENT, CandidateEdge, Open};
+use super::flats::{Flats, Plane, Spread};
 use super::level::Level;
 use super::parts::Parts;
+use super::{Contour, bounds};
 use crate::simd;
 use crate::visibility::{self, ones, pack_bits};
 
@@ -34,12 +38,16 @@ const CHUNK: usize = 128;
 
 /// Triangles in blocks, and their edges.
 pub(super) struct Facing {
-    /// Planes `n·p = d` of the triangles with unit normals, structure of arrays, padded to
+    /// Planes `n·p = d` of the flats with unit normals, structure of arrays, padded to
     /// whole blocks.
     planes: [Vec<f32>; 4],
-    /// The same to double precision, for eyes close to a plane; normals of any length.
+    /// Where the triangles of each begin, and where the last one's end.
+    first: Vec<u32>,
+    /// How far those of a flat are apart.
+    spread: Spread,
+    /// Planes of the triangles to double precision, for eyes close to a plane; normals of any length.
     precise: Vec<[f64; 4]>,
-    /// Vertices of every triangle, in the order of the planes.
+    /// Their vertices.
     corners: Vec<[u32; 3]>,
     /// Bounds the rounding of the planes in single precision for an eye at the origin;
     /// grows with the eye's distance from it.
@@ -52,7 +60,7 @@ pub(super) struct Facing {
     edges: Edges,
     /// Edges of one triangle, or of several that do not pair up.
     irregular: Vec<IrregularEdge>,
-    /// Where the planes of the triangles are, by their numbers in the list that this was made of.
+    /// The flats of the triangles, by their numbers in the list that this was made of.
     places: Vec<u32>,
 }
 
@@ -106,16 +114,20 @@ impl IrregularEdge {
 impl Facing {
     /// `triangles` index `positions`; each has an area. Of those that are loose, edges are left out.
     pub(super) fn new(positions: &[Vec3], triangles: &[[u32; 3]], parts: &Parts) -> Self {
-        let order = group(positions, triangles);
+        let sides = edges(triangles, parts);
+        let flats = flats(positions, triangles, &sides);
+        let largest: Vec<[u32; 3]> = (0..flats.count() as u32)
+            .map(|flat| triangles[flats.of(flat)[0] as usize])
+            .collect();
+        let order = group(positions, &largest);
         let blocks = order.len().div_ceil(BLOCK);
         let mut facing = Self {
             // What pads the last block is seen by nobody.
             planes: [0.0, 0.0, 0.0, f32::INFINITY].map(|value| vec![value; blocks * BLOCK]),
-            precise: vec![[0.0; 4]; order.len()],
-            corners: order
-                .iter()
-                .map(|&triangle| triangles[triangle as usize])
-                .collect(),
+            first: vec![0],
+            spread: flats.spread,
+            precise: Vec::with_capacity(triangles.len()),
+            corners: Vec::with_capacity(triangles.len()),
             rounding: 0.0,
             extent: (positions.iter()).fold(DVec3::ZERO, |extent, position| {
                 extent.max(position.as_dvec3().abs())
@@ -124,67 +136,59 @@ impl Facing {
             blocks,
             edges: Edges::default(),
             irregular: Vec::new(),
-            places: vec![0; order.len()],
+            places: vec![0; triangles.len()],
         };
-        // Edge from lower to higher vertex, triangle, whether it is wound along that.
-        let mut halves: Vec<([u32; 2], u32, bool)> = Vec::with_capacity(3 * order.len());
-        for (index, &triangle) in order.iter().enumerate() {
-            let vertices = triangles[triangle as usize];
-            facing.places[triangle as usize] = index as u32;
-            let [a, b, c] = vertices.map(|vertex| positions[vertex as usize].as_dvec3());
-            let normal = (b - a).cross(c - a);
-            facing.precise[index] = normal.extend(normal.dot(a)).to_array();
-            let unit = normal.normalize();
-            let plane = unit.extend(unit.dot(a)).as_vec4();
+        for (index, &flat) in order.iter().enumerate() {
+            for &triangle in flats.of(flat) {
+                let vertices = triangles[triangle as usize];
+                let (normal, distance) = plane(positions, vertices);
+                facing.precise.push(normal.extend(distance).to_array());
+                facing.corners.push(vertices);
+                facing.places[triangle as usize] = index as u32;
+            }
+            facing.first.push(facing.corners.len() as u32);
+            let plane = unit_plane(positions, largest[flat as usize]);
+            let plane = plane.normal.extend(plane.distance).as_vec4();
             for (out, value) in facing.planes.iter_mut().zip(plane.to_array()) {
                 out[index] = value;
             }
             facing.rounding = facing.rounding.max(PLANE_ROUNDING * plane.w.abs());
-            if parts.bundle_of(parts.of_vertex(vertices[0])).is_some() {
-                continue;
-            }
-            for i in 0..3 {
-                let (from, to) = (vertices[i], vertices[(i + 1) % 3]);
-                halves.push(([from.min(to), from.max(to)], index as u32, from < to));
-            }
         }
         for (block, members) in order.chunks(BLOCK).enumerate() {
             let corners = members
                 .iter()
+                .flat_map(|&flat| flats.of(flat))
                 .map(|&t| triangles[t as usize].map(|v| positions[v as usize]));
             facing.cones[block / LANES].set(block % LANES, &corners);
         }
-        facing.add_edges(halves);
+        facing.add_edges(&sides);
         facing
     }
 
-    fn add_edges(&mut self, mut halves: Vec<([u32; 2], u32, bool)>) {
-        halves.sort_unstable();
-        // Triangles, vertices: in the order of the triangles.
+    fn add_edges(&mut self, sides: &[HalfEdge]) {
+        // Flats, vertices: in the order of the flats.
         let mut regular: Vec<([u32; 2], [u32; 2])> = Vec::new();
-        for sides in halves.chunk_by(|a, b| a.0 == b.0) {
+        for sides in sides.chunk_by(|a, b| a.0 == b.0) {
             let vertices = sides[0].0;
-            match *sides {
-                [(_, a, along_a), (_, b, along_b)] if along_a != along_b => {
-                    regular.push((if along_a { [a, b] } else { [b, a] }, vertices));
-                }
-                _ => self.irregular.push(IrregularEdge {
+            let flat = |triangle: u32| self.places[triangle as usize];
+            match regular_pair(sides) {
+                Some(pair) if flat(pair[0]) == flat(pair[1]) => {}
+                Some(pair) => regular.push((pair.map(flat), vertices)),
+                None => self.irregular.push(IrregularEdge {
                     vertices,
-                    triangles: sides.iter().map(|&(_, t, along)| (t, along)).collect(),
+                    triangles: (sides.iter().map(|&(_, t, along)| (flat(t), along))).collect(),
                 }),
             }
         }
-        let blocks = |triangles: [u32; 2]| triangles.map(|triangle| triangle / BLOCK as u32);
-        regular.sort_unstable_by_key(|&(triangles, vertices)| {
-            (blocks(triangles), triangles, vertices)
-        });
+        let blocks = |flats: [u32; 2]| flats.map(|flat| flat / BLOCK as u32);
+        regular.sort_unstable_by_key(|&(flats, vertices)| (blocks(flats), flats, vertices));
         let edges = &mut self.edges;
-        for (triangles, vertices) in regular {
-            if edges.blocks.last() != Some(&blocks(triangles)) {
-                edges.blocks.push(blocks(triangles));
+        for (flats, vertices) in regular {
+            if edges.blocks.last() != Some(&blocks(flats)) {
+                edges.blocks.push(blocks(flats));
                 edges.first.push(edges.vertices.len() as u32);
             }
-            (edges.triangles).push(triangles.map(|triangle| (triangle % BLOCK as u32) as u8));
+            (edges.triangles).push(flats.map(|flat| (flat % BLOCK as u32) as u8));
             edges.vertices.push(vertices);
         }
         edges.first.push(edges.vertices.len() as u32);
@@ -259,13 +263,35 @@ impl Facing {
         }));
     }
 
-    /// The plane of a triangle, and its vertices.
-    pub(super) fn precise(&self, triangle: u32) -> [f64; 4] {
-        self.precise[triangle as usize]
+    /// The triangles of a flat.
+    pub(super) fn triangles_of(&self, flat: u32) -> Range<usize> {
+        self.first[flat as usize] as usize..self.first[flat as usize + 1] as usize
     }
 
-    pub(super) fn corners(&self, triangle: u32) -> [u32; 3] {
-        self.corners[triangle as usize]
+    /// The plane of a triangle, and its vertices.
+    pub(super) fn precise(&self, triangle: usize) -> [f64; 4] {
+        self.precise[triangle]
+    }
+
+    pub(super) fn corners(&self, triangle: usize) -> [u32; 3] {
+        self.corners[triangle]
+    }
+
+    /// How many flats there are.
+    #[cfg(test)]
+    pub(super) fn flats(&self) -> usize {
+        self.first.len() - 1
+    }
+
+    /// How many edges there are between two flats.
+    #[cfg(test)]
+    pub(super) fn regular_edges(&self) -> usize {
+        self.edges.vertices.len()
+    }
+
+    /// How far from a flat's plane a point may seem that lies between those of its triangles.
+    pub(super) fn spread_at(&self, eye: Vec3) -> f32 {
+        self.spread.within(eye.as_dvec3(), 0.0)
     }
 
     /// Bounds the rounding of heights above planes, in single precision.
@@ -274,10 +300,12 @@ impl Facing {
         self.rounding + PLANE_ROUNDING * eye.abs().element_sum()
     }
 
-    /// How far from the centre of a sphere a plane may seem that passes through it.
+    /// How far from the centre of a sphere a flat's plane may seem if that of one of its triangles passes through it.
     pub(super) fn reach(&self, (centre, radius): (Vec3, f32)) -> f32 {
         // Distances to planes are rounded, and so is the radius.
-        1.001 * radius + 2.0 * (self.rounding_at(centre) + PLANE_ROUNDING * radius)
+        let rounding = self.rounding_at(centre) + PLANE_ROUNDING * radius;
+        let spread = self.spread.within(centre.as_dvec3(), f64::from(radius));
+        1.001 * radius + 2.0 * rounding + spread
     }
 
     /// The same along each axis, for planes along which it vanishes: however wide a floor is, it is as flat as its
@@ -549,6 +577,72 @@ pub(super) fn sides_of(
 #[inline(always)]
 pub(super) fn block_of<T>(elements: &[T], block: usize) -> &[T; BLOCK] {
     &elements.as_chunks().0[block]
+}
+
+/// An edge of a triangle: from its lower to its higher vertex, the triangle, whether it is wound along that.
+type HalfEdge = ([u32; 2], u32, bool);
+
+/// Edges of the triangles that are not loose, those between the same vertices one after the other.
+fn edges(triangles: &[[u32; 3]], parts: &Parts) -> Vec<HalfEdge> {
+    let mut edges = Vec::with_capacity(3 * triangles.len());
+    for (&vertices, triangle) in triangles.iter().zip(0..) {
+        if parts.bundle_of(parts.of_vertex(vertices[0])).is_some() {
+            continue;
+        }
+        for i in 0..3 {
+            let (from, to) = (vertices[i], vertices[(i + 1) % 3]);
+            edges.push(([from.min(to), from.max(to)], triangle, from < to));
+        }
+    }
+    edges.sort_unstable();
+    edges
+}
+
+/// Of an edge between two triangles that are wound alike, that which is wound along it and the other one.
+fn regular_pair(sides: &[HalfEdge]) -> Option<[u32; 2]> {
+    match *sides {
+        [(_, a, along_a), (_, b, along_b)] if along_a != along_b => {
+            Some(if along_a { [a, b] } else { [b, a] })
+        }
+        _ => None,
+    }
+}
+
+/// Normal of any length, and its product with a point of the triangle.
+fn plane(positions: &[Vec3], triangle: [u32; 3]) -> (DVec3, f64) {
+    let [a, b, c] = triangle.map(|vertex| positions[vertex as usize].as_dvec3());
+    let normal = (b - a).cross(c - a);
+    (normal, normal.dot(a))
+}
+
+/// The same with a normal of unit length, and the triangle's area.
+fn unit_plane(positions: &[Vec3], triangle: [u32; 3]) -> Plane {
+    let (normal, _) = plane(positions, triangle);
+    let unit = normal.normalize();
+    Plane {
+        normal: unit,
+        distance: unit.dot(positions[triangle[0] as usize].as_dvec3()),
+        area: 0.5 * normal.length(),
+    }
+}
+
+fn flats(positions: &[Vec3], triangles: &[[u32; 3]], edges: &[HalfEdge]) -> Flats {
+    let planes: Vec<Plane> = (triangles.iter())
+        .map(|&triangle| unit_plane(positions, triangle))
+        .collect();
+    let around = || edges.chunk_by(|a, b| a.0 == b.0);
+    // At edges of more triangles, of which a flat may have two, its part would not be told by the edge.
+    let mut alone = vec![false; triangles.len()];
+    for sides in around().filter(|sides| sides.len() > 1 && regular_pair(sides).is_none()) {
+        for &(_, triangle, _) in sides {
+            alone[triangle as usize] = true;
+        }
+    }
+    let neighbours = around().filter_map(regular_pair);
+    let neighbours =
+        neighbours.filter(|pair| !pair.iter().any(|&triangle| alone[triangle as usize]));
+    let (low, high) = bounds(positions.iter().copied());
+    Flats::new(&planes, neighbours, [low, high].map(Vec3::as_dvec3))
 }
 
 /// An order of the triangles in which runs of [`BLOCK`] are close in place and normal.

@@ -20,6 +20,7 @@ mod batch;
 mod candidates;
 mod crossings;
 mod facing;
+mod flats;
 mod layers;
 mod level;
 mod loose;
@@ -411,7 +412,7 @@ mod tests {
         (*state >> 40) as f32 / (1u64 << 24) as f32
     }
 
-    fn random_point(state: &mut u64) -> Vec3 {
+    pub(super) fn random_point(state: &mut u64) -> Vec3 {
         Vec3::new(random(state), random(state), random(state)) * 2.0 - 1.0
     }
 
@@ -440,7 +441,11 @@ mod tests {
             .collect()
     }
 
-    fn assert_same_bits(triangles: &[[Vec3; 3]], origins: &[Vec3], resolution: u32) -> u64 {
+    pub(super) fn assert_same_bits(
+        triangles: &[[Vec3; 3]],
+        origins: &[Vec3],
+        resolution: u32,
+    ) -> u64 {
         let caster = RayCaster::new(triangles);
         let mesh = ContourMesh::new(triangles);
         let directions = Directions::new(resolution);

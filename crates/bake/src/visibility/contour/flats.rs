@@ -1,0 +1,266 @@
+//! Flats: neighbouring triangles of nearly one plane, as those of a quad, of a floor, or of a mesh that is divided finer
+//! than its shape asks for.
+//!
+//! From almost everywhere all of them are seen from one side, so that they are looked at as one, and no edge between them
+//! is a contour. The planes of small triangles differ by the rounding of their corners: from points so close to the flat's
+//! plane that this may tell, each triangle is looked at. What is found is the same to the bit.
+
+use glam::DVec3;
+
+/// The most triangles of a flat: each may have to be looked at.
+const MOST: usize = 64;
+/// How far apart the planes of a flat may be anywhere in the mesh's box, in its diagonals.
+const APART: f64 = 2e-4;
+/// Where flats are more than this share of the triangles, they save less than it takes to look closely.
+const MANY: f64 = 0.875;
+/// Stands for the neighbour of a triangle that has none.
+const NONE: u32 = u32::MAX;
+
+/// Triangles by flats.
+pub(super) struct Flats {
+    /// Numbers of the triangles, flat after flat. The first of a flat is the largest; its plane stands for all.
+    pub(super) triangles: Vec<u32>,
+    /// Where each flat begins, and where the last one ends.
+    pub(super) first: Vec<u32>,
+    pub(super) spread: Spread,
+}
+
+/// How far a point may be from the plane of a flat that lies on or between those of its triangles. That grows with the
+/// distance from the mesh.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Spread {
+    /// Of the mesh's box.
+    centre: DVec3,
+    /// How far that is at the centre.
+    there: f64,
+    /// How much farther for every unit of length away from it.
+    growth: f64,
+}
+
+impl Spread {
+    /// Of all points within `radius` of one.
+    pub(super) fn within(self, point: DVec3, radius: f64) -> f32 {
+        // A little more than what is rounded.
+        (1.0001 * (self.there + self.growth * (point.distance(self.centre) + radius))) as f32
+    }
+
+    fn include(&mut self, there: f64, growth: f64) {
+        self.there = self.there.max(there);
+        self.growth = self.growth.max(growth);
+    }
+}
+
+/// A triangle's plane: its normal, of unit length, that times a point of it, and the triangle's area.
+#[derive(Clone, Copy)]
+pub(super) struct Plane {
+    pub(super) normal: DVec3,
+    pub(super) distance: f64,
+    pub(super) area: f64,
+}
+
+impl Flats {
+    /// `neighbours` are pairs of triangles that share an edge and are wound alike; the box is that of the mesh.
+    pub(super) fn new(
+        planes: &[Plane],
+        neighbours: impl Iterator<Item = [u32; 2]>,
+        [low, high]: [DVec3; 2],
+    ) -> Self {
+        let mut around = vec![[NONE; 3]; planes.len()];
+        for [a, b] in neighbours {
+            for (one, other) in [(a, b), (b, a)] {
+                let mut slots = around[one as usize].iter_mut();
+                if let Some(slot) = slots.find(|slot| **slot == NONE) {
+                    *slot = other;
+                }
+            }
+        }
+        // The largest are rounded least.
+        let mut seeds: Vec<u32> = (0..planes.len() as u32).collect();
+        let area = |triangle: u32| planes[triangle as usize].area;
+        seeds.sort_by(|&a, &b| area(b).total_cmp(&area(a)));
+        let mut growing = Growing {
+            planes,
+            around,
+            radius: 0.5 * low.distance(high),
+            taken: vec![false; planes.len()],
+            flats: Self {
+                triangles: Vec::with_capacity(planes.len()),
+                first: vec![0],
+                spread: Spread {
+                    centre: low.midpoint(high),
+                    ..Spread::default()
+                },
+            },
+        };
+        seeds.into_iter().for_each(|seed| growing.grow(seed));
+        let flats = growing.flats;
+        if flats.count() as f64 > MANY * planes.len() as f64 {
+            return Self {
+                triangles: (0..planes.len() as u32).collect(),
+                first: (0..=planes.len() as u32).collect(),
+                spread: Spread::default(),
+            };
+        }
+        flats
+    }
+
+    pub(super) fn count(&self) -> usize {
+        self.first.len() - 1
+    }
+
+    /// The triangles of a flat.
+    pub(super) fn of(&self, flat: u32) -> &[u32] {
+        let [from, to] = [0, 1].map(|next| self.first[flat as usize + next] as usize);
+        &self.triangles[from..to]
+    }
+}
+
+/// Flats that are being made.
+struct Growing<'a> {
+    planes: &'a [Plane],
+    /// The neighbours of every triangle.
+    around: Vec<[u32; 3]>,
+    /// Of the sphere around the mesh's box.
+    radius: f64,
+    /// Triangles that some flat has.
+    taken: Vec<bool>,
+    flats: Flats,
+}
+
+impl Growing<'_> {
+    /// Makes a flat around a triangle, unless some flat has it.
+    fn grow(&mut self, seed: u32) {
+        if std::mem::replace(&mut self.taken[seed as usize], true) {
+            return;
+        }
+        let begin = self.flats.triangles.len();
+        self.flats.triangles.push(seed);
+        let plane = self.planes[seed as usize];
+        let mut next = begin;
+        while let Some(&triangle) = self.flats.triangles.get(next) {
+            for other in self.around[triangle as usize] {
+                let is_free = other != NONE && !self.taken[other as usize];
+                if is_free && self.flats.triangles.len() - begin < MOST {
+                    self.join(plane, other);
+                }
+            }
+            next += 1;
+        }
+        self.flats.first.push(self.flats.triangles.len() as u32);
+    }
+
+    /// Adds a triangle to the last flat if it lies almost in its plane.
+    fn join(&mut self, plane: Plane, triangle: u32) {
+        let other = self.planes[triangle as usize];
+        let turned = other.normal - plane.normal;
+        let centre = self.flats.spread.centre;
+        let there = (turned.dot(centre) - (other.distance - plane.distance)).abs();
+        let growth = turned.length();
+        if there + growth * self.radius <= 2.0 * APART * self.radius {
+            self.taken[triangle as usize] = true;
+            self.flats.triangles.push(triangle);
+            self.flats.spread.include(there, growth);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3;
+
+    use crate::visibility::contour::tests::{assert_same_bits, random, random_point};
+    use crate::visibility::contour::{ContourMesh, MOST_TOUCHED};
+    use crate::visibility::{self, Directions};
+
+    /// Each triangle as four, again and again; what they share is rounded alike.
+    fn divided(mut triangles: Vec<[Vec3; 3]>, times: usize) -> Vec<[Vec3; 3]> {
+        for _ in 0..times {
+            let parts = triangles.iter().flat_map(|&[a, b, c]| {
+                let [d, e, f] = [a.midpoint(b), b.midpoint(c), c.midpoint(a)];
+                [[a, d, f], [d, b, e], [f, e, c], [d, e, f]]
+            });
+            triangles = parts.collect();
+        }
+        triangles
+    }
+
+    /// A ridged ground that is tilted, so that nothing is exact.
+    fn ground(state: &mut u64) -> Vec<[Vec3; 3]> {
+        const SIDE: usize = 5;
+        let heights: Vec<f32> = (0..(SIDE + 1).pow(2)).map(|_| random(state)).collect();
+        let at = |x: usize, z: usize| {
+            let [u, v] = [x, z].map(|i| 2.0 * i as f32 / SIDE as f32 - 1.0);
+            Vec3::new(u, 0.3 * u - 0.2 * v + 0.2 * heights[z * (SIDE + 1) + x], v)
+        };
+        let cells = (0..SIDE).flat_map(|z| (0..SIDE).map(move |x| (x, z)));
+        let halves = cells.flat_map(|(x, z)| {
+            let [a, b, c, d] = [at(x, z), at(x + 1, z), at(x + 1, z + 1), at(x, z + 1)];
+            [[a, d, c], [a, c, b]]
+        });
+        halves.collect()
+    }
+
+    #[test]
+    fn what_is_divided_finer_has_as_many_flats_as_it_had_triangles() {
+        let triangles = ground(&mut 3);
+        for times in 1..4 {
+            let mesh = ContourMesh::new(&divided(triangles.clone(), times));
+            assert_eq!(mesh.facing.flats(), triangles.len(), "{times} times");
+            assert_eq!(mesh.facing.regular_edges(), (3 * 50 - 20) / 2 << times);
+        }
+        // A flat of more than there may be, and one that is none.
+        let quad = [Vec3::ZERO, Vec3::Z, Vec3::X + Vec3::Z, Vec3::X];
+        let quad = vec![[quad[0], quad[1], quad[2]], [quad[0], quad[2], quad[3]]];
+        let many = ContourMesh::new(&divided(quad, 5)).facing.flats();
+        assert!((2048 / super::MOST..200).contains(&many), "{many}");
+        let rough = ContourMesh::new(&triangles);
+        assert_eq!(rough.facing.flats(), triangles.len());
+        assert_eq!(rough.facing.spread_at(Vec3::ONE), 0.0);
+    }
+
+    #[test]
+    fn points_on_flats_and_in_their_planes_give_the_same_bits() {
+        let mut state = 8;
+        let coarse = ground(&mut state);
+        let triangles = divided(coarse.clone(), 3);
+        let mut origins = Vec::new();
+        for index in 0..200 {
+            let [a, b, c] = coarse[index % coarse.len()];
+            let normal = (b - a).cross(c - a).normalize();
+            // On the flat, or beyond it.
+            let wide = if index % 3 == 0 { 1.0 } else { 8.0 };
+            let [u, v] = [0; 2].map(|_| 0.5 + wide * (random(&mut state) - 0.5));
+            let height = [0.0, 1e-8, 1e-7, -1e-7, 1e-6, -1e-5, 1e-4, 1e-3][index % 8];
+            origins.push(a + 0.5 * (u * (b - a) + v * (c - a)) + height * normal);
+        }
+        // On its corners, as vertices of the mesh are.
+        origins.extend(
+            triangles
+                .iter()
+                .step_by(97)
+                .map(|[a, ..]| *a + 1e-4 * Vec3::Y),
+        );
+        let far = (0..20).map(|_| 30.0 * random_point(&mut state));
+        origins.extend(far);
+        assert_same_bits(&triangles, &origins, 64);
+
+        // Some of them ask for a closer look, and touch some triangles of a flat.
+        let mesh = ContourMesh::new(&triangles);
+        let directions = Directions::new(64);
+        let mut scratch = mesh.scratch(&directions);
+        let (mut parted, mut touched) = (0, 0);
+        for origin in origins {
+            let (found, _) = mesh.sample(origin, &directions, &mut scratch);
+            let seen = scratch.candidates.touched().count();
+            parted += usize::from(scratch.candidates.is_parted());
+            touched += usize::from((1..=MOST_TOUCHED).contains(&seen));
+            mesh.crossings(&found, &mut scratch);
+            let exact = visibility::sample(mesh.caster(), origin, &directions);
+            assert!(found == exact, "{origin}");
+        }
+        assert!(
+            parted > touched && touched > 20,
+            "{parted} parted, {touched} touched"
+        );
+    }
+}

@@ -1,94 +1,40 @@
 //! What the points of a small group may see as contours.
 //!
-//! Seen from points close together, most contours are the same: the triangles at them face
-//! all of the points or none. Those are found once per group. Of what remains, the triangles whose planes pass through the
+//! Seen from points close together, most contours are the same: the flats at them (`flats`) face
+//! all of the points or none. Those are found once per group. Of what remains, the flats whose planes pass through the
 //! group, fewer pass between the points of a run of it, and so once more (`level`). What remains then is done for every point.
 
 use std::ops::Range;
 
-use glam::{DVec3, Vec3};
+use glam::Vec3;
 use pulp::{Simd, WithSimd};
 
 use crate::simd;
-use crate::visibility::{ones, pack_bits};
 
 use super::batch::{Batch, LANES};
-use super::facing::{BLOCK, Facing, Sides, block_of, for_each_where};
+use super::faces::{Faces, outline};
+use super::facing::{Facing, Sides, for_each_where};
 use super::level::Level;
 use super::loose::Bundle;
 use super::parts::Parts;
 use super::{Contour, RUN, bounds};
 
-/// Numbers below this stand for triangles that face no point of the group, or every point, and
+/// Numbers below this stand for flats that face no point of the group, or every point, and
 /// for those that are not there.
 pub(super) const KNOWN: u32 = 3;
-/// Stands for the second triangle of an edge that has one.
+/// Stands for the second flat of an edge that has one.
 pub(super) const ABSENT: u32 = 2;
 /// Of what these numbers stand for: −1 faces no point, 1 every point, 0 is absent.
 pub(super) const FACES_OF_KNOWN: [i8; KNOWN as usize] = [-1, 1, 0];
 /// Where fewer edges remain to a group, narrowing takes as long as it saves.
 const MANY: usize = 2000;
 
-/// An edge that some points may see as a contour: the first triangle is wound along it, the second
+/// An edge that some points may see as a contour: the first flat is wound along it, the second
 /// against it.
 #[derive(Clone, Copy, Default)]
 pub(super) struct CandidateEdge {
-    pub(super) triangles: [u32; 2],
+    pub(super) flats: [u32; 2],
     pub(super) vertices: [u32; 2],
-}
-
-/// What faces tell of flats whose triangles do not face a point alike: each has its own. That of a triangle that the
-/// point lies on is 0.
-const PARTED: i8 = 2;
-
-/// A triangle of a flat.
-#[derive(Clone, Copy)]
-struct Member {
-    /// The flat's number.
-    flat: u32,
-    corners: [u32; 3],
-    /// 1 if it faces the point looked at last, −1 if not.
-    face: i8,
-    /// The same, and 0 if that lies on it.
-    counted: i8,
-    /// Whether it lies in its plane, but for rounding.
-    in_plane: bool,
-}
-
-impl Member {
-    /// Whether an edge of that flat is an edge of this triangle.
-    fn has(&self, flat: u32, edge: [u32; 2]) -> bool {
-        self.flat == flat && edge.iter().all(|end| self.corners.contains(end))
-    }
-}
-
-/// How flats face a point.
-#[derive(Clone, Copy)]
-struct Faces<'a> {
-    of_flats: &'a [i8],
-    parted: &'a [Member],
-}
-
-impl Faces<'_> {
-    #[inline(always)]
-    fn of(self, flat: u32) -> i8 {
-        self.of_flats[flat as usize]
-    }
-
-    /// How a flat's triangle does that has one of its edges.
-    #[inline(always)]
-    fn at(self, flat: u32, edge: impl FnOnce() -> [u32; 2]) -> i8 {
-        match self.of(flat) {
-            PARTED => self.of_part(flat, edge()),
-            face => face,
-        }
-    }
-
-    #[cold]
-    fn of_part(self, flat: u32, edge: [u32; 2]) -> i8 {
-        let mut parts = self.parted.iter();
-        (parts.find(|member| member.has(flat, edge))).map_or(0, |member| member.counted)
-    }
 }
 
 /// What is found of a group before it is sorted.
@@ -130,7 +76,7 @@ pub(super) struct Candidates {
     levels: [Level; 2],
     /// How many of these the point looked at last needs; the last one has the edges that remain open.
     depth: usize,
-    /// What the triangles of the group's level are called in the run's.
+    /// What the flats of the group's level are called in the run's.
     names: Vec<u32>,
     open: Open,
     /// Parts of the mesh: those that look largest come first. Their numbers here are their
@@ -147,16 +93,8 @@ pub(super) struct Candidates {
     /// What is being sorted.
     sorted_contours: Vec<Contour>,
     sorted_edges: Vec<CandidateEdge>,
-    /// Per number, 1 if the flat faces the point looked at last, −1 if not, 0 if it is absent; or [`PARTED`].
-    faces: Vec<i8>,
-    /// Triangles of flats that were looked at one by one.
-    members: Vec<Member>,
-    /// Those that the point lies on.
-    touched: Vec<Member>,
-    /// All those of flats that are parted.
-    parted: Vec<Member>,
-    /// Contours within such flats.
-    within: Vec<Contour>,
+    /// Which way flats face the point looked at last.
+    faces: Faces,
     /// Contours that this point sees besides.
     found_batches: Vec<Batch<3>>,
     sides: Sides,
@@ -196,7 +134,7 @@ impl Candidates {
         }
         let [group, run] = &mut self.levels;
         let mut runs = self.origins.chunks(RUN);
-        let origins = (self.origins.len() > RUN && group.edge_triangles.len() >= MANY)
+        let origins = (self.origins.len() > RUN && group.edge_flats.len() >= MANY)
             .then(|| runs.find(|run| run.contains(&eye)))
             .flatten();
         self.depth = 1;
@@ -258,8 +196,8 @@ impl Candidates {
         let (sorted, first) = (&mut self.sorted_edges, &mut level.first_edge);
         sort(&mut self.open.edges, sorted, parts.count(), place, first);
         level.edge_numbers.extend(0..self.open.edges.len() as u32);
-        let triangles = self.open.edges.iter().map(|edge| edge.triangles);
-        level.edge_triangles.extend(triangles);
+        let flats = self.open.edges.iter().map(|edge| edge.flats);
+        level.edge_flats.extend(flats);
         self.set_costs(parts);
     }
 
@@ -309,7 +247,7 @@ impl Candidates {
         places.iter().filter_map(|&place| {
             let number = parts.bundle_of(self.order[place as usize])?;
             let triangles = &self.level().loose[number];
-            let face = |lane: usize| self.faces[triangles[lane] as usize];
+            let face = |lane: usize| self.faces.of(triangles[lane]);
             Some((number, &parts.bundles[number], face))
         })
     }
@@ -329,24 +267,20 @@ impl Candidates {
     /// The triangles that it lies on do not count.
     pub(super) fn find(&mut self, parts: &Parts, positions: &[Vec3], places: &[u32]) {
         self.found_batches.clear();
-        let faces = Faces {
-            of_flats: &self.faces,
-            parted: &self.parted,
-        };
         simd::arch().dispatch(Find {
             level: &self.levels[self.depth - 1],
             ends: Ends {
                 edges: &self.open.edges,
                 positions,
             },
-            faces,
+            faces: &self.faces,
             found: &mut self.found_batches,
             places,
         });
         let irregular = self.levels[self.depth - 1].irregular.iter();
         let others =
-            irregular.filter_map(|edge| edge.contour(|flat| faces.at(flat, || edge.vertices)));
-        for contour in others.chain(self.within.iter().copied()) {
+            irregular.filter_map(|edge| edge.contour(|flat| self.faces.at(flat, || edge.vertices)));
+        for contour in others.chain(self.faces.within().iter().copied()) {
             let place = self.places[parts.of_vertex(contour.vertices[0]) as usize];
             if places.binary_search(&place).is_ok() {
                 append(&mut self.found_batches, contour, positions);
@@ -357,48 +291,38 @@ impl Candidates {
     /// Contours of the triangles that the point looked at last lies on.
     pub(super) fn contours_of_touched(&mut self, parts: &Parts, positions: &[Vec3]) -> &[Batch<3>] {
         self.found_batches.clear();
-        let faces = Faces {
-            of_flats: &self.faces,
-            parted: &self.parted,
-        };
-        let touched = |flat: u32, edge: [u32; 2]| {
-            let mut touched = self.touched.iter();
-            touched
-                .find(|member| member.has(flat, edge))
-                .map(|member| member.face)
-        };
+        let faces = &self.faces;
+        let is_touched = |flat: u32, edge: [u32; 2]| faces.of_touched(flat, edge).is_some();
         let face = |flat: u32, edge: [u32; 2]| {
-            touched(flat, edge).unwrap_or_else(|| faces.at(flat, || edge))
+            let touched = faces.of_touched(flat, edge);
+            touched.unwrap_or_else(|| faces.at(flat, || edge))
         };
+        let touched_flats: Vec<u32> = faces.touched().iter().map(|member| member.flat).collect();
         let level = &self.levels[self.depth - 1];
         let edges = &self.open.edges;
-        for (flats, edge) in level.edge_triangles.iter().zip(&level.edge_numbers) {
-            if !flats
-                .iter()
-                .any(|flat| self.touched.iter().any(|member| member.flat == *flat))
-            {
+        for (flats, edge) in level.edge_flats.iter().zip(&level.edge_numbers) {
+            if !flats.iter().any(|flat| touched_flats.contains(flat)) {
                 continue;
             }
             let vertices = edges[*edge as usize].vertices;
             let [a, b] = flats.map(|flat| i32::from(face(flat, vertices)));
-            if a != b && flats.iter().any(|flat| touched(*flat, vertices).is_some()) {
-                let contour = Contour {
-                    vertices,
-                    step: a - b,
-                };
-                append(&mut self.found_batches, contour, positions);
+            if a != b && flats.iter().any(|flat| is_touched(*flat, vertices)) {
+                let step = a - b;
+                append(
+                    &mut self.found_batches,
+                    Contour { vertices, step },
+                    positions,
+                );
             }
         }
         let irregular = level.irregular.iter().filter_map(|edge| {
-            let mut flats = edge.triangles.iter();
-            let is_touched = flats.any(|(flat, _)| touched(*flat, edge.vertices).is_some());
-            is_touched.then(|| edge.contour(|flat| face(flat, edge.vertices)))?
+            let mut flats = edge.flats.iter();
+            let touched = flats.any(|(flat, _)| is_touched(*flat, edge.vertices));
+            touched.then(|| edge.contour(|flat| face(flat, edge.vertices)))?
         });
-        let loose = self.touched.iter().flat_map(|member| {
-            let loose = parts
-                .bundle_of(parts.of_vertex(member.corners[0]))
-                .is_some();
-            let edges = loose.then(|| outline(member.corners));
+        let loose = faces.touched().iter().flat_map(|member| {
+            let part = parts.of_vertex(member.corners[0]);
+            let edges = (parts.bundle_of(part)).map(|_| outline(member.corners));
             let step = i32::from(member.face);
             (edges.into_iter().flatten()).map(move |vertices| Contour { vertices, step })
         });
@@ -413,92 +337,24 @@ impl Candidates {
         self.levels[0].covers(eye)
     }
 
-    /// Finds what `eye` sees. Triangles that it lies on, but for rounding, are told by
+    /// Finds which way what `eye` may see faces it. Triangles that it lies on, but for rounding, are told by
     /// [`Self::touched`]: whether a ray from there meets them is a matter of its arithmetic.
     pub(super) fn look(&mut self, facing: &Facing, parts: &Parts, positions: &[Vec3], eye: Vec3) {
         self.narrow(facing, parts, positions, eye);
-        self.members.clear();
-        let flats = self.level().planes[0].len();
-        self.faces.resize(KNOWN as usize + flats, 0);
-        self.faces[..KNOWN as usize].copy_from_slice(&FACES_OF_KNOWN);
-        let rounding = facing.rounding_at(eye);
-        simd::arch().dispatch(Look {
-            level: &self.levels[self.depth - 1],
-            faces: &mut self.faces[KNOWN as usize..],
-            members: &mut self.members,
-            facing,
-            unclear: rounding + facing.spread_at(eye),
-            rounding,
-            rounding_of_axes: facing.rounding_of_axes(eye),
-            eye,
-        });
-        self.touched.clear();
-        self.parted.clear();
-        self.within.clear();
-        for members in self.members.chunk_by_mut(|a, b| a.flat == b.flat) {
-            for member in members.iter_mut() {
-                let corners = member
-                    .corners
-                    .map(|vertex| positions[vertex as usize].as_dvec3());
-                if member.in_plane && touches(corners, eye, 4.0 * rounding) {
-                    member.counted = 0;
-                    self.touched.push(*member);
-                }
-            }
-            let Member { flat, counted, .. } = members[0];
-            self.faces[flat as usize] = if members.iter().all(|member| member.counted == counted) {
-                counted
-            } else {
-                self.parted.extend_from_slice(members);
-                self.within.extend(within(members));
-                PARTED
-            };
-        }
+        let level = &self.levels[self.depth - 1];
+        self.faces.look(level, facing, positions, eye);
     }
 
-    /// Whether triangles of some flat do not face the point looked at last alike.
+    /// Which way flats face the point looked at last.
     #[cfg(test)]
-    pub(super) fn is_parted(&self) -> bool {
-        !self.parted.is_empty()
+    pub(super) fn faces(&self) -> &Faces {
+        &self.faces
     }
 
     /// Vertices of the triangles that the point looked at last lies on.
     pub(super) fn touched(&self) -> impl Iterator<Item = [u32; 3]> {
-        self.touched.iter().map(|member| member.corners)
+        self.faces.touched().iter().map(|member| member.corners)
     }
-}
-
-/// The edges of a triangle, as it is wound.
-fn outline([a, b, c]: [u32; 3]) -> [[u32; 2]; 3] {
-    [[a, b], [b, c], [c, a]]
-}
-
-/// Contours between triangles of a flat.
-fn within(members: &[Member]) -> impl Iterator<Item = Contour> {
-    let mut sides: Vec<([u32; 2], i32)> = (members.iter())
-        .flat_map(|member| outline(member.corners).map(|edge| (edge, i32::from(member.counted))))
-        .map(|([a, b], face)| {
-            if a < b {
-                ([a, b], face)
-            } else {
-                ([b, a], -face)
-            }
-        })
-        .collect();
-    sides.sort_unstable();
-    let mut contours = Vec::new();
-    for pair in sides.chunk_by(|a, b| a.0 == b.0) {
-        // Of other edges, flats that are neighbours tell.
-        if let [(vertices, along), (_, against)] = *pair
-            && along + against != 0
-        {
-            contours.push(Contour {
-                vertices,
-                step: along + against,
-            });
-        }
-    }
-    contours.into_iter()
 }
 
 /// The sphere around the box of points, by its centre and radius.
@@ -507,15 +363,6 @@ fn sphere_around(origins: &[Vec3]) -> (Vec3, f32) {
     let centre = low.midpoint(high);
     let distances = origins.iter().map(|origin| origin.distance(centre));
     (centre, distances.fold(0.0, f32::max))
-}
-
-/// Whether a point in a triangle's plane lies on it, or within a margin.
-fn touches([a, b, c]: [DVec3; 3], eye: Vec3, margin: f32) -> bool {
-    let normal = (b - a).cross(c - a).normalize_or_zero();
-    [(a, b), (b, c), (c, a)].into_iter().all(|(from, to)| {
-        let inward = normal.cross(to - from).normalize_or_zero();
-        inward.dot(eye.as_dvec3() - from) >= -f64::from(margin)
-    })
 }
 
 fn append(batches: &mut Vec<Batch<3>>, contour: Contour, positions: &[Vec3]) {
@@ -537,84 +384,11 @@ fn gather(contours: &[Contour], positions: &[Vec3], batches: &mut Vec<Batch<3>>)
     }));
 }
 
-/// The vectorised body of [`Candidates::look`].
-struct Look<'a> {
-    level: &'a Level,
-    /// Of the level's triangles.
-    faces: &'a mut [i8],
-    members: &'a mut Vec<Member>,
-    facing: &'a Facing,
-    eye: Vec3,
-    /// Of the flats' heights as they are told here, and of those of their triangles.
-    unclear: f32,
-    rounding: f32,
-    rounding_of_axes: DVec3,
-}
-
-impl WithSimd for Look<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(mut self, _: S) {
-        for block in 0..self.faces.len() / BLOCK {
-            self.find_faces(block);
-        }
-    }
-}
-
-impl Look<'_> {
-    #[inline(always)]
-    fn find_faces(&mut self, block: usize) {
-        let first = block * BLOCK;
-        let [x, y, z, d] = (self.level.planes.each_ref()).map(|plane| block_of(plane, block));
-        let faces = &mut self.faces[first..][..BLOCK];
-        let eye = self.eye;
-        let mut unclear = [0; BLOCK];
-        for i in 0..BLOCK {
-            let height = x[i] * eye.x + y[i] * eye.y + z[i] * eye.z - d[i];
-            faces[i] = facing(height > 0.0);
-            unclear[i] = u8::from(height.abs() < self.unclear);
-        }
-        for i in ones(pack_bits(&unclear)) {
-            self.look_closely(first + i);
-        }
-    }
-
-    /// Looks at the triangles of a flat.
-    fn look_closely(&mut self, flat: usize) {
-        let eye = self.eye.as_dvec3();
-        let begin = self.members.len();
-        for triangle in self.facing.triangles_of(self.level.numbers[flat]) {
-            let [x, y, z, d] = self.facing.precise(triangle);
-            let height = x * eye.x + y * eye.y + z * eye.z - d;
-            let face = facing(height > 0.0);
-            let normal = DVec3::new(x, y, z);
-            let rounding = f64::from(self.rounding) * normal.length();
-            self.members.push(Member {
-                flat: KNOWN + flat as u32,
-                corners: self.facing.corners(triangle),
-                face,
-                counted: face,
-                in_plane: height.abs() <= rounding.min(normal.abs().dot(self.rounding_of_axes)),
-            });
-        }
-        let face = self.members[begin].face;
-        self.faces[flat] = face;
-        let members = &self.members[begin..];
-        if members
-            .iter()
-            .all(|member| member.face == face && !member.in_plane)
-        {
-            self.members.truncate(begin);
-        }
-    }
-}
-
 /// The vectorised body of [`Candidates::find`].
 struct Find<'a> {
     level: &'a Level,
     ends: Ends<'a>,
-    faces: Faces<'a>,
+    faces: &'a Faces,
     found: &'a mut Vec<Batch<3>>,
     places: &'a [u32],
 }
@@ -631,14 +405,11 @@ impl WithSimd for Find<'_> {
             found,
             places,
         } = self;
-        let differ = |[a, b]: [u32; 2]| {
-            let a = faces.of(a);
-            (a != faces.of(b)) | (a == PARTED)
-        };
+        let differ = |flats| faces.may_differ(flats);
         for range in ranges(places, &level.first_edge) {
-            let triangles = &level.edge_triangles[range.clone()];
+            let flats = &level.edge_flats[range.clone()];
             let numbers = &level.edge_numbers[range];
-            for_each_where(triangles, numbers, differ, |[a, b], edge| {
+            for_each_where(flats, numbers, differ, |[a, b], edge| {
                 let face = |flat| i32::from(faces.at(flat, || ends.vertices(edge)));
                 let step = face(a) - face(b);
                 if step != 0 {
@@ -647,10 +418,6 @@ impl WithSimd for Find<'_> {
             });
         }
     }
-}
-
-fn facing(front: bool) -> i8 {
-    2 * i8::from(front) - 1
 }
 
 /// Of what is sorted by place and begins at `first`, that of some places, which grow: most follow
@@ -731,7 +498,7 @@ mod tests {
             .collect();
         let mut scratch = mesh.scratch(&directions);
         mesh.prepare(&origins, &mut scratch);
-        let of_group = scratch.candidates.level().edge_triangles.len();
+        let of_group = scratch.candidates.level().edge_flats.len();
         assert!(of_group >= MANY, "{of_group} edges");
         // One run after the other, then from run to run, and one that is in none.
         let orders = (0..origins.len()).chain((0..origins.len()).map(|i| i * 17 % origins.len()));
@@ -742,7 +509,7 @@ mod tests {
             let (found, _) = mesh.sample(eye, &directions, &mut scratch);
             let exact = visibility::sample(mesh.caster(), eye, &directions);
             assert!(found == exact, "{index}");
-            let of_run = scratch.candidates.level().edge_triangles.len();
+            let of_run = scratch.candidates.level().edge_flats.len();
             runs += usize::from(scratch.candidates.depth == 2 && of_run < of_group);
         }
         assert_eq!(runs, 2 * origins.len() + 1, "all but the one between");

@@ -1,10 +1,9 @@
-//! Which triangles face all points of a small group, and which face some and not others.
-//! Contours lie between triangles that face a point and those that do not.
+//! Which flats face all points of a small group, and which face some and not others.
+//! Contours lie between flats that face a point and those that do not.
 //!
-//! Triangles that make up a flat (`flats`) are looked at as one; what is said of triangles here and of what candidates are
-//! made of is said of flats, of which most are single triangles. They are grouped into blocks of similar place and normal. A cone of normals and the
-//! range of the planes' offsets tell for most blocks that all of their triangles face one
-//! way (Johnson & Cohen 2001); only the others are looked at one by one.
+//! A flat is one triangle, or several of nearly one plane (`flats`). They are grouped into blocks of similar place and normal.
+//! A cone of normals and the range of the planes' offsets tell for most blocks that all of their triangles face one
+//! way (Johnson & Cohen 2001); only the others are looked at flat by flat.
 
 use std::ops::Range;
 
@@ -13,6 +12,7 @@ use pulp::{Simd, WithSimd};
 
 use super::batch;
 use super::candidates::{ABSENT, CandidateEdge, Open};
+use super::edges::{Edges, HalfEdge, IrregularEdge, half_edges, regular_pair};
 use super::flats::{Flats, Plane, Spread};
 use super::level::Level;
 use super::parts::Parts;
@@ -20,15 +20,15 @@ use super::{Contour, bounds};
 use crate::simd;
 use crate::visibility::{self, ones, pack_bits};
 
-/// Triangles that are tested together, as many as a word has bits; their edges are grouped by it.
+/// Flats that are tested together, as many as a word has bits; their edges are grouped by it.
 pub(super) const BLOCK: usize = 64;
 /// Cones that are tested side by side.
 const LANES: usize = 16;
 /// How far a quarter turn of the normal counts against a distance of the scene's extent
-/// when triangles are grouped.
+/// when flats are grouped.
 const NORMAL_WEIGHT: f32 = 0.1;
 /// Slack of the cone test against rounding, relative to the distances involved. A block
-/// within it is looked at triangle by triangle.
+/// within it is looked at flat by flat.
 const SLACK: f32 = 1e-5;
 /// Bounds the rounding of a plane's offset and of its product with a point in single
 /// precision, relative to their size: a few units in the last place.
@@ -36,7 +36,7 @@ const PLANE_ROUNDING: f32 = 1e-6;
 /// Edges whose contours are collected together; at most 256, a power of two.
 const CHUNK: usize = 128;
 
-/// Triangles in blocks, and their edges.
+/// Flats in blocks, and their edges.
 pub(super) struct Facing {
     /// Planes `n·p = d` of the flats with unit normals, structure of arrays, padded to
     /// whole blocks.
@@ -56,9 +56,9 @@ pub(super) struct Facing {
     extent: DVec3,
     cones: Vec<Cones>,
     blocks: usize,
-    /// Edges between two triangles.
+    /// Edges between two flats.
     edges: Edges,
-    /// Edges of one triangle, or of several that do not pair up.
+    /// Edges of one flat, or of several that do not pair up.
     irregular: Vec<IrregularEdge>,
     /// The flats of the triangles, by their numbers in the list that this was made of.
     places: Vec<u32>,
@@ -77,44 +77,10 @@ struct Cones {
     high: [f32; LANES],
 }
 
-/// Edges between two triangles: the first is wound along the edge, the second against it.
-#[derive(Default)]
-struct Edges {
-    /// Blocks of the first and the second triangle, and where the edges of each such pair begin; one end more.
-    blocks: Vec<[u32; 2]>,
-    first: Vec<u32>,
-    /// The triangles as numbers in their blocks.
-    triangles: Vec<[u8; 2]>,
-    vertices: Vec<[u32; 2]>,
-}
-
-/// The triangles at an edge and whether each is wound along it.
-#[derive(Clone)]
-pub(super) struct IrregularEdge {
-    pub(super) vertices: [u32; 2],
-    pub(super) triangles: Vec<(u32, bool)>,
-}
-
-impl IrregularEdge {
-    /// The contour that it makes, if any. `face` is 1 for triangles that face the eye, −1 for those
-    /// that do not, and 0 for those that do not count.
-    pub(super) fn contour(&self, face: impl Fn(u32) -> i8) -> Option<Contour> {
-        let left = |&(triangle, along): &(u32, bool)| {
-            let face = i32::from(face(triangle));
-            if along { face } else { -face }
-        };
-        let step = self.triangles.iter().map(left).sum();
-        (step != 0).then_some(Contour {
-            vertices: self.vertices,
-            step,
-        })
-    }
-}
-
 impl Facing {
     /// `triangles` index `positions`; each has an area. Of those that are loose, edges are left out.
     pub(super) fn new(positions: &[Vec3], triangles: &[[u32; 3]], parts: &Parts) -> Self {
-        let sides = edges(triangles, parts);
+        let sides = half_edges(triangles, parts);
         let flats = flats(positions, triangles, &sides);
         let largest: Vec<[u32; 3]> = (0..flats.count() as u32)
             .map(|flat| triangles[flats.of(flat)[0] as usize])
@@ -161,37 +127,8 @@ impl Facing {
                 .map(|&t| triangles[t as usize].map(|v| positions[v as usize]));
             facing.cones[block / LANES].set(block % LANES, &corners);
         }
-        facing.add_edges(&sides);
+        (facing.edges, facing.irregular) = Edges::new(&sides, &facing.places);
         facing
-    }
-
-    fn add_edges(&mut self, sides: &[HalfEdge]) {
-        // Flats, vertices: in the order of the flats.
-        let mut regular: Vec<([u32; 2], [u32; 2])> = Vec::new();
-        for sides in sides.chunk_by(|a, b| a.0 == b.0) {
-            let vertices = sides[0].0;
-            let flat = |triangle: u32| self.places[triangle as usize];
-            match regular_pair(sides) {
-                Some(pair) if flat(pair[0]) == flat(pair[1]) => {}
-                Some(pair) => regular.push((pair.map(flat), vertices)),
-                None => self.irregular.push(IrregularEdge {
-                    vertices,
-                    triangles: (sides.iter().map(|&(_, t, along)| (flat(t), along))).collect(),
-                }),
-            }
-        }
-        let blocks = |flats: [u32; 2]| flats.map(|flat| flat / BLOCK as u32);
-        regular.sort_unstable_by_key(|&(flats, vertices)| (blocks(flats), flats, vertices));
-        let edges = &mut self.edges;
-        for (flats, vertices) in regular {
-            if edges.blocks.last() != Some(&blocks(flats)) {
-                edges.blocks.push(blocks(flats));
-                edges.first.push(edges.vertices.len() as u32);
-            }
-            (edges.triangles).push(flats.map(|flat| (flat % BLOCK as u32) as u8));
-            edges.vertices.push(vertices);
-        }
-        edges.first.push(edges.vertices.len() as u32);
     }
 
     /// Contours that every point within `radius` of `centre` sees, and edges that some may.
@@ -214,42 +151,42 @@ impl Facing {
         });
         for &block in &sides.mixed {
             let side = &mut sides.blocks[block as usize];
-            side.first = level.next_triangle();
+            side.first = level.next_flat();
             for index in ones(side.either) {
-                let triangle = block as usize * BLOCK + index;
-                let plane = self.planes.each_ref().map(|plane| plane[triangle]);
-                level.add_triangle(plane, triangle as u32);
+                let flat = block as usize * BLOCK + index;
+                let plane = self.planes.each_ref().map(|plane| plane[flat]);
+                level.add_flat(plane, flat as u32);
             }
         }
-        level.finish_triangles();
+        level.finish_flats();
         simd::arch().dispatch(Collect {
             edges: &self.edges,
             sides: &sides.blocks,
             open,
         });
-        let number = |triangle: u32| {
-            let side = sides.blocks[triangle as usize / BLOCK];
-            side.number((triangle % BLOCK as u32) as u8)
+        let number = |flat: u32| {
+            let side = sides.blocks[flat as usize / BLOCK];
+            side.number((flat % BLOCK as u32) as u8)
         };
         for edge in &self.irregular {
-            let mut triangles = edge.triangles.iter();
-            if triangles.all(|&(triangle, _)| is_known(number(triangle))) {
-                let face = |triangle| if number(triangle) == FRONT { 1 } else { -1 };
+            let mut flats = edge.flats.iter();
+            if flats.all(|&(flat, _)| is_known(number(flat))) {
+                let face = |flat| if number(flat) == FRONT { 1 } else { -1 };
                 open.sure.extend(edge.contour(face));
-            } else if let [(triangle, along)] = edge.triangles[..] {
-                let triangle = number(triangle);
+            } else if let [(flat, along)] = edge.flats[..] {
+                let flat = number(flat);
                 open.edges.push(CandidateEdge {
-                    triangles: if along {
-                        [triangle, ABSENT]
+                    flats: if along {
+                        [flat, ABSENT]
                     } else {
-                        [ABSENT, triangle]
+                        [ABSENT, flat]
                     },
                     vertices: edge.vertices,
                 });
             } else {
                 let mut edge = edge.clone();
-                for (triangle, _) in &mut edge.triangles {
-                    *triangle = number(*triangle);
+                for (flat, _) in &mut edge.flats {
+                    *flat = number(*flat);
                 }
                 level.irregular.push(edge);
             }
@@ -286,7 +223,7 @@ impl Facing {
     /// How many edges there are between two flats.
     #[cfg(test)]
     pub(super) fn regular_edges(&self) -> usize {
-        self.edges.vertices.len()
+        self.edges.count()
     }
 
     /// How far from a flat's plane a point may seem that lies between those of its triangles.
@@ -315,18 +252,18 @@ impl Facing {
     }
 }
 
-/// How a triangle lies to the points of a group: it faces all of them, or it is not known; 0 if it faces none. What is less than
-/// [`EITHER`] is also the number that stands for such triangles.
+/// How a flat lies to the points of a group: it faces all of them, or it is not known; 0 if it faces none. What is less than
+/// [`EITHER`] is also the number that stands for such flats.
 pub(super) const BACK: u32 = 0;
 pub(super) const FRONT: u32 = 1;
 const EITHER: u32 = 2;
 
-/// Whether a number stands for all triangles that face no point, or every point.
+/// Whether a number stands for all flats that face no point, or every point.
 fn is_known(number: u32) -> bool {
     number < EITHER
 }
 
-/// Adds the edges whose triangles lie to different sides or may: for processors that count the bits of a word at once.
+/// Adds the edges whose flats lie to different sides or may: for processors that count the bits of a word at once.
 struct Collect<'a> {
     edges: &'a Edges,
     sides: &'a [Side],
@@ -345,60 +282,57 @@ impl WithSimd for Collect<'_> {
                 continue;
             }
             let range = range[0] as usize..range[1] as usize;
-            let (triangles, vertices) = (&edges.triangles[range.clone()], &edges.vertices[range]);
+            let (flats, vertices) = (&edges.flats[range.clone()], &edges.vertices[range]);
             let differ = |[i, j]: [u8; 2]| {
                 let [i, j] = [i, j].map(u32::from);
                 let [front, other] = [a.front.wrapping_shr(i), b.front.wrapping_shr(j)];
                 let either = a.either.wrapping_shr(i) | b.either.wrapping_shr(j);
                 ((front ^ other) | either) & 1 != 0
             };
-            for_each_where(triangles, vertices, differ, |[i, j], vertices| {
-                let triangles = [a.number(i), b.number(j)];
-                if triangles.into_iter().all(is_known) {
+            for_each_where(flats, vertices, differ, |[i, j], vertices| {
+                let flats = [a.number(i), b.number(j)];
+                if flats.into_iter().all(is_known) {
                     open.sure.push(Contour {
                         vertices,
-                        step: step(triangles[0]),
+                        step: step(flats[0]),
                     });
                 } else {
-                    open.edges.push(CandidateEdge {
-                        triangles,
-                        vertices,
-                    });
+                    open.edges.push(CandidateEdge { flats, vertices });
                 }
             });
         }
     }
 }
 
-/// Calls `take` with every edge of which `wanted` is true of its triangles.
+/// Calls `take` with every edge of which `wanted` is true of its flats.
 #[inline(always)]
 pub(super) fn for_each_where<T: Copy, E: Copy>(
-    triangles: &[[T; 2]],
+    flats: &[[T; 2]],
     ends: &[E],
     wanted: impl Fn([T; 2]) -> bool,
     mut take: impl FnMut([T; 2], E),
 ) {
     let mut found = [0; CHUNK];
-    for (triangles, ends) in triangles.chunks(CHUNK).zip(ends.chunks(CHUNK)) {
+    for (flats, ends) in flats.chunks(CHUNK).zip(ends.chunks(CHUNK)) {
         // Collected without a branch, which would often be guessed wrong.
         let mut count = 0;
-        for (index, pair) in triangles.iter().enumerate() {
+        for (index, pair) in flats.iter().enumerate() {
             found[count % CHUNK] = index as u8;
             count += usize::from(wanted(*pair));
         }
         for &index in &found[..count] {
-            take(triangles[usize::from(index)], ends[usize::from(index)]);
+            take(flats[usize::from(index)], ends[usize::from(index)]);
         }
     }
 }
 
-/// Layers that begin at an edge whose first triangle faces the eye (1), or end (0), along
-/// with those of its second triangle.
+/// Layers that begin at an edge whose first flat faces the eye (1), or end (0), along
+/// with those of its second one.
 fn step(face: u32) -> i32 {
     4 * face as i32 - 2
 }
 
-/// How the triangles of a block lie to a group of points, a bit for each.
+/// How the flats of a block lie to a group of points, a bit for each.
 #[derive(Clone, Copy, Default)]
 struct Side {
     /// [`FRONT`].
@@ -409,10 +343,10 @@ struct Side {
 }
 
 impl Side {
-    /// What candidates call a triangle of the block.
+    /// What candidates call a flat of the block.
     #[inline(always)]
-    fn number(self, triangle: u8) -> u32 {
-        let bit = 1u64.wrapping_shl(u32::from(triangle));
+    fn number(self, flat: u8) -> u32 {
+        let bit = 1u64.wrapping_shl(u32::from(flat));
         if self.either & bit == 0 {
             u32::from(self.front & bit != 0)
         } else {
@@ -420,7 +354,7 @@ impl Side {
         }
     }
 
-    /// Whether all triangles of both blocks lie to one side.
+    /// Whether all flats of both blocks lie to one side.
     #[inline(always)]
     fn is_same(self, other: Self) -> bool {
         self.front == other.front
@@ -429,11 +363,11 @@ impl Side {
     }
 }
 
-/// How triangles lie to a group of points.
+/// How flats lie to a group of points.
 #[derive(Default)]
 pub(super) struct Sides {
     blocks: Vec<Side>,
-    /// Blocks whose triangles may differ.
+    /// Blocks whose flats may differ.
     mixed: Vec<u32>,
 }
 
@@ -556,7 +490,7 @@ impl WithSimd for FindSides<'_> {
     }
 }
 
-/// Which triangles of a block face all points within `reach` of a point, and which may face some of them, by their planes.
+/// Which flats of a block face all points within `reach` of a point, and which may face some of them, by their planes.
 #[inline(always)]
 pub(super) fn sides_of(
     [x, y, z, d]: [&[f32; BLOCK]; 4],
@@ -573,39 +507,10 @@ pub(super) fn sides_of(
     [front, either]
 }
 
-/// The elements that belong to a block of triangles.
+/// The elements that belong to a block of flats.
 #[inline(always)]
 pub(super) fn block_of<T>(elements: &[T], block: usize) -> &[T; BLOCK] {
     &elements.as_chunks().0[block]
-}
-
-/// An edge of a triangle: from its lower to its higher vertex, the triangle, whether it is wound along that.
-type HalfEdge = ([u32; 2], u32, bool);
-
-/// Edges of the triangles that are not loose, those between the same vertices one after the other.
-fn edges(triangles: &[[u32; 3]], parts: &Parts) -> Vec<HalfEdge> {
-    let mut edges = Vec::with_capacity(3 * triangles.len());
-    for (&vertices, triangle) in triangles.iter().zip(0..) {
-        if parts.bundle_of(parts.of_vertex(vertices[0])).is_some() {
-            continue;
-        }
-        for i in 0..3 {
-            let (from, to) = (vertices[i], vertices[(i + 1) % 3]);
-            edges.push(([from.min(to), from.max(to)], triangle, from < to));
-        }
-    }
-    edges.sort_unstable();
-    edges
-}
-
-/// Of an edge between two triangles that are wound alike, that which is wound along it and the other one.
-fn regular_pair(sides: &[HalfEdge]) -> Option<[u32; 2]> {
-    match *sides {
-        [(_, a, along_a), (_, b, along_b)] if along_a != along_b => {
-            Some(if along_a { [a, b] } else { [b, a] })
-        }
-        _ => None,
-    }
 }
 
 /// Normal of any length, and its product with a point of the triangle.

@@ -252,7 +252,7 @@ mod tests {
         for origin in origins {
             let (found, _) = mesh.sample(origin, &directions, &mut scratch);
             let seen = scratch.candidates.touched().count();
-            parted += usize::from(scratch.candidates.is_parted());
+            parted += usize::from(scratch.candidates.faces().are_parted());
             touched += usize::from((1..=MOST_TOUCHED).contains(&seen));
             mesh.crossings(&found, &mut scratch);
             let exact = visibility::sample(mesh.caster(), origin, &directions);

@@ -5,12 +5,11 @@ use pulp::{Simd, WithSimd};
 
 use super::batch::{Batch, LANES};
 use super::candidates::{ABSENT, Ends, FACES_OF_KNOWN, KNOWN};
-use super::facing::{
-    BACK, BLOCK, FRONT, Facing, IrregularEdge, block_of, for_each_where, sides_of,
-};
+use super::edges::IrregularEdge;
+use super::facing::{BACK, BLOCK, FRONT, Facing, block_of, for_each_where, sides_of};
 use crate::simd;
 
-/// Triangles that may face some of the points within a sphere and not others, their edges, and contours that
+/// Flats that may face some of the points within a sphere and not others, their edges, and contours that
 /// all of the points see.
 #[derive(Default)]
 pub(super) struct Level {
@@ -22,15 +21,15 @@ pub(super) struct Level {
     /// [`super::candidates::Candidates`].
     pub(super) first_sure: Vec<u32>,
     pub(super) first_edge: Vec<u32>,
-    /// Planes of the triangles, as in [`super::facing::Facing`], padded to whole blocks.
+    /// Planes of the flats, as in [`super::facing::Facing`], padded to whole blocks.
     pub(super) planes: [Vec<f32>; 4],
     /// Their numbers there.
     pub(super) numbers: Vec<u32>,
-    /// Edges of such triangles. The first [`KNOWN`] numbers are not theirs.
-    pub(super) edge_triangles: Vec<[u32; 2]>,
+    /// Edges of such flats. The first [`KNOWN`] numbers are not theirs.
+    pub(super) edge_flats: Vec<[u32; 2]>,
     /// Their numbers among the group's edges.
     pub(super) edge_numbers: Vec<u32>,
-    /// Edges of more triangles than two, or of two that do not fit each other.
+    /// Edges of more flats than two, or of two that do not fit each other.
     pub(super) irregular: Vec<IrregularEdge>,
     /// Per bundle of loose triangles, their numbers.
     pub(super) loose: Vec<[u32; LANES]>,
@@ -50,27 +49,27 @@ impl Level {
         self.first_edge.clear();
         self.planes.iter_mut().for_each(Vec::clear);
         self.numbers.clear();
-        self.edge_triangles.clear();
+        self.edge_flats.clear();
         self.edge_numbers.clear();
         self.irregular.clear();
         self.loose.clear();
     }
 
-    /// What the triangle that is added next is called.
-    pub(super) fn next_triangle(&self) -> u32 {
+    /// What the flat that is added next is called.
+    pub(super) fn next_flat(&self) -> u32 {
         KNOWN + self.numbers.len() as u32
     }
 
     /// `number` is that in [`super::facing::Facing`].
-    pub(super) fn add_triangle(&mut self, plane: [f32; 4], number: u32) {
+    pub(super) fn add_flat(&mut self, plane: [f32; 4], number: u32) {
         for (planes, value) in self.planes.iter_mut().zip(plane) {
             planes.push(value);
         }
         self.numbers.push(number);
     }
 
-    /// Pads the triangles to whole blocks, with some that nobody sees.
-    pub(super) fn finish_triangles(&mut self) {
+    /// Pads the flats to whole blocks, with some that nobody sees.
+    pub(super) fn finish_flats(&mut self) {
         let padded = self.numbers.len().next_multiple_of(BLOCK);
         for (planes, value) in self.planes.iter_mut().zip([0.0, 0.0, 0.0, f32::INFINITY]) {
             planes.resize(padded, value);
@@ -95,11 +94,11 @@ impl Level {
             ends,
             inner,
         });
-        let named = |triangle: u32| names[triangle as usize];
+        let named = |flat: u32| names[flat as usize];
         inner.irregular.extend(self.irregular.iter().map(|edge| {
             let mut edge = edge.clone();
-            for (triangle, _) in &mut edge.triangles {
-                *triangle = named(*triangle);
+            for (flat, _) in &mut edge.flats {
+                *flat = named(*flat);
             }
             edge
         }));
@@ -114,7 +113,7 @@ struct Narrow<'a> {
     centre: Vec3,
     /// How far from it a plane may be that passes through the sphere.
     reach: f32,
-    /// What the outer level's triangles are called in the inner one.
+    /// What the outer level's flats are called in the inner one.
     names: &'a mut Vec<u32>,
     ends: Ends<'a>,
     inner: &'a mut Level,
@@ -153,7 +152,7 @@ impl WithSimd for Narrow<'_> {
                 count += usize::from(either[index]);
             }
             let open = &open[..count.min(BLOCK)];
-            for (name, index) in (inner.next_triangle()..).zip(open) {
+            for (name, index) in (inner.next_flat()..).zip(open) {
                 names[usize::from(*index) % BLOCK] = name;
             }
             for (all, plane) in inner.planes.iter_mut().zip(planes) {
@@ -162,7 +161,7 @@ impl WithSimd for Narrow<'_> {
             let numbers = open.iter().map(|index| numbers[usize::from(*index)]);
             inner.numbers.extend(numbers);
         }
-        inner.finish_triangles();
+        inner.finish_flats();
         keep_edges(outer, names, ends, inner);
     }
 }
@@ -173,23 +172,23 @@ fn keep_edges(outer: &Level, names: &[u32], ends: Ends, inner: &mut Level) {
     for range in outer.first_edge.windows(2) {
         let first = inner.sure.len();
         inner.first_sure.push(first as u32);
-        inner.first_edge.push(inner.edge_triangles.len() as u32);
+        inner.first_edge.push(inner.edge_flats.len() as u32);
         let range = range[0] as usize..range[1] as usize;
-        let triangles = &outer.edge_triangles[range.clone()];
+        let flats = &outer.edge_flats[range.clone()];
         let numbers = &outer.edge_numbers[range];
-        let named = |triangles: [u32; 2]| triangles.map(|triangle| names[triangle as usize]);
-        let differ = |triangles: [u32; 2]| {
-            let [a, b] = named(triangles);
+        let named = |flats: [u32; 2]| flats.map(|flat| names[flat as usize]);
+        let differ = |flats: [u32; 2]| {
+            let [a, b] = named(flats);
             a != b
         };
-        for_each_where(triangles, numbers, differ, |triangles, edge| {
-            let triangles = named(triangles);
-            if triangles.iter().any(|triangle| *triangle >= KNOWN) {
-                inner.edge_triangles.push(triangles);
+        for_each_where(flats, numbers, differ, |flats, edge| {
+            let flats = named(flats);
+            if flats.iter().any(|flat| *flat >= KNOWN) {
+                inner.edge_flats.push(flats);
                 inner.edge_numbers.push(edge);
                 return;
             }
-            let [a, b] = triangles.map(|triangle| i32::from(FACES_OF_KNOWN[triangle as usize]));
+            let [a, b] = flats.map(|flat| i32::from(FACES_OF_KNOWN[flat as usize]));
             let ends = ends.of(edge);
             if inner.sure.len() == first {
                 Batch::begin(&mut inner.sure, ends, a - b);
@@ -199,5 +198,5 @@ fn keep_edges(outer: &Level, names: &[u32], ends: Ends, inner: &mut Level) {
         });
     }
     inner.first_sure.push(inner.sure.len() as u32);
-    inner.first_edge.push(inner.edge_triangles.len() as u32);
+    inner.first_edge.push(inner.edge_flats.len() as u32);
 }

@@ -19,6 +19,8 @@
 mod batch;
 mod candidates;
 mod crossings;
+mod edges;
+mod faces;
 mod facing;
 mod flats;
 mod layers;

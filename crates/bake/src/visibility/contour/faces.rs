@@ -108,7 +108,7 @@ impl Faces {
     #[inline(always)]
     pub(super) fn may_differ(&self, [a, b]: [u32; 2]) -> bool {
         let a = self.of(a);
-        (a != self.of(b)) | (a == PARTED)
+        u8::from(a != self.of(b)) | u8::from(a == PARTED) == 1
     }
 
     /// Triangles that the point lies on.

@@ -92,7 +92,9 @@ impl Flats {
                 },
             },
         };
-        seeds.into_iter().for_each(|seed| growing.grow(seed));
+        for seed in seeds {
+            growing.grow(seed);
+        }
         let flats = growing.flats;
         if flats.count() as f64 > MANY * planes.len() as f64 {
             return Self {

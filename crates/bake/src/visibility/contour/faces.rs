@@ -58,7 +58,8 @@ impl Faces {
             faces: &mut self.of_flats[KNOWN as usize..],
             members: &mut self.members,
             facing,
-            unclear: rounding + facing.spread_at(eye),
+            unclear: rounding + facing.widest_at(eye),
+            away: facing.away(eye),
             rounding,
             rounding_of_axes: facing.rounding_of_axes(eye),
             eye,
@@ -180,8 +181,10 @@ struct Look<'a> {
     members: &'a mut Vec<Member>,
     facing: &'a Facing,
     eye: Vec3,
-    /// How high above a flat's plane the point has to be for all of its triangles to face it alike.
+    /// How high above any flat's plane the point has to be for all of its triangles to face it alike.
     unclear: f32,
+    /// See [`Facing::away`].
+    away: f32,
     /// Of heights above planes of triangles.
     rounding: f32,
     rounding_of_axes: DVec3,
@@ -205,14 +208,19 @@ impl Look<'_> {
         let [x, y, z, d] = (self.level.planes.each_ref()).map(|plane| block_of(plane, block));
         let faces = &mut self.faces[first..][..BLOCK];
         let eye = self.eye;
+        let height = |i: usize| x[i] * eye.x + y[i] * eye.y + z[i] * eye.z - d[i];
         let mut unclear = [0; BLOCK];
         for i in 0..BLOCK {
-            let height = x[i] * eye.x + y[i] * eye.y + z[i] * eye.z - d[i];
+            let height = height(i);
             faces[i] = face(height > 0.0);
             unclear[i] = u8::from(height.abs() < self.unclear);
         }
         for i in ones(pack_bits(&unclear)) {
-            self.look_closely(first + i);
+            let flat = first + i;
+            let spread = self.facing.spread(self.level.numbers[flat]).at(self.away);
+            if height(i).abs() < self.rounding + spread {
+                self.look_closely(flat);
+            }
         }
     }
 

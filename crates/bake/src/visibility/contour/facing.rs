@@ -43,8 +43,11 @@ pub(super) struct Facing {
     planes: [Vec<f32>; 4],
     /// Where the triangles of each begin, and where the last one's end.
     first: Vec<u32>,
-    /// How far those of a flat are apart.
-    spread: Spread,
+    /// How far the planes of those are apart, and what is as large as any of that.
+    spreads: Vec<Spread>,
+    widest: Spread,
+    /// Where that is told from.
+    centre: Vec3,
     /// Planes of the triangles to double precision, for eyes close to a plane; normals of any length.
     precise: Vec<[f64; 4]>,
     /// Their vertices.
@@ -91,7 +94,11 @@ impl Facing {
             // What pads the last block is seen by nobody.
             planes: [0.0, 0.0, 0.0, f32::INFINITY].map(|value| vec![value; blocks * BLOCK]),
             first: vec![0],
-            spread: flats.spread,
+            spreads: order.iter().map(|&flat| flats.spread(flat)).collect(),
+            widest: (order.iter()).fold(Spread::default(), |widest, &flat| {
+                widest.max(flats.spread(flat))
+            }),
+            centre: flats.centre.as_vec3(),
             precise: Vec::with_capacity(triangles.len()),
             corners: Vec::with_capacity(triangles.len()),
             rounding: 0.0,
@@ -226,9 +233,19 @@ impl Facing {
         self.edges.count()
     }
 
-    /// How far from a flat's plane a point may seem that lies between those of its triangles.
-    pub(super) fn spread_at(&self, eye: Vec3) -> f32 {
-        self.spread.within(eye.as_dvec3(), 0.0)
+    /// How far from a flat's plane a point may seem that lies between those of its triangles: of any flat, and of one.
+    pub(super) fn widest_at(&self, eye: Vec3) -> f32 {
+        self.widest.at(self.away(eye))
+    }
+
+    #[inline(always)]
+    pub(super) fn spread(&self, flat: u32) -> Spread {
+        self.spreads[flat as usize]
+    }
+
+    /// How far a point is from where spreads are told from, or a little more.
+    pub(super) fn away(&self, eye: Vec3) -> f32 {
+        1.001 * eye.distance(self.centre) + PLANE_ROUNDING * eye.abs().element_sum()
     }
 
     /// Bounds the rounding of heights above planes, in single precision.
@@ -241,7 +258,7 @@ impl Facing {
     pub(super) fn reach(&self, (centre, radius): (Vec3, f32)) -> f32 {
         // Distances to planes are rounded, and so is the radius.
         let rounding = self.rounding_at(centre) + PLANE_ROUNDING * radius;
-        let spread = self.spread.within(centre.as_dvec3(), f64::from(radius));
+        let spread = self.widest.at(self.away(centre) + 1.001 * radius);
         1.001 * radius + 2.0 * rounding + spread
     }
 

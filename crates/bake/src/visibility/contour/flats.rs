@@ -19,34 +19,38 @@ const NONE: u32 = u32::MAX;
 /// Triangles by flats.
 pub(super) struct Flats {
     /// Numbers of the triangles, flat after flat. The first of a flat is the largest; its plane stands for all.
-    pub(super) triangles: Vec<u32>,
+    triangles: Vec<u32>,
     /// Where each flat begins, and where the last one ends.
-    pub(super) first: Vec<u32>,
-    pub(super) spread: Spread,
+    first: Vec<u32>,
+    /// Of each flat.
+    spreads: Vec<Spread>,
+    /// Where those are told from.
+    pub(super) centre: DVec3,
 }
 
 /// How far a point may be from the plane of a flat that lies on or between those of its triangles. That grows with the
-/// distance from the mesh.
+/// point's distance from a centre.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Spread {
-    /// Of the mesh's box.
-    centre: DVec3,
     /// How far that is at the centre.
-    there: f64,
+    there: f32,
     /// How much farther for every unit of length away from it.
-    growth: f64,
+    growth: f32,
 }
 
 impl Spread {
-    /// Of all points within `radius` of one.
-    pub(super) fn within(self, point: DVec3, radius: f64) -> f32 {
-        // A little more than what is rounded.
-        (1.0001 * (self.there + self.growth * (point.distance(self.centre) + radius))) as f32
+    /// Of a point at that distance from the centre.
+    #[inline(always)]
+    pub(super) fn at(self, distance: f32) -> f32 {
+        self.there + self.growth * distance
     }
 
-    fn include(&mut self, there: f64, growth: f64) {
-        self.there = self.there.max(there);
-        self.growth = self.growth.max(growth);
+    /// One that is as large as both.
+    pub(super) fn max(self, other: Self) -> Self {
+        Self {
+            there: self.there.max(other.there),
+            growth: self.growth.max(other.growth),
+        }
     }
 }
 
@@ -86,10 +90,8 @@ impl Flats {
             flats: Self {
                 triangles: Vec::with_capacity(planes.len()),
                 first: vec![0],
-                spread: Spread {
-                    centre: low.midpoint(high),
-                    ..Spread::default()
-                },
+                spreads: Vec::new(),
+                centre: low.midpoint(high),
             },
         };
         for seed in seeds {
@@ -100,7 +102,8 @@ impl Flats {
             return Self {
                 triangles: (0..planes.len() as u32).collect(),
                 first: (0..=planes.len() as u32).collect(),
-                spread: Spread::default(),
+                spreads: vec![Spread::default(); planes.len()],
+                ..flats
             };
         }
         flats
@@ -114,6 +117,10 @@ impl Flats {
     pub(super) fn of(&self, flat: u32) -> &[u32] {
         let [from, to] = [0, 1].map(|next| self.first[flat as usize + next] as usize);
         &self.triangles[from..to]
+    }
+
+    pub(super) fn spread(&self, flat: u32) -> Spread {
+        self.spreads[flat as usize]
     }
 }
 
@@ -137,6 +144,7 @@ impl Growing<'_> {
         }
         let begin = self.flats.triangles.len();
         self.flats.triangles.push(seed);
+        self.flats.spreads.push(Spread::default());
         let plane = self.planes[seed as usize];
         let mut next = begin;
         while let Some(&triangle) = self.flats.triangles.get(next) {
@@ -155,13 +163,16 @@ impl Growing<'_> {
     fn join(&mut self, plane: Plane, triangle: u32) {
         let other = self.planes[triangle as usize];
         let turned = other.normal - plane.normal;
-        let centre = self.flats.spread.centre;
-        let there = (turned.dot(centre) - (other.distance - plane.distance)).abs();
-        let growth = turned.length();
+        let there = turned.dot(self.flats.centre) - (other.distance - plane.distance);
+        let (there, growth) = (there.abs(), turned.length());
         if there + growth * self.radius <= 2.0 * APART * self.radius {
             self.taken[triangle as usize] = true;
             self.flats.triangles.push(triangle);
-            self.flats.spread.include(there, growth);
+            // A little more than what is rounded.
+            let [there, growth] = [there, growth].map(|x| (1.0001 * x) as f32);
+            if let Some(spread) = self.flats.spreads.last_mut() {
+                *spread = spread.max(Spread { there, growth });
+            }
         }
     }
 }
@@ -217,7 +228,7 @@ mod tests {
         assert!((2048 / super::MOST..200).contains(&many), "{many}");
         let rough = ContourMesh::new(&triangles);
         assert_eq!(rough.facing.flats(), triangles.len());
-        assert_eq!(rough.facing.spread_at(Vec3::ONE), 0.0);
+        assert_eq!(rough.facing.widest_at(Vec3::ONE), 0.0);
     }
 
     #[test]

@@ -234,7 +234,10 @@ mod tests {
     #[test]
     fn points_on_flats_and_in_their_planes_give_the_same_bits() {
         let mut state = 8;
-        let coarse = ground(&mut state);
+        let mut coarse = ground(&mut state);
+        // A fin stands on it: edges of three triangles.
+        let [a, b, _] = coarse[20];
+        coarse.push([a, b, a.midpoint(b) + 0.3 * Vec3::Y]);
         let triangles = divided(coarse.clone(), 3);
         let mut origins = Vec::new();
         for index in 0..200 {

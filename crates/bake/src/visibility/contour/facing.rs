@@ -41,9 +41,9 @@ pub(super) struct Facing {
     /// Planes `n·p = d` of the flats with unit normals, structure of arrays, padded to
     /// whole blocks.
     planes: [Vec<f32>; 4],
-    /// Where the triangles of each begin, and where the last one's end.
+    /// Where the triangles of each begin, and where the last one's end; nothing where each has one.
     first: Vec<u32>,
-    /// How far the planes of those are apart, and what is as large as any of that.
+    /// How far the planes of those are apart, where there are several, and what is as large as any of that.
     spreads: Vec<Spread>,
     widest: Spread,
     /// Where that is told from.
@@ -85,20 +85,26 @@ impl Facing {
     pub(super) fn new(positions: &[Vec3], triangles: &[[u32; 3]], parts: &Parts) -> Self {
         let sides = half_edges(triangles, parts);
         let flats = flats(positions, triangles, &sides);
-        let largest: Vec<[u32; 3]> = (0..flats.count() as u32)
-            .map(|flat| triangles[flats.of(flat)[0] as usize])
-            .collect();
-        let order = group(positions, &largest);
+        let flats = flats.as_ref();
+        let members = |flat: u32| {
+            let own = flats.is_none().then_some(flat);
+            let several = flats.map_or(&[][..], |flats| flats.of(flat));
+            own.into_iter().chain(several.iter().copied())
+        };
+        let largest = |flat: u32| triangles[flats.map_or(flat, |flats| flats.of(flat)[0]) as usize];
+        let count = flats.map_or(triangles.len(), Flats::count);
+        let order = group(positions, count, largest);
         let blocks = order.len().div_ceil(BLOCK);
+        let spreads = flats.map_or(Vec::new(), |flats| {
+            order.iter().map(|&flat| flats.spread(flat)).collect()
+        });
         let mut facing = Self {
             // What pads the last block is seen by nobody.
             planes: [0.0, 0.0, 0.0, f32::INFINITY].map(|value| vec![value; blocks * BLOCK]),
-            first: vec![0],
-            spreads: order.iter().map(|&flat| flats.spread(flat)).collect(),
-            widest: (order.iter()).fold(Spread::default(), |widest, &flat| {
-                widest.max(flats.spread(flat))
-            }),
-            centre: flats.centre.as_vec3(),
+            first: Vec::new(),
+            widest: spreads.iter().copied().fold(Spread::default(), Spread::max),
+            spreads,
+            centre: flats.map_or(Vec3::ZERO, |flats| flats.centre.as_vec3()),
             precise: Vec::with_capacity(triangles.len()),
             corners: Vec::with_capacity(triangles.len()),
             rounding: 0.0,
@@ -112,26 +118,31 @@ impl Facing {
             places: vec![0; triangles.len()],
         };
         for (index, &flat) in order.iter().enumerate() {
-            for &triangle in flats.of(flat) {
+            if flats.is_some() {
+                facing.first.push(facing.corners.len() as u32);
+            }
+            for triangle in members(flat) {
                 let vertices = triangles[triangle as usize];
                 let (normal, distance) = plane(positions, vertices);
                 facing.precise.push(normal.extend(distance).to_array());
                 facing.corners.push(vertices);
                 facing.places[triangle as usize] = index as u32;
             }
-            facing.first.push(facing.corners.len() as u32);
-            let plane = unit_plane(positions, largest[flat as usize]);
+            let plane = unit_plane(positions, largest(flat));
             let plane = plane.normal.extend(plane.distance).as_vec4();
             for (out, value) in facing.planes.iter_mut().zip(plane.to_array()) {
                 out[index] = value;
             }
             facing.rounding = facing.rounding.max(PLANE_ROUNDING * plane.w.abs());
         }
-        for (block, members) in order.chunks(BLOCK).enumerate() {
-            let corners = members
+        if flats.is_some() {
+            facing.first.push(facing.corners.len() as u32);
+        }
+        for (block, flats) in order.chunks(BLOCK).enumerate() {
+            let corners = flats
                 .iter()
-                .flat_map(|&flat| flats.of(flat))
-                .map(|&t| triangles[t as usize].map(|v| positions[v as usize]));
+                .flat_map(|&flat| members(flat))
+                .map(|t| triangles[t as usize].map(|v| positions[v as usize]));
             facing.cones[block / LANES].set(block % LANES, &corners);
         }
         (facing.edges, facing.irregular) = Edges::new(&sides, &facing.places);
@@ -209,7 +220,11 @@ impl Facing {
 
     /// The triangles of a flat.
     pub(super) fn triangles_of(&self, flat: u32) -> Range<usize> {
-        self.first[flat as usize] as usize..self.first[flat as usize + 1] as usize
+        let flat = flat as usize;
+        if self.first.is_empty() {
+            return flat..flat + 1;
+        }
+        self.first[flat] as usize..self.first[flat + 1] as usize
     }
 
     /// The plane of a triangle, and its vertices.
@@ -224,7 +239,10 @@ impl Facing {
     /// How many flats there are.
     #[cfg(test)]
     pub(super) fn flats(&self) -> usize {
-        self.first.len() - 1
+        self.places
+            .iter()
+            .max()
+            .map_or(0, |flat| *flat as usize + 1)
     }
 
     /// How many edges there are between two flats.
@@ -240,7 +258,7 @@ impl Facing {
 
     #[inline(always)]
     pub(super) fn spread(&self, flat: u32) -> Spread {
-        self.spreads[flat as usize]
+        (self.spreads.get(flat as usize)).map_or(Spread::default(), |spread| *spread)
     }
 
     /// How far a point is from where spreads are told from, or a little more.
@@ -548,10 +566,8 @@ fn unit_plane(positions: &[Vec3], triangle: [u32; 3]) -> Plane {
     }
 }
 
-fn flats(positions: &[Vec3], triangles: &[[u32; 3]], edges: &[HalfEdge]) -> Flats {
-    let planes: Vec<Plane> = (triangles.iter())
-        .map(|&triangle| unit_plane(positions, triangle))
-        .collect();
+fn flats(positions: &[Vec3], triangles: &[[u32; 3]], edges: &[HalfEdge]) -> Option<Flats> {
+    let plane = |triangle: u32| unit_plane(positions, triangles[triangle as usize]);
     let around = || edges.chunk_by(|a, b| a.0 == b.0);
     // At edges of more triangles, of which a flat may have two, its part would not be told by the edge.
     let mut alone = vec![false; triangles.len()];
@@ -564,27 +580,28 @@ fn flats(positions: &[Vec3], triangles: &[[u32; 3]], edges: &[HalfEdge]) -> Flat
     let neighbours =
         neighbours.filter(|pair| !pair.iter().any(|&triangle| alone[triangle as usize]));
     let (low, high) = bounds(positions.iter().copied());
-    Flats::new(&planes, neighbours, [low, high].map(Vec3::as_dvec3))
+    let bounds = [low, high].map(Vec3::as_dvec3);
+    Flats::new(triangles.len(), plane, neighbours, bounds)
 }
 
-/// An order of the triangles in which runs of [`BLOCK`] are close in place and normal.
-fn group(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<u32> {
+/// An order of so many flats, by their largest triangles, in which runs of [`BLOCK`] are close in place and normal.
+fn group(positions: &[Vec3], count: usize, largest: impl Fn(u32) -> [u32; 3]) -> Vec<u32> {
     let (low, high) = positions.iter().fold(
         (Vec3::INFINITY, Vec3::NEG_INFINITY),
         |(low, high), position| (low.min(*position), high.max(*position)),
     );
     let scale = 1.0 / (high - low).max_element().max(f32::MIN_POSITIVE);
-    let features: Vec<[f32; 6]> = (triangles.iter())
-        .map(|triangle| {
-            let [a, b, c] = triangle.map(|vertex| positions[vertex as usize]);
+    let features: Vec<[f32; 6]> = (0..count as u32)
+        .map(|flat| {
+            let [a, b, c] = largest(flat).map(|vertex| positions[vertex as usize]);
             let place = (a + b + c) / 3.0 * scale;
             let normal = (b - a).cross(c - a).normalize_or_zero() * NORMAL_WEIGHT;
             [place.x, place.y, place.z, normal.x, normal.y, normal.z]
         })
         .collect();
-    let mut order: Vec<u32> = (0..triangles.len() as u32).collect();
-    visibility::arrange(&mut order, &[BLOCK], &|&triangle| {
-        (features[triangle as usize], triangle)
+    let mut order: Vec<u32> = (0..count as u32).collect();
+    visibility::arrange(&mut order, &[BLOCK], &|&flat| {
+        (features[flat as usize], flat)
     });
     order
 }

@@ -62,51 +62,61 @@ pub(super) struct Plane {
     pub(super) area: f64,
 }
 
+impl Plane {
+    /// How far the other plane is apart.
+    fn spread(self, other: Self, centre: DVec3) -> [f64; 2] {
+        let turned = other.normal - self.normal;
+        let there = turned.dot(centre) - (other.distance - self.distance);
+        [there.abs(), turned.length()]
+    }
+}
+
 impl Flats {
-    /// `neighbours` are pairs of triangles that share an edge and are wound alike; the box is that of the mesh.
-    pub(super) fn new(
-        planes: &[Plane],
-        neighbours: impl Iterator<Item = [u32; 2]>,
+    /// Of so many triangles, unless there are hardly any. `neighbours` are pairs of them that share an edge and are wound alike; the box is
+    /// that of the mesh.
+    pub(super) fn new<P: Fn(u32) -> Plane>(
+        count: usize,
+        plane: P,
+        neighbours: impl Iterator<Item = [u32; 2]> + Clone,
         [low, high]: [DVec3; 2],
-    ) -> Self {
-        let mut around = vec![[NONE; 3]; planes.len()];
+    ) -> Option<Self> {
+        let mut growing = Growing {
+            plane,
+            around: Vec::new(),
+            radius: 0.5 * low.distance(high),
+            taken: Vec::new(),
+            flats: Self {
+                triangles: Vec::new(),
+                first: vec![0],
+                spreads: Vec::new(),
+                centre: low.midpoint(high),
+            },
+        };
+        // Each such pair makes one flat of two at most: most meshes have few.
+        let most = (MANY * count as f64) as usize;
+        let pairs = neighbours.clone().filter(|pair| growing.may_join(*pair));
+        if count - pairs.count().min(count) > most {
+            return None;
+        }
+        growing.taken = vec![false; count];
+        growing.around = vec![[NONE; 3]; count];
         for [a, b] in neighbours {
             for (one, other) in [(a, b), (b, a)] {
-                let mut slots = around[one as usize].iter_mut();
+                let mut slots = growing.around[one as usize].iter_mut();
                 if let Some(slot) = slots.find(|slot| **slot == NONE) {
                     *slot = other;
                 }
             }
         }
         // The largest are rounded least.
-        let mut seeds: Vec<u32> = (0..planes.len() as u32).collect();
-        let area = |triangle: u32| planes[triangle as usize].area;
-        seeds.sort_by(|&a, &b| area(b).total_cmp(&area(a)));
-        let mut growing = Growing {
-            planes,
-            around,
-            radius: 0.5 * low.distance(high),
-            taken: vec![false; planes.len()],
-            flats: Self {
-                triangles: Vec::with_capacity(planes.len()),
-                first: vec![0],
-                spreads: Vec::new(),
-                centre: low.midpoint(high),
-            },
-        };
+        let mut seeds: Vec<u32> = (0..count as u32).collect();
+        let area = |triangle: &u32| (growing.plane)(*triangle).area;
+        let areas: Vec<f64> = seeds.iter().map(area).collect();
+        seeds.sort_by(|&a, &b| areas[b as usize].total_cmp(&areas[a as usize]));
         for seed in seeds {
             growing.grow(seed);
         }
-        let flats = growing.flats;
-        if flats.count() as f64 > MANY * planes.len() as f64 {
-            return Self {
-                triangles: (0..planes.len() as u32).collect(),
-                first: (0..=planes.len() as u32).collect(),
-                spreads: vec![Spread::default(); planes.len()],
-                ..flats
-            };
-        }
-        flats
+        Some(growing.flats).filter(|flats| flats.count() <= most)
     }
 
     pub(super) fn count(&self) -> usize {
@@ -125,8 +135,9 @@ impl Flats {
 }
 
 /// Flats that are being made.
-struct Growing<'a> {
-    planes: &'a [Plane],
+struct Growing<P> {
+    /// Of a triangle.
+    plane: P,
     /// The neighbours of every triangle.
     around: Vec<[u32; 3]>,
     /// Of the sphere around the mesh's box.
@@ -136,7 +147,14 @@ struct Growing<'a> {
     flats: Flats,
 }
 
-impl Growing<'_> {
+impl<P: Fn(u32) -> Plane> Growing<P> {
+    /// Whether two triangles may be of one flat.
+    fn may_join(&self, [a, b]: [u32; 2]) -> bool {
+        let [there, growth] = (self.plane)(a).spread((self.plane)(b), self.flats.centre);
+        // Each as far from a third one as may be, on either side.
+        there + growth * self.radius <= 4.0 * APART * self.radius
+    }
+
     /// Makes a flat around a triangle, unless some flat has it.
     fn grow(&mut self, seed: u32) {
         if std::mem::replace(&mut self.taken[seed as usize], true) {
@@ -145,7 +163,7 @@ impl Growing<'_> {
         let begin = self.flats.triangles.len();
         self.flats.triangles.push(seed);
         self.flats.spreads.push(Spread::default());
-        let plane = self.planes[seed as usize];
+        let plane = (self.plane)(seed);
         let mut next = begin;
         while let Some(&triangle) = self.flats.triangles.get(next) {
             for other in self.around[triangle as usize] {
@@ -161,10 +179,7 @@ impl Growing<'_> {
 
     /// Adds a triangle to the last flat if it lies almost in its plane.
     fn join(&mut self, plane: Plane, triangle: u32) {
-        let other = self.planes[triangle as usize];
-        let turned = other.normal - plane.normal;
-        let there = turned.dot(self.flats.centre) - (other.distance - plane.distance);
-        let (there, growth) = (there.abs(), turned.length());
+        let [there, growth] = plane.spread((self.plane)(triangle), self.flats.centre);
         if there + growth * self.radius <= 2.0 * APART * self.radius {
             self.taken[triangle as usize] = true;
             self.flats.triangles.push(triangle);

@@ -12,7 +12,8 @@ use pulp::{Simd, WithSimd};
 use crate::simd;
 
 use super::batch::{Batch, LANES};
-use super::faces::{Faces, outline};
+use super::edges::outline;
+use super::faces::Faces;
 use super::facing::{Facing, Sides, for_each_where};
 use super::level::Level;
 use super::loose::Bundle;
@@ -464,29 +465,13 @@ fn sort<T: Copy + Default>(
 mod tests {
     use super::*;
     use crate::visibility::contour::ContourMesh;
-    use crate::visibility::contour::tests::random;
+    use crate::visibility::contour::tests::{ground, random};
     use crate::visibility::{self, Directions};
-
-    /// Rough ground, from −1 to 1.
-    fn ground(state: &mut u64) -> Vec<[Vec3; 3]> {
-        const SIDE: usize = 64;
-        let heights: Vec<f32> = (0..(SIDE + 1).pow(2)).map(|_| random(state)).collect();
-        let at = |x: usize, z: usize| {
-            let [u, v] = [x, z].map(|i| 2.0 * i as f32 / SIDE as f32 - 1.0);
-            Vec3::new(u, 0.03 * heights[z * (SIDE + 1) + x], v)
-        };
-        let cells = (0..SIDE).flat_map(|z| (0..SIDE).map(move |x| (x, z)));
-        let halves = cells.flat_map(|(x, z)| {
-            let [a, b, c, d] = [at(x, z), at(x + 1, z), at(x + 1, z + 1), at(x, z + 1)];
-            [[a, d, c], [a, c, b]]
-        });
-        halves.collect()
-    }
 
     #[test]
     fn what_a_run_may_see_is_narrowed_down_to_the_same_bits() {
         let mut state = 17;
-        let triangles = ground(&mut state);
+        let triangles = ground(64, &mut state, |_, random| 0.03 * random);
         let mesh = ContourMesh::new(&triangles);
         let directions = Directions::new(32);
         // Three runs, the last one of few, each around a place of its own.

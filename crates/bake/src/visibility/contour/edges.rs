@@ -41,6 +41,11 @@ impl IrregularEdge {
 /// An edge of a triangle: from its lower to its higher vertex, the triangle, whether it is wound along that.
 pub(super) type HalfEdge = ([u32; 2], u32, bool);
 
+/// The edges of a triangle, as it is wound.
+pub(super) fn outline([a, b, c]: [u32; 3]) -> [[u32; 2]; 3] {
+    [[a, b], [b, c], [c, a]]
+}
+
 /// Edges of the triangles that are not loose, those between the same vertices one after the other.
 pub(super) fn half_edges(triangles: &[[u32; 3]], parts: &Parts) -> Vec<HalfEdge> {
     let mut edges = Vec::with_capacity(3 * triangles.len());
@@ -48,8 +53,7 @@ pub(super) fn half_edges(triangles: &[[u32; 3]], parts: &Parts) -> Vec<HalfEdge>
         if parts.bundle_of(parts.of_vertex(vertices[0])).is_some() {
             continue;
         }
-        for i in 0..3 {
-            let (from, to) = (vertices[i], vertices[(i + 1) % 3]);
+        for [from, to] in outline(vertices) {
             edges.push(([from.min(to), from.max(to)], triangle, from < to));
         }
     }

@@ -10,6 +10,7 @@ use crate::visibility::{ones, pack_bits};
 
 use super::Contour;
 use super::candidates::{FACES_OF_KNOWN, KNOWN};
+use super::edges::outline;
 use super::facing::{BLOCK, Facing, block_of};
 use super::level::Level;
 
@@ -132,11 +133,6 @@ impl Faces {
     pub(super) fn are_parted(&self) -> bool {
         !self.parted.is_empty()
     }
-}
-
-/// The edges of a triangle, as it is wound.
-pub(super) fn outline([a, b, c]: [u32; 3]) -> [[u32; 2]; 3] {
-    [[a, b], [b, c], [c, a]]
 }
 
 fn member_at(members: &[Member], flat: u32, edge: [u32; 2]) -> Option<&Member> {

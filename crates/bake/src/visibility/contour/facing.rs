@@ -138,8 +138,8 @@ impl Facing {
         if flats.is_some() {
             facing.first.push(facing.corners.len() as u32);
         }
-        for (block, flats) in order.chunks(BLOCK).enumerate() {
-            let corners = flats
+        for (block, order) in order.chunks(BLOCK).enumerate() {
+            let corners = order
                 .iter()
                 .flat_map(|&flat| members(flat))
                 .map(|t| triangles[t as usize].map(|v| positions[v as usize]));

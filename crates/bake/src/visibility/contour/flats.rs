@@ -196,7 +196,7 @@ impl<P: Fn(u32) -> Plane> Growing<P> {
 mod tests {
     use glam::Vec3;
 
-    use crate::visibility::contour::tests::{assert_same_bits, random, random_point};
+    use crate::visibility::contour::tests::{assert_same_bits, ground, random, random_point};
     use crate::visibility::contour::{ContourMesh, MOST_TOUCHED};
     use crate::visibility::{self, Directions};
 
@@ -212,25 +212,14 @@ mod tests {
         triangles
     }
 
-    /// A ridged ground that is tilted, so that nothing is exact.
-    fn ground(state: &mut u64) -> Vec<[Vec3; 3]> {
-        const SIDE: usize = 5;
-        let heights: Vec<f32> = (0..(SIDE + 1).pow(2)).map(|_| random(state)).collect();
-        let at = |x: usize, z: usize| {
-            let [u, v] = [x, z].map(|i| 2.0 * i as f32 / SIDE as f32 - 1.0);
-            Vec3::new(u, 0.3 * u - 0.2 * v + 0.2 * heights[z * (SIDE + 1) + x], v)
-        };
-        let cells = (0..SIDE).flat_map(|z| (0..SIDE).map(move |x| (x, z)));
-        let halves = cells.flat_map(|(x, z)| {
-            let [a, b, c, d] = [at(x, z), at(x + 1, z), at(x + 1, z + 1), at(x, z + 1)];
-            [[a, d, c], [a, c, b]]
-        });
-        halves.collect()
+    /// Ridged and tilted, so that nothing is exact.
+    fn ridges(state: &mut u64) -> Vec<[Vec3; 3]> {
+        ground(5, state, |[u, v], random| 0.3 * u - 0.2 * v + 0.2 * random)
     }
 
     #[test]
     fn what_is_divided_finer_has_as_many_flats_as_it_had_triangles() {
-        let triangles = ground(&mut 3);
+        let triangles = ridges(&mut 3);
         for times in 1..4 {
             let mesh = ContourMesh::new(&divided(triangles.clone(), times));
             assert_eq!(mesh.facing.flats(), triangles.len(), "{times} times");
@@ -249,7 +238,7 @@ mod tests {
     #[test]
     fn points_on_flats_and_in_their_planes_give_the_same_bits() {
         let mut state = 8;
-        let mut coarse = ground(&mut state);
+        let mut coarse = ridges(&mut state);
         // A fin stands on it: edges of three triangles.
         let [a, b, _] = coarse[20];
         coarse.push([a, b, a.midpoint(b) + 0.3 * Vec3::Y]);

@@ -414,6 +414,25 @@ mod tests {
         (*state >> 40) as f32 / (1u64 << 24) as f32
     }
 
+    /// Ground from −1 to 1, of so many cells a side. `height` is told where, and a random number.
+    pub(super) fn ground(
+        side: usize,
+        state: &mut u64,
+        height: impl Fn([f32; 2], f32) -> f32,
+    ) -> Vec<[Vec3; 3]> {
+        let heights: Vec<f32> = (0..(side + 1).pow(2)).map(|_| random(state)).collect();
+        let at = |x: usize, z: usize| {
+            let [u, v] = [x, z].map(|i| 2.0 * i as f32 / side as f32 - 1.0);
+            Vec3::new(u, height([u, v], heights[z * (side + 1) + x]), v)
+        };
+        let cells = (0..side).flat_map(|z| (0..side).map(move |x| (x, z)));
+        let halves = cells.flat_map(|(x, z)| {
+            let [a, b, c, d] = [at(x, z), at(x + 1, z), at(x + 1, z + 1), at(x, z + 1)];
+            [[a, d, c], [a, c, b]]
+        });
+        halves.collect()
+    }
+
     pub(super) fn random_point(state: &mut u64) -> Vec3 {
         Vec3::new(random(state), random(state), random(state)) * 2.0 - 1.0
     }

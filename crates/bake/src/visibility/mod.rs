@@ -5,6 +5,7 @@ pub(crate) mod contour;
 pub(crate) mod places;
 pub(crate) mod ray;
 pub(crate) mod sparse;
+mod wide;
 
 use glam::Vec3;
 use relight_shading::octahedral;

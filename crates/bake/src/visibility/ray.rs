@@ -1,13 +1,10 @@
-//! Rays against a triangle soup: watertight triangle test over an `obvhs` BVH.
+//! Rays against a triangle soup: watertight triangle test over a tree of boxes that `obvhs` builds.
 
 use glam::{Vec3, Vec3A};
-use obvhs::{
-    Boundable, BvhBuildParams,
-    aabb::Aabb,
-    bvh2::{Bvh2, builder::build_bvh2},
-    ray::{Ray, RayHit},
-};
+use obvhs::{Boundable, BvhBuildParams, aabb::Aabb, bvh2::Bvh2, bvh2::builder::build_bvh2};
 use relight_shading::occluders::padding;
+
+use super::wide::{Ray, Visitor, Wide};
 
 /// Where a ray first meets the scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -20,6 +17,8 @@ pub struct Hit {
     pub distance: f32,
 }
 
+/// What it takes to look whether a ray meets a box that others are looked at beside, as a part of what a triangle takes.
+const BOX_COST: f32 = 0.3;
 /// Rays start at least so many steps of the largest coordinate above their surface.
 const ROUNDINGS: f32 = 4.0;
 
@@ -36,9 +35,11 @@ pub fn ray_offset([low, high]: [Vec3; 2], diagonals: f32) -> f32 {
 /// alike, up to sign, from both triangles that share the edge, and a ray through an edge
 /// hits both, so no ray passes between triangles that share their vertices' coordinates.
 pub struct RayCaster {
-    bvh: Bvh2,
+    tree: Wide,
     /// In the order in which the tree's leaves name them.
     triangles: Vec<[Vec3A; 3]>,
+    /// Their numbers in the slice given to [`RayCaster::new`].
+    numbers: Vec<u32>,
 }
 
 /// Where a ray passes through the scene.
@@ -80,29 +81,26 @@ impl RayCaster {
             .collect();
         let mut params = BvhBuildParams::medium_build();
         params.pre_split = false;
+        params.collapse_traversal_cost = BOX_COST;
         let bvh = if padded.is_empty() {
             Bvh2::default()
         } else {
             build_bvh2(&padded, params, &mut std::time::Duration::default())
         };
-        let triangles = bvh
-            .primitive_indices
-            .iter()
-            .map(|&index| padded[index as usize].vertices)
+        let (tree, numbers) = Wide::new(&bvh);
+        let triangles = (numbers.iter())
+            .map(|&number| padded[number as usize].vertices)
             .collect();
-        Self { bvh, triangles }
+        Self {
+            tree,
+            triangles,
+            numbers,
+        }
     }
 
     /// Whether anything lies on the ray at a parameter greater than zero.
     pub fn any_hit(&self, origin: Vec3, direction: Vec3) -> bool {
-        if self.triangles.is_empty() {
-            return false;
-        }
-        let ray = Ray::new_inf(origin.into(), direction.into());
-        !self.bvh.ray_traverse_miss(ray, |ray, index| {
-            intersect(&self.triangles[index], ray.origin, ray.direction)
-                .map_or(f32::INFINITY, |(t, _)| t)
-        })
+        self.met(origin, direction, f32::INFINITY).is_some()
     }
 
     /// [`Self::any_hit`] that looks first at what an earlier ray met, most often one in about the same direction from
@@ -118,17 +116,9 @@ impl RayCaster {
         {
             return true;
         }
-        if self.triangles.is_empty() {
-            return false;
-        }
-        let ray = Ray::new_inf(origin.into(), direction.into());
-        !self.bvh.ray_traverse_miss(ray, |ray, index| {
-            let hit = intersect(&self.triangles[index], ray.origin, ray.direction);
-            if hit.is_some() {
-                *occluder = index as u32;
-            }
-            hit.map_or(f32::INFINITY, |(t, _)| t)
-        })
+        let met = self.met(origin, direction, f32::INFINITY);
+        *occluder = met.unwrap_or(*occluder);
+        met.is_some()
     }
 
     /// [`Self::any_hit`] of the triangles, by their numbers in the slice given to [`Self::new`],
@@ -139,79 +129,124 @@ impl RayCaster {
         direction: Vec3,
         counted: impl Fn(usize) -> bool,
     ) -> bool {
-        if self.triangles.is_empty() {
-            return false;
-        }
-        let ray = Ray::new_inf(origin.into(), direction.into());
-        !self.bvh.ray_traverse_miss(ray, |ray, index| {
-            let hit = intersect(&self.triangles[index], ray.origin, ray.direction);
-            let hit = hit.filter(|_| counted(self.bvh.primitive_indices[index] as usize));
-            hit.map_or(f32::INFINITY, |(t, _)| t)
-        })
+        let ray = Ray::new(origin, direction);
+        let counts = |place: u32| counted(self.numbers[place as usize] as usize);
+        self.first_of(&ray, f32::INFINITY, counts).is_some()
     }
 
     /// Whether anything lies between two points.
     pub(crate) fn blocked(&self, from: Vec3, to: Vec3) -> bool {
-        if self.triangles.is_empty() {
-            return false;
-        }
-        let ray = Ray::new(from.into(), (to - from).into(), 0.0, 1.0);
-        !self.bvh.ray_traverse_miss(ray, |ray, index| {
-            intersect(&self.triangles[index], ray.origin, ray.direction)
-                .map_or(f32::INFINITY, |(t, _)| t)
-        })
+        self.met(from, to - from, 1.0).is_some()
+    }
+
+    /// A triangle that the ray meets before `length`, by its place.
+    fn met(&self, origin: Vec3, direction: Vec3, length: f32) -> Option<u32> {
+        self.first_of(&Ray::new(origin, direction), length, |_| true)
+    }
+
+    /// The first of those that count that is found on the ray before `length`.
+    fn first_of(&self, ray: &Ray, length: f32, counts: impl Fn(u32) -> bool) -> Option<u32> {
+        let (triangles, found) = (&self.triangles[..], None);
+        let first = First {
+            triangles,
+            counts,
+            found,
+        };
+        self.tree.walk(ray, length, first).found
     }
 
     /// Everything on the ray up to `length`, in no particular order.
     pub(crate) fn crossings(&self, origin: Vec3, direction: Vec3, length: f32) -> Vec<Crossing> {
-        let mut crossings = Vec::new();
-        if self.triangles.is_empty() {
-            return crossings;
-        }
-        let ray = Ray::new(origin.into(), direction.into(), 0.0, length);
-        self.bvh.ray_traverse_anyhit(ray, |ray, index| {
-            let triangle = &self.triangles[index];
-            let hit = intersect(triangle, ray.origin, ray.direction);
-            if let Some((distance, _)) = hit.filter(|(t, _)| *t <= length) {
-                let [a, b, c] = *triangle;
-                crossings.push(Crossing {
-                    distance,
-                    normal: (b - a).cross(c - a).normalize_or_zero().into(),
-                    vertex: a.into(),
-                    triangle: self.bvh.primitive_indices[index] as usize,
-                });
-            }
-        });
-        crossings
+        let all = All {
+            caster: self,
+            found: Vec::new(),
+        };
+        self.tree
+            .walk(&Ray::new(origin, direction), length, all)
+            .found
     }
 
     /// The nearest intersection at a parameter greater than zero.
     pub fn closest_hit(&self, origin: Vec3, direction: Vec3) -> Option<Hit> {
-        if self.triangles.is_empty() {
-            return None;
-        }
-        let ray = Ray::new_inf(origin.into(), direction.into());
-        let mut hit = RayHit::none();
-        self.bvh.ray_traverse(ray, &mut hit, |ray, index| {
-            let triangle = &self.triangles[index];
-            intersect(triangle, ray.origin, ray.direction).map_or(f32::INFINITY, |(t, _)| {
-                // Of the two sides of a sheet, which lie on each other, the one that faces the ray.
-                let [a, b, c] = *triangle;
-                let behind = (b - a).cross(c - a).dot(ray.direction) > 0.0;
-                if behind { t * BEHIND } else { t }
-            })
-        });
-        if hit.t == f32::INFINITY {
-            return None;
-        }
-        let index = hit.primitive_id as usize;
-        let (distance, barycentrics) =
-            intersect(&self.triangles[index], ray.origin, ray.direction)?;
-        Some(Hit {
-            triangle: self.bvh.primitive_indices[index] as usize,
+        let nearest = Nearest {
+            triangles: &self.triangles,
+            found: None,
+        };
+        let ray = Ray::new(origin, direction);
+        let nearest = self.tree.walk(&ray, f32::INFINITY, nearest).found;
+        nearest.map(|(place, distance, barycentrics)| Hit {
+            triangle: self.numbers[place as usize] as usize,
             barycentrics,
             distance,
         })
+    }
+}
+
+/// Finds the first of those that count.
+struct First<'a, C> {
+    triangles: &'a [[Vec3A; 3]],
+    counts: C,
+    found: Option<u32>,
+}
+
+impl<C: Fn(u32) -> bool> Visitor for First<'_, C> {
+    #[inline(always)]
+    fn visit(&mut self, ray: &Ray, place: u32, length: f32) -> f32 {
+        let hit = intersect(&self.triangles[place as usize], ray.origin, ray.direction);
+        if hit.is_some_and(|(distance, _)| distance < length) && (self.counts)(place) {
+            self.found = Some(place);
+            return -1.0;
+        }
+        length
+    }
+}
+
+/// Finds all.
+struct All<'a> {
+    caster: &'a RayCaster,
+    found: Vec<Crossing>,
+}
+
+impl Visitor for All<'_> {
+    #[inline(always)]
+    fn visit(&mut self, ray: &Ray, place: u32, length: f32) -> f32 {
+        let triangle = &self.caster.triangles[place as usize];
+        let hit = intersect(triangle, ray.origin, ray.direction);
+        if let Some((distance, _)) = hit.filter(|(distance, _)| *distance <= length) {
+            let [a, b, c] = *triangle;
+            self.found.push(Crossing {
+                distance,
+                normal: (b - a).cross(c - a).normalize_or_zero().into(),
+                vertex: a.into(),
+                triangle: self.caster.numbers[place as usize] as usize,
+            });
+        }
+        length
+    }
+}
+
+/// Finds the nearest: its place, how far away, and barycentrics.
+struct Nearest<'a> {
+    triangles: &'a [[Vec3A; 3]],
+    found: Option<(u32, f32, Vec3)>,
+}
+
+impl Visitor for Nearest<'_> {
+    #[inline(always)]
+    fn visit(&mut self, ray: &Ray, place: u32, limit: f32) -> f32 {
+        let triangle = &self.triangles[place as usize];
+        let Some((distance, barycentrics)) = intersect(triangle, ray.origin, ray.direction) else {
+            return limit;
+        };
+        // Of the two sides of a sheet, which lie on each other, the one that faces the ray.
+        let [a, b, c] = *triangle;
+        let behind = (b - a).cross(c - a).dot(ray.direction) > 0.0;
+        let counted = if behind { distance * BEHIND } else { distance };
+        if counted >= limit {
+            return limit;
+        }
+        self.found = Some((place, distance, barycentrics));
+        counted
     }
 }
 
@@ -317,9 +352,9 @@ mod tests {
         let [low, high] = [-5000.0, 5000.0].map(|side| Vec3::new(side, 1.0, side));
         let corner = Vec3::new(low.x, 1.0, high.z);
         let caster = RayCaster::new(&[[low, high, corner]]);
-        let root = caster.bvh.nodes[0].aabb();
-        assert!(root.max.y < 1.0 + ray_offset([low, high], 0.0), "{root:?}");
-        assert!(root.min.y <= 1.0 && root.max.y >= 1.0, "{root:?}");
+        let [least, largest] = caster.tree.bounds().map(|corner| corner.y);
+        assert!(largest < 1.0 + ray_offset([low, high], 0.0), "{largest}");
+        assert!(least <= 1.0 && largest >= 1.0, "{least} {largest}");
     }
 
     #[test]

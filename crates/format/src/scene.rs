@@ -250,12 +250,19 @@ pub fn read_scene(bytes: &[u8], limits: &Limits) -> Result<Scene, Error> {
 /// Encodes a scene; the same value gives the same bytes.
 pub fn write_scene(scene: &Scene) -> Result<Vec<u8>, Error> {
     scene.validate()?;
-    let (others, images) = both(
-        || Ok([early_sections(scene)?, late_sections(scene)?]),
-        || image_sections(scene),
+    // Texels and images take about as long as all else.
+    let ((others, basis), texels) = both(
+        || {
+            both(
+                || Ok([early_sections(scene)?, late_sections(scene)?]),
+                || basis_section(scene),
+            )
+        },
+        || texel_section(scene),
     );
     let [early, late] = others?;
-    Ok(early.followed_by(images?).followed_by(late).finish())
+    let images = basis?.followed_by(texels?);
+    Ok(early.followed_by(images).followed_by(late).finish())
 }
 
 /// Does two things at the same time, where there are threads to be had.
@@ -272,7 +279,7 @@ fn both<A, B: Send>(first: impl FnOnce() -> A, second: impl Fn() -> B + Sync) ->
     })
 }
 
-/// What comes before images, which take about as long as all others.
+/// What comes before images.
 fn early_sections(scene: &Scene) -> Result<Writer, Error> {
     let mut writer = Writer::new(Kind::Scene);
     writer.metadata(&Metadata {
@@ -299,11 +306,16 @@ fn early_sections(scene: &Scene) -> Result<Writer, Error> {
     Ok(writer)
 }
 
-fn image_sections(scene: &Scene) -> Result<Writer, Error> {
+fn basis_section(scene: &Scene) -> Result<Writer, Error> {
     let mut writer = Writer::new(Kind::Scene);
     let resolution = scene.visibility.basis_resolution;
     let differences = prediction::differences(&scene.basis, resolution);
     writer.section(SectionKind::Basis, &differences)?;
+    Ok(writer)
+}
+
+fn texel_section(scene: &Scene) -> Result<Writer, Error> {
+    let mut writer = Writer::new(Kind::Scene);
     writer.section(SectionKind::Texels, &concatenate_texels(&scene.textures))?;
     Ok(writer)
 }

@@ -9,6 +9,7 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 use anyhow::bail;
+use rayon::prelude::*;
 use relight_bake::clock::ProcessorClock;
 use relight_bake::error::Error;
 use relight_bake::files::{self, Files};
@@ -345,7 +346,6 @@ fn fingerprint(scene: &format::Scene) -> u128 {
         basis,
         transfer,
     } = scene;
-    let mut fingerprint = Fingerprint::default();
     let bounced = transfer.as_ref().map(|transfer| {
         let numbers = (transfer.order, transfer.emitted, transfer.bounces);
         (
@@ -355,26 +355,35 @@ fn fingerprint(scene: &format::Scene) -> u128 {
             &transfer.groups,
         )
     });
-    let small = (name, visibility, camera, materials, report, bounced);
+    let shapes: Vec<_> = (textures.iter())
+        .map(|texture| (texture.width, texture.height, texture.encoding))
+        .collect();
+    let small = (name, visibility, camera, materials, report, bounced, shapes);
     let small = format!("{small:?}");
-    fingerprint.add(small.as_bytes());
-    for texture in textures {
-        fingerprint.add_texture(texture);
-    }
-    fingerprint.add(bytemuck::cast_slice(vertices));
-    if !second_uvs.is_empty() {
-        fingerprint.add(bytemuck::cast_slice(second_uvs));
-    }
-    fingerprint.add(bytemuck::cast_slice(triangles));
-    fingerprint.add(bytemuck::cast_slice(clusters));
-    fingerprint.add(bytemuck::cast_slice(coefficients));
-    fingerprint.add(bytemuck::cast_slice(basis));
+    let mut all: Vec<&[u8]> = vec![
+        small.as_bytes(),
+        bytemuck::cast_slice(vertices),
+        bytemuck::cast_slice(second_uvs),
+        bytemuck::cast_slice(triangles),
+        bytemuck::cast_slice(clusters),
+        bytemuck::cast_slice(coefficients),
+        bytemuck::cast_slice(basis),
+    ];
+    all.extend(textures.iter().map(|texture| &texture.texels[..]));
     if let Some(transfer) = transfer {
-        fingerprint.add(bytemuck::cast_slice(&transfer.scales));
-        fingerprint.add(bytemuck::cast_slice(&transfer.basis));
-        fingerprint.add(bytemuck::cast_slice(&transfer.weights));
+        all.extend([
+            bytemuck::cast_slice(&transfer.scales),
+            bytemuck::cast_slice(&transfer.basis),
+            bytemuck::cast_slice(&transfer.weights),
+        ]);
     }
-    fingerprint.value()
+    let of = |bytes: &[u8]| {
+        let mut fingerprint = Fingerprint::default();
+        fingerprint.add(bytes);
+        fingerprint.value()
+    };
+    let each: Vec<u128> = all.into_par_iter().map(of).collect();
+    of(bytemuck::cast_slice(&each))
 }
 
 /// The most memory this process ever held, where the system tells.

@@ -8,6 +8,7 @@ use std::f64::consts::TAU;
 use std::hash::Hash;
 
 use glam::{DVec3, I64Vec3, Vec3};
+use rayon::prelude::*;
 use relight_format::math;
 
 use super::{Mesh, Triangle, Vertex};
@@ -260,23 +261,25 @@ fn roots(mesh: &Mesh, welded: &[u32]) -> Vec<u32> {
 /// Of an edge that joins two triangles that wind alike.
 const CLOSED: [i32; 2] = [2, 0];
 
-/// How many triangles run along every edge, and how many more one way than the other. Those of which a side has no length
-/// are left out.
-fn edges(mesh: &Mesh, welded: &[u32]) -> HashMap<[u32; 2], [i32; 2]> {
-    let mut edges: HashMap<_, [i32; 2]> = HashMap::with_capacity(mesh.triangles.len() * 2);
-    for triangle in &mesh.triangles {
+/// How many triangles run along every edge, and how many more one way than the other; in the order of their ends. Those
+/// of which a side has no length are left out.
+fn edges(mesh: &Mesh, welded: &[u32]) -> Vec<([u32; 2], [i32; 2])> {
+    let sides_of = |triangle: &Triangle| {
         let [a, b, c] = triangle.vertices.map(|vertex| welded[vertex as usize]);
         let sides = [[a, b], [b, c], [c, a]];
-        if sides.iter().any(|[from, to]| from == to) {
-            continue;
-        }
-        for [from, to] in sides {
-            let counts = edges.entry([from.min(to), from.max(to)]).or_default();
-            counts[0] += 1;
-            counts[1] += if from < to { 1 } else { -1 };
-        }
-    }
-    edges
+        let has_area = sides.iter().all(|[from, to]| from != to);
+        (sides.into_iter().filter(move |_| has_area))
+            .map(|[from, to]| ([from.min(to), from.max(to)], from < to))
+    };
+    let mut sides = Vec::with_capacity(3 * mesh.triangles.len());
+    sides.extend(mesh.triangles.iter().flat_map(sides_of));
+    sides.par_sort_unstable();
+    let edge = |sides: &[([u32; 2], bool)]| {
+        let forwards = sides.iter().filter(|(_, forwards)| *forwards).count() as i32;
+        let all = sides.len() as i32;
+        (sides[0].0, [all, 2 * forwards - all])
+    };
+    sides.chunk_by(|a, b| a.0 == b.0).map(edge).collect()
 }
 
 /// The piece of every triangle, and the pieces.
@@ -285,13 +288,13 @@ fn pieces(mesh: &Mesh) -> (Vec<usize>, Vec<Piece>) {
     let edges = edges(mesh, &welded);
     let roots = roots(mesh, &welded);
     let mut of_number = vec![0; welded.len()];
-    let mut names = HashMap::new();
+    let mut names = vec![None; welded.len()];
     let mut pieces: Vec<Piece> = Vec::new();
     let mut of = Vec::with_capacity(mesh.triangles.len());
     for triangle in &mesh.triangles {
         let corners = mesh.corners(triangle);
         let first = triangle.vertices[0] as usize;
-        let piece = *names.entry(roots[first]).or_insert_with(|| {
+        let piece = *names[roots[first] as usize].get_or_insert_with(|| {
             pieces.push(Piece {
                 origin: corners[0],
                 low: corners[0],

@@ -70,22 +70,45 @@ fn split(
     if group.is_empty() {
         return Vec::new();
     }
-    if group.len() < 2 || vertices_of(&group, triangles).len() <= max_vertices {
+    if group.len() < 2 || has_at_most(max_vertices, &group, triangles) {
         group.sort_unstable();
         return vec![group];
     }
     let axis = widest_axis(&group, features);
     // Ties are broken by index: the cut does not depend on the sort's implementation.
-    group.sort_unstable_by(|&a, &b| {
-        features[a as usize][axis]
-            .total_cmp(&features[b as usize][axis])
-            .then(a.cmp(&b))
-    });
+    let mut keys: Vec<u64> = (group.iter())
+        .map(|&triangle| {
+            let place = ordered(features[triangle as usize][axis]);
+            u64::from(place) << 32 | u64::from(triangle)
+        })
+        .collect();
+    keys.sort_unstable();
+    for (triangle, key) in group.iter_mut().zip(keys) {
+        *triangle = key as u32;
+    }
     let upper = group.split_off(group.len() / 2);
     let part = |group| split(group, features, triangles, max_vertices);
     let (mut groups, others) = rayon::join(|| part(group), || part(upper));
     groups.extend(others);
     groups
+}
+
+/// A number of the place of another in the order of [`f32::total_cmp`].
+fn ordered(number: f32) -> u32 {
+    let bits = number.to_bits();
+    if number.is_sign_negative() {
+        !bits
+    } else {
+        bits | 1 << 31
+    }
+}
+
+/// Whether some triangles use no more vertices than that.
+fn has_at_most(most: usize, group: &[u32], triangles: &[[u32; 3]]) -> bool {
+    let few = |group: &[u32]| vertices_of(group, triangles).len() <= most;
+    // Of many triangles the first ones tell.
+    let first = &group[..group.len().min(4 * most)];
+    few(first) && (first.len() == group.len() || few(group))
 }
 
 fn widest_axis(group: &[u32], features: &[Feature]) -> usize {
@@ -131,6 +154,21 @@ pub(crate) mod tests {
             })
             .collect();
         (positions, triangles)
+    }
+
+    #[test]
+    fn numbers_keep_their_order() {
+        let numbers = [
+            f32::NEG_INFINITY,
+            -2.0,
+            -f32::MIN_POSITIVE,
+            -0.0,
+            0.0,
+            1e-30,
+            3.0,
+            f32::INFINITY,
+        ];
+        assert!(numbers.is_sorted_by(|a, b| ordered(*a) < ordered(*b)));
     }
 
     #[test]

@@ -24,17 +24,19 @@ const CENTRES: [[f32; 3]; 4] = [
 
 /// How open places lie, by a few rays.
 pub(crate) struct Exposure {
-    /// Rays per side of an octahedral map of all directions.
-    resolution: u32,
-    /// What was last met in each of them: rays from the next place often meet the same.
-    occluders: Vec<u32>,
+    /// Of an octahedral map of all directions, and what was last met in each: rays from the next place often meet
+    /// the same.
+    rays: Vec<(Vec3, u32)>,
 }
 
 impl Exposure {
+    /// So many rays per side of the map.
     pub(crate) fn new(resolution: u32) -> Self {
+        let direction = |i| octahedral::texel_direction(i % resolution, i / resolution, resolution);
         Self {
-            resolution,
-            occluders: vec![NOTHING; (resolution * resolution) as usize],
+            rays: (0..resolution * resolution)
+                .map(|i| (direction(i), NOTHING))
+                .collect(),
         }
     }
 
@@ -45,16 +47,13 @@ impl Exposure {
         origin: Vec3,
         normal: Vec3,
     ) -> impl Iterator<Item = Vec3> {
-        let count = self.resolution;
-        let directions = (self.occluders.iter_mut().zip(0..)).map(move |(occluder, i)| {
-            let direction = octahedral::texel_direction(i % count, i / count, count);
-            (direction, occluder)
-        });
-        directions.filter_map(move |(direction, occluder)| {
-            let is_open = direction.dot(normal) > 0.0
-                && !caster.any_hit_as_before(origin, direction, occluder);
-            is_open.then_some(direction)
-        })
+        self.rays
+            .iter_mut()
+            .filter_map(move |(direction, occluder)| {
+                let is_open = direction.dot(normal) > 0.0
+                    && !caster.any_hit_as_before(origin, *direction, occluder);
+                is_open.then_some(*direction)
+            })
     }
 
     /// Whether something is seen in one of the directions over the hemisphere about a normal.

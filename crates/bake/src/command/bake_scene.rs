@@ -355,9 +355,7 @@ fn fingerprint(scene: &format::Scene) -> u128 {
             &transfer.groups,
         )
     });
-    let shapes: Vec<_> = (textures.iter())
-        .map(|texture| (texture.width, texture.height, texture.encoding))
-        .collect();
+    let shapes: Vec<_> = textures.iter().map(format::Texture::shape).collect();
     let small = (name, visibility, camera, materials, report, bounced, shapes);
     let small = format!("{small:?}");
     let mut all: Vec<&[u8]> = vec![

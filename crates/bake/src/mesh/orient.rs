@@ -11,6 +11,7 @@ use glam::{DVec3, I64Vec3, Vec3};
 use rayon::prelude::*;
 use relight_format::math;
 
+use super::refine::sides;
 use super::{Mesh, Triangle, Vertex};
 
 /// Volume of an inside-out piece, in cubes of its diagonal, below which its sign may be rounding.
@@ -265,21 +266,20 @@ const CLOSED: [i32; 2] = [2, 0];
 /// of which a side has no length are left out.
 fn edges(mesh: &Mesh, welded: &[u32]) -> Vec<([u32; 2], [i32; 2])> {
     let sides_of = |triangle: &Triangle| {
-        let [a, b, c] = triangle.vertices.map(|vertex| welded[vertex as usize]);
-        let sides = [[a, b], [b, c], [c, a]];
+        let sides = sides(triangle.vertices.map(|vertex| welded[vertex as usize]));
         let has_area = sides.iter().all(|[from, to]| from != to);
         (sides.into_iter().filter(move |_| has_area))
             .map(|[from, to]| ([from.min(to), from.max(to)], from < to))
     };
-    let mut sides = Vec::with_capacity(3 * mesh.triangles.len());
-    sides.extend(mesh.triangles.iter().flat_map(sides_of));
-    sides.par_sort_unstable();
+    let mut all = Vec::with_capacity(3 * mesh.triangles.len());
+    all.extend(mesh.triangles.iter().flat_map(sides_of));
+    all.par_sort_unstable();
     let edge = |sides: &[([u32; 2], bool)]| {
         let forwards = sides.iter().filter(|(_, forwards)| *forwards).count() as i32;
-        let all = sides.len() as i32;
-        (sides[0].0, [all, 2 * forwards - all])
+        let count = sides.len() as i32;
+        (sides[0].0, [count, 2 * forwards - count])
     };
-    sides.chunk_by(|a, b| a.0 == b.0).map(edge).collect()
+    all.chunk_by(|a, b| a.0 == b.0).map(edge).collect()
 }
 
 /// The piece of every triangle, and the pieces.

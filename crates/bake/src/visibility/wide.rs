@@ -19,7 +19,6 @@ const MOST_PRIMITIVES: u32 = 1 << COUNT_SHIFT;
 const WAITING: usize = 64;
 
 /// A node's boxes, and what is in them.
-#[derive(Clone)]
 #[repr(C, align(64))]
 struct Node {
     /// Least and largest coordinates along each axis, side by side. Those of no child are infinite, the least above the largest.
@@ -81,12 +80,11 @@ impl Wide {
         // Inner nodes to be made, and which child of what they are.
         let mut waiting = vec![(0, None)];
         while let Some((node, parent)) = waiting.pop() {
-            if let Some((parent, lane)) = parent {
-                let made = tree.nodes.len() as u32;
-                let parent: &mut Node = &mut tree.nodes[parent];
-                parent.children[lane] = made;
-            }
             let made = tree.nodes.len();
+            if let Some((parent, lane)) = parent {
+                let parent: &mut Node = &mut tree.nodes[parent];
+                parent.children[lane] = made as u32;
+            }
             let mut wide = Node {
                 bounds: [[[f32::INFINITY; WIDTH], [f32::NEG_INFINITY; WIDTH]]; 3],
                 children: [0; WIDTH],
@@ -297,6 +295,7 @@ mod tests {
     use obvhs::bvh2::builder::build_bvh2;
     use obvhs::bvh2::node::Bvh2Node;
 
+    use super::super::contour::tests::random;
     use super::*;
 
     /// Counts visits, and ends after so many.
@@ -319,11 +318,8 @@ mod tests {
 
     /// Numbers in `-1..1` that are as good as random.
     fn numbers() -> impl FnMut() -> f32 {
-        let mut state = 1u64;
-        move || {
-            state = (state.wrapping_mul(6_364_136_223_846_793_005)).wrapping_add(1);
-            (state >> 40) as f32 / (1u64 << 23) as f32 - 1.0
-        }
+        let mut state = 1;
+        move || 2.0 * random(&mut state) - 1.0
     }
 
     fn visits(tree: &Wide, ray: &Ray, limit: f32, most: usize) -> Vec<u32> {

@@ -91,7 +91,8 @@ fn long_edges(mesh: &Mesh, length: &(impl Fn(Vec3, Vec3) -> f32 + Sync)) -> Vec<
     lengths
 }
 
-fn sides<T: Copy>([a, b, c]: [T; 3]) -> [[T; 2]; 3] {
+/// The sides of a triangle, each from one corner to the next.
+pub(super) fn sides<T: Copy>([a, b, c]: [T; 3]) -> [[T; 2]; 3] {
     [[a, b], [b, c], [c, a]]
 }
 

@@ -379,7 +379,7 @@ fn ascending(mut numbers: [u32; 3]) -> [u32; 3] {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use relight_format::math;
     use relight_shading::octahedral::{self, Footprint};
 
@@ -407,7 +407,7 @@ mod tests {
     }
 
     /// Deterministic numbers in [0, 1).
-    pub(super) fn random(state: &mut u64) -> f32 {
+    pub(in crate::visibility) fn random(state: &mut u64) -> f32 {
         *state = state
             .wrapping_mul(6_364_136_223_846_793_005)
             .wrapping_add(1_442_695_040_888_963_407);

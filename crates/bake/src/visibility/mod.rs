@@ -229,6 +229,14 @@ pub fn sample(caster: &RayCaster, origin: Vec3, directions: &Directions) -> Bitm
 mod tests {
     use super::*;
 
+    /// Deterministic numbers in [0, 1).
+    pub(super) fn random(state: &mut u64) -> f32 {
+        *state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        (*state >> 40) as f32 / (1u64 << 24) as f32
+    }
+
     #[test]
     fn a_large_plane_blocks_exactly_the_lower_hemisphere() {
         let s = 1e5;

@@ -295,8 +295,8 @@ mod tests {
     use obvhs::bvh2::builder::build_bvh2;
     use obvhs::bvh2::node::Bvh2Node;
 
-    use super::super::contour::tests::random;
     use super::*;
+    use crate::visibility::tests::random;
 
     /// Counts visits, and ends after so many.
     struct Visits {

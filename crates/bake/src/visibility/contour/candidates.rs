@@ -465,7 +465,8 @@ fn sort<T: Copy + Default>(
 mod tests {
     use super::*;
     use crate::visibility::contour::ContourMesh;
-    use crate::visibility::contour::tests::{ground, random};
+    use crate::visibility::contour::tests::ground;
+    use crate::visibility::tests::random;
     use crate::visibility::{self, Directions};
 
     #[test]

@@ -196,8 +196,9 @@ impl<P: Fn(u32) -> Plane> Growing<P> {
 mod tests {
     use glam::Vec3;
 
-    use crate::visibility::contour::tests::{assert_same_bits, ground, random, random_point};
+    use crate::visibility::contour::tests::{assert_same_bits, ground, random_point};
     use crate::visibility::contour::{ContourMesh, MOST_TOUCHED};
+    use crate::visibility::tests::random;
     use crate::visibility::{self, Directions};
 
     /// Each triangle as four, again and again; what they share is rounded alike.

@@ -379,12 +379,13 @@ fn ascending(mut numbers: [u32; 3]) -> [u32; 3] {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+mod tests {
     use relight_format::math;
     use relight_shading::octahedral::{self, Footprint};
 
     use super::*;
     use crate::ssdf;
+    use crate::visibility::tests::random;
 
     #[test]
     fn the_example_of_the_readme() {
@@ -404,14 +405,6 @@ pub(super) mod tests {
             assert_eq!(bitmap.get(y * 16 + x), !blocked, "{x}, {y}");
         }
         assert_eq!((0..256).filter(|&texel| !bitmap.get(texel)).count(), 10);
-    }
-
-    /// Deterministic numbers in [0, 1).
-    pub(in crate::visibility) fn random(state: &mut u64) -> f32 {
-        *state = state
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        (*state >> 40) as f32 / (1u64 << 24) as f32
     }
 
     /// Ground from −1 to 1, of so many cells a side. `height` is told where, and a random number.

@@ -340,7 +340,7 @@ impl WithSimd for Cull<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::visibility::contour::tests::random;
+    use crate::visibility::tests::random;
     use relight_shading::octahedral;
 
     #[test]

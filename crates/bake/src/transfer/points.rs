@@ -1,6 +1,7 @@
 //! Points spread over a scene's surface, evenly or closer together about what is small, and which of them is nearest.
 
 use glam::{IVec3, Vec3};
+use rayon::prelude::*;
 
 use super::surfaces::{Piece, Place, Surfaces};
 use crate::mesh::size::SizeFunction;
@@ -95,19 +96,19 @@ impl Points {
             let place = point.position;
             [place.x, place.y, place.z, normal.x, normal.y, normal.z]
         };
+        let mut order: Vec<u32> = (0..points.len() as u32).collect();
+        let mut axes = vec![0; points.len()];
+        let keys: Vec<[f32; 6]> = points.iter().map(key).collect();
+        arrange(&keys, &mut order, &mut axes);
         let mut tree = Self {
-            keys: points.iter().map(key).collect(),
-            axes: vec![0; points.len()],
-            all: points,
+            keys: order.iter().map(|&i| keys[i as usize]).collect(),
+            axes,
+            all: order.iter().map(|&i| points[i as usize]).collect(),
             spacing,
             sizes: sizes.clone(),
             near: Vec::new(),
             starts: Vec::new(),
         };
-        let mut order: Vec<u32> = (0..tree.all.len() as u32).collect();
-        tree.arrange(&mut order, 0);
-        tree.all = order.iter().map(|&i| tree.all[i as usize]).collect();
-        tree.keys = order.iter().map(|&i| tree.keys[i as usize]).collect();
         tree.spread_hashes();
         tree
     }
@@ -131,11 +132,15 @@ impl Points {
                 }
             }
         }
-        pairs.sort_unstable();
+        pairs.par_sort_unstable();
         pairs.dedup();
-        self.starts = (0..=buckets as u32)
-            .map(|bucket| pairs.partition_point(|pair| pair.0 < bucket) as u32)
-            .collect();
+        self.starts = vec![0; buckets + 1];
+        for (bucket, _) in &pairs {
+            self.starts[*bucket as usize + 1] += 1;
+        }
+        for bucket in 0..buckets {
+            self.starts[bucket + 1] += self.starts[bucket];
+        }
         self.near = pairs.into_iter().map(|(_, index)| index).collect();
     }
 
@@ -147,32 +152,6 @@ impl Points {
     /// Mean distance of neighbours at a place, metres.
     pub(crate) fn spacing_at(&self, place: Vec3) -> f32 {
         self.spacing * self.sizes.part(place)
-    }
-
-    /// Sorts the part of the tree that begins at `start`.
-    fn arrange(&mut self, part: &mut [u32], start: usize) {
-        if part.len() < 2 {
-            return;
-        }
-        let range = |axis: usize| {
-            let values = part.iter().map(|&i| self.keys[i as usize][axis]);
-            let (low, high) = values.fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), x| {
-                (low.min(x), high.max(x))
-            });
-            high - low
-        };
-        let axis = (0..6)
-            .max_by(|&a, &b| range(a).total_cmp(&range(b)))
-            .unwrap_or(0);
-        part.sort_unstable_by(|&a, &b| {
-            let (x, y) = (self.keys[a as usize][axis], self.keys[b as usize][axis]);
-            x.total_cmp(&y).then(a.cmp(&b))
-        });
-        let middle = part.len() / 2;
-        self.axes[start + middle] = axis as u8;
-        let (left, right) = part.split_at_mut(middle);
-        self.arrange(left, start);
-        self.arrange(&mut right[1..], start + middle + 1);
     }
 
     /// The point nearest to a position on a side with the given normal; `None` only where
@@ -267,6 +246,35 @@ impl Points {
             self.search(key, far.0, far.1, best);
         }
     }
+}
+
+/// Sorts numbers of keys as a part of the tree is, and tells the axes of its splits.
+fn arrange(keys: &[[f32; 6]], part: &mut [u32], axes: &mut [u8]) {
+    if part.len() < 2 {
+        return;
+    }
+    let range = |axis: usize| {
+        let values = part.iter().map(|&i| keys[i as usize][axis]);
+        let (low, high) = values.fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), x| {
+            (low.min(x), high.max(x))
+        });
+        high - low
+    };
+    let axis = (0..6)
+        .max_by(|&a, &b| range(a).total_cmp(&range(b)))
+        .unwrap_or(0);
+    part.par_sort_unstable_by(|&a, &b| {
+        let (x, y) = (keys[a as usize][axis], keys[b as usize][axis]);
+        x.total_cmp(&y).then(a.cmp(&b))
+    });
+    let middle = part.len() / 2;
+    axes[middle] = axis as u8;
+    let (left, right) = part.split_at_mut(middle);
+    let (axes_of_left, axes_of_right) = axes.split_at_mut(middle);
+    rayon::join(
+        || arrange(keys, left, axes_of_left),
+        || arrange(keys, &mut right[1..], &mut axes_of_right[1..]),
+    );
 }
 
 /// Which cube with sides of this length a place is in.

@@ -341,7 +341,7 @@ fn words(browser: &str) -> Outcome {
 /// picture of the window, each after its length.
 const APPLICATION: &str = r#"<!doctype html><meta charset="utf-8">
 <body style="margin:0"><script>
-localStorage.setItem("relight.viewer", JSON.stringify({ resolution: 0.06, lobes: 12, background: "Off" }));
+localStorage.setItem("relight.viewer", JSON.stringify({ resolution: 0.04, lobes: 12, background: "Off" }));
 </script>
 <iframe src="app.html" width="760" height="640" style="border:0"></iframe>
 <script type="module">
@@ -568,7 +568,7 @@ fn application(browser: &str) -> Outcome {
     for (found, frame) in [(left, polar), (right, ambient)] {
         let found: Vec<[f32; 4]> = bytemuck::pod_collect_to_vec(found);
         let expected = twin::render(&scene, &frame, width, height)?;
-        // Of 900 pixels most are near edges, and rays to sources just meet something or just do not.
+        // Of 400 pixels most are near edges, and rays to sources just meet something or just do not.
         assert_same(&found, &expected, 4.0 * MOST_ON_EDGES, MOST_APART_OF_FEW);
     }
     Ok(())

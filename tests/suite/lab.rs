@@ -235,7 +235,7 @@ fn bench_on_a_gpu() -> Outcome {
 fn compression() -> Outcome {
     let folder = tempfile::tempdir()?;
     let path = |name: &str| folder.path().join(name);
-    std::fs::write(path("scene.obj"), sphere_over_ground(12))?;
+    std::fs::write(path("scene.obj"), sphere_over_ground(8))?;
     std::fs::write(
         path("scene.toml"),
         "mesh = 'scene.obj'\n[camera]\nposition = [0, 4, 6]\ntarget = [0, 0.8, 0]\n\

@@ -509,7 +509,7 @@ fn application(browser: &str) -> Outcome {
         *pixel = [*r, *g, *b, 1.0];
     }
     relight_lab::image_file::write_exr(&folder.path().join("sky.exr"), &image)?;
-    // SwiftShader takes half a second to draw the window's own widgets at a scale of 1, dozens of times.
+    // At a scale of 1 this takes twice as long for pictures of the same size: SwiftShader draws the window's own widgets.
     let told = visit_at(browser, &[folder.path(), &built_page()], 0.5)?;
     let words = String::from_utf8_lossy(&told[..told.len().min(2000)]);
     assert!(!words.starts_with("failed"), "{words}");

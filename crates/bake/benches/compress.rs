@@ -75,7 +75,7 @@ fn main() {
             per_vertex(plan),
             per_vertex(fit),
             per_vertex(encode),
-            compress::encode(&fitted, &images, MAX_ERROR).0.error(),
+            compress::encode(&fitted, &images, MAX_ERROR).error(),
         );
     }
 }

@@ -6,7 +6,7 @@ pub use crate::ssdf::DistanceTransform;
 /// Compression of a cluster's SSDFs.
 pub mod compress {
     pub use crate::compress::{
-        Fit, Fits, Normal, Samples, Weighting, alternate, analyse, encode, images,
+        Encoded, Fit, Fits, Normal, Samples, Weighting, alternate, analyse, encode, images,
     };
 }
 

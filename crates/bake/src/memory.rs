@@ -55,13 +55,6 @@ pub(crate) fn used(count: usize) -> Vec<f32> {
     values
 }
 
-/// A matrix of zeros.
-pub(crate) fn zeros(rows: usize, columns: usize) -> DMatrix<f32> {
-    let mut values = room(rows * columns);
-    values.resize(rows * columns, 0.0);
-    DMatrix::from_vec(rows, columns, values)
-}
-
 /// Keeps a matrix's memory.
 pub(crate) fn keep(matrix: DMatrix<f32>) {
     keep_values(matrix.data.into());

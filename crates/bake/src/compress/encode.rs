@@ -8,7 +8,7 @@ use relight_format::CHANNELS_PER_TILE;
 use super::fit::{Images, solve_each, triangle};
 use super::samples::{Fitted, LANES, column};
 use crate::memory;
-use crate::simd::{Of, vectorised, write_product};
+use crate::simd::{Of, product, vectorised, write_product};
 
 /// What rounding may add to the error, as a part of the error allowed: about where a byte more lowers the error
 /// by as much here as in another image or a smaller cluster.
@@ -40,19 +40,12 @@ pub struct Compressed {
     pub coefficients: Vec<i16>,
     /// RGBA texels, tile after tile.
     pub basis: Vec<i8>,
-    /// Sum over vertices of the squares of what stored minus exact distances cost, radians²:
-    /// a wall whose edge is off by an angle costs its square.
+    /// Sum over vertices of the squares of what stored minus exact distances cost, radians², as those that were fitted
+    /// tell it: a wall whose edge is off by an angle costs its square.
     pub(crate) squared_error: f64,
 }
 
 impl Compressed {
-    /// Root mean square over vertices, radians.
-    pub fn error(&self) -> f32 {
-        let channels = self.tiles as usize * CHANNELS_PER_TILE;
-        let vertices = self.coefficients.len() / channels;
-        (self.squared_error / vertices as f64).sqrt() as f32
-    }
-
     /// The same of vertices in another order, in which some may come several times.
     #[must_use]
     pub(crate) fn reordered(self, order: &[usize]) -> Self {
@@ -95,10 +88,105 @@ pub(crate) fn decode(coefficients: &[i16], basis: &[i8], coefficient_scale: f32)
     ssdf
 }
 
+/// Images as stored, and coefficients fitted to them.
+pub struct Encoded {
+    tiles: u32,
+    /// RGBA texels, tile after tile.
+    basis: Vec<i8>,
+    /// One row per texel, one column per image.
+    decoded: DMatrix<f32>,
+    /// Not rounded: one row per image, one column per vertex that was fitted.
+    coefficients: DMatrix<f32>,
+    steps: Steps,
+    /// Sum over those vertices, as in [`Compressed`].
+    squared_error: f64,
+}
+
+/// What coefficients are rounded to.
+struct Steps {
+    /// Of the finest, radians.
+    finest: f32,
+    /// Of every image, in that.
+    multiples: Vec<f32>,
+}
+
+/// SSDFs as stored.
+pub(crate) struct Stored {
+    /// Images, and coefficients as rounded.
+    factors: [DMatrix<f32>; 2],
+}
+
+impl Steps {
+    fn round(&self, coefficients: &DMatrix<f32>) -> DMatrix<i16> {
+        DMatrix::from_fn(
+            coefficients.nrows(),
+            coefficients.ncols(),
+            |channel, vertex| {
+                let multiple = self.multiples[channel];
+                let most = (MAX_COEFFICIENT / multiple).floor();
+                let value = coefficients[(channel, vertex)] / (self.finest * multiple);
+                (value.round().clamp(-most, most) * multiple) as i16
+            },
+        )
+    }
+
+    /// What integers stand for, radians.
+    fn decode(&self, integers: &DMatrix<i16>) -> DMatrix<f32> {
+        integers.map(|value| f32::from(value) * self.finest)
+    }
+}
+
+impl Encoded {
+    /// Root mean square over vertices, radians.
+    pub fn error(&self) -> f32 {
+        (self.squared_error / self.coefficients.ncols() as f64).sqrt() as f32
+    }
+
+    /// For each of some vertices the weighted sum of those that were fitted, given by their numbers: SSDFs are linear
+    /// in coefficients, and so what interpolates the one interpolates the other.
+    pub(crate) fn of(self, vertices: &[Vec<(usize, f32)>]) -> (Compressed, Stored) {
+        let channels = self.coefficients.nrows();
+        let mut coefficients = DMatrix::zeros(channels, vertices.len());
+        for (mut sum, sources) in coefficients.column_iter_mut().zip(vertices) {
+            for &(source, weight) in sources {
+                sum += self.coefficients.column(source) * weight;
+            }
+        }
+        let integers = self.steps.round(&coefficients);
+        let lanes = self.tiles as usize * CHANNELS_PER_TILE;
+        let mut coefficients = vec![0i16; vertices.len() * lanes];
+        let columns = integers.column_iter();
+        for (out, column) in coefficients.chunks_exact_mut(lanes).zip(columns) {
+            out.iter_mut()
+                .zip(&column)
+                .for_each(|(out, value)| *out = *value);
+        }
+        let all = vertices.len() as f64 / self.coefficients.ncols() as f64;
+        let compressed = Compressed {
+            tiles: self.tiles,
+            coefficient_scale: self.steps.finest * MAX_COEFFICIENT,
+            coefficients,
+            basis: self.basis,
+            squared_error: self.squared_error * all,
+        };
+        let stored = Stored {
+            factors: [self.decoded, self.steps.decode(&integers)],
+        };
+        (compressed, stored)
+    }
+}
+
+impl Stored {
+    /// Of some vertices, radians: one row per texel, one column per vertex.
+    pub(crate) fn ssdfs(&self, vertices: &[usize]) -> DMatrix<f32> {
+        let [images, coefficients] = &self.factors;
+        product(images, &coefficients.select_columns(vertices))
+    }
+}
+
 /// Quantises images and fits coefficients to them. Rounding takes its part of `max_error`,
-/// the root mean square that `Compressed::error` is expected to have or may have, radians. Returns with it what is
-/// stored, radians: one row per texel, one column per vertex.
-pub fn encode(fitted: &Fitted, images: &Images, max_error: f32) -> (Compressed, DMatrix<f32>) {
+/// the root mean square that [`Encoded::error`] is expected to have or may have, radians.
+pub fn encode(fitted: &Fitted, images: &Images, max_error: f32) -> Encoded {
     let (texels, vertices) = (images.values.nrows(), fitted.vertices.len());
     let channels = images.values.ncols();
     let rounding = max_error * BASIS_ROUNDING / fitted.cost.sqrt();
@@ -123,24 +211,13 @@ pub fn encode(fitted: &Fitted, images: &Images, max_error: f32) -> (Compressed, 
     } else {
         representable
     };
-    let coefficient_scale = finest * MAX_COEFFICIENT;
-    let integers = DMatrix::from_fn(channels, vertices, |channel, vertex| {
-        let multiple = (steps[channel] / finest).floor().clamp(1.0, MAX_MULTIPLE);
-        let most = (MAX_COEFFICIENT / multiple).floor();
-        let value = coefficients[(channel, vertex)] / (finest * multiple);
-        (value.round().clamp(-most, most) * multiple) as i16
-    });
+    let multiple = |step: &f32| (step / finest).floor().clamp(1.0, MAX_MULTIPLE);
+    let steps = Steps {
+        finest,
+        multiples: steps.iter().map(multiple).collect(),
+    };
     let tiles = channels.div_ceil(CHANNELS_PER_TILE);
     let lanes = tiles * CHANNELS_PER_TILE;
-    let mut coefficients = vec![0i16; vertices * lanes];
-    for (out, column) in coefficients
-        .chunks_exact_mut(lanes)
-        .zip(integers.column_iter())
-    {
-        out.iter_mut()
-            .zip(&column)
-            .for_each(|(out, value)| *out = *value);
-    }
     let mut basis = vec![0i8; texels * lanes];
     for (channel, image) in quantised.column_iter().enumerate() {
         let (tile, lane) = (channel / CHANNELS_PER_TILE, channel % CHANNELS_PER_TILE);
@@ -149,7 +226,7 @@ pub fn encode(fitted: &Fitted, images: &Images, max_error: f32) -> (Compressed, 
             .for_each(|(texel, value)| texel[lane] = *value);
     }
     let mut stored = memory::used(texels * vertices);
-    let rounded = integers.map(|value| f32::from(value) * finest);
+    let rounded = steps.decode(&steps.round(&coefficients));
     write_product(&Of(&decoded), &rounded, &mut stored);
     let stored = DMatrix::from_vec(texels, vertices, stored);
     let squared_error = vectorised!(
@@ -164,14 +241,15 @@ pub fn encode(fitted: &Fitted, images: &Images, max_error: f32) -> (Compressed, 
             sum
         }
     );
-    let compressed = Compressed {
+    memory::keep(stored);
+    Encoded {
         tiles: tiles as u32,
-        coefficient_scale,
-        coefficients,
         basis,
+        decoded,
+        coefficients,
+        steps,
         squared_error,
-    };
-    (compressed, stored)
+    }
 }
 
 /// What a wrong SSDF costs, radians²: the weighted sum of squared differences.

@@ -14,8 +14,8 @@ mod error;
 mod fit;
 mod samples;
 
-pub use encode::encode;
-pub(crate) use encode::{Compressed, decode};
+pub(crate) use encode::{Compressed, Stored, decode};
+pub use encode::{Encoded, encode};
 pub use error::{Normal, Weighting};
 pub use fit::{Fit, Fits, alternate, analyse, images};
 pub use samples::Samples;
@@ -131,7 +131,7 @@ mod tests {
         let basis = analyse(&ssdfs.fitted(), 15);
         let errors = [1, 4, 8, 12, 16].map(|k| {
             let (images, _) = reweight(&ssdfs.fitted(), &basis, k, 3);
-            encode(&ssdfs.fitted(), &images, 1e-4).0.error()
+            encode(&ssdfs.fitted(), &images, 1e-4).error()
         });
         // Beyond 8, the caps are as good as their images' eight bits: measured within 0.4 %.
         let falls = errors[..3].windows(2).all(|pair| pair[1] < pair[0]);
@@ -145,7 +145,7 @@ mod tests {
         for channels in [2, 4] {
             let basis = analyse(&ssdfs.fitted(), channels - 1);
             let error = |images: &fit::Images| {
-                let (compressed, _) = encode(&ssdfs.fitted(), images, 1e-4);
+                let compressed = encode(&ssdfs.fitted(), images, 1e-4);
                 compressed.error()
             };
             let (before, after) = (
@@ -170,7 +170,7 @@ mod tests {
             0.2 * a + 0.1 * b * math::sin(vertex as f32 * 0.3)
         });
         let ssdfs = samples(ssdfs);
-        let (compressed, _) = encode(&ssdfs.fitted(), &analyse(&ssdfs.fitted(), 3).images, 1e-4);
+        let compressed = encode(&ssdfs.fitted(), &analyse(&ssdfs.fitted(), 3).images, 1e-4);
         // 8-bit steps of images whose largest values are 0.2 and 0.1 rad, off by 0.62 of a step at most.
         assert!(
             compressed.error() < 0.3 / 127.0 * 0.62,
@@ -184,9 +184,9 @@ mod tests {
         let ssdfs = drifting_caps(60);
         let fitted = ssdfs.fitted();
         let (images, _) = reweight(&fitted, &analyse(&ssdfs.fitted(), 15), 16, 3);
-        let fine = encode(&fitted, &images, 1e-5).0.error();
+        let fine = encode(&fitted, &images, 1e-5).error();
         for max_error in [4.0 * fine, 10.0 * fine] {
-            let (compressed, _) = encode(&fitted, &images, max_error);
+            let compressed = encode(&fitted, &images, max_error);
             let added = (compressed.error().powi(2) - fine.powi(2)).max(0.0);
             assert!(
                 added < 0.1 * max_error.powi(2),
@@ -196,7 +196,41 @@ mod tests {
                 let largest = compressed.coefficients.iter().map(|c| c.unsigned_abs());
                 largest.max().unwrap_or(0).ilog2()
             };
-            assert!(bits(&compressed) < 13, "coarse coefficients are small");
+            let each: Vec<_> = (0..60).map(|vertex| vec![(vertex, 1.0)]).collect();
+            assert!(
+                bits(&compressed.of(&each).0) < 13,
+                "coarse coefficients are small"
+            );
+        }
+    }
+
+    #[test]
+    fn coefficients_interpolate_as_distances_do() {
+        let ssdfs = drifting_caps(60);
+        let fitted = ssdfs.fitted();
+        let (images, _) = reweight(&fitted, &analyse(&ssdfs.fitted(), 15), 16, 3);
+        let each = |vertex: usize| vec![(vertex, 1.0)];
+        let (compressed, stored) = encode(&fitted, &images, 1e-4).of(&[each(3), each(8)]);
+        let ends = stored.ssdfs(&[0, 1]);
+        let (all, _) = encode(&fitted, &images, 1e-4).of(&(0..60).map(each).collect::<Vec<_>>());
+        let channels = compressed.tiles as usize * relight_format::CHANNELS_PER_TILE;
+        for (index, vertex) in [3, 8].into_iter().enumerate() {
+            let coefficients = &all.coefficients[vertex * channels..][..channels];
+            let own = &compressed.coefficients[index * channels..][..channels];
+            assert_eq!(own, coefficients);
+            let decoded = decode(own, &all.basis, all.coefficient_scale);
+            let difference = DMatrix::from_vec(256, 1, decoded) - ends.columns(index, 1);
+            assert!(difference.amax() < 1e-5);
+        }
+        // What most vertices of a mesh that is finer than samples get.
+        let sums = [(0.25, 0.75), (1.1, -0.1)];
+        let mixed = sums.map(|(first, second)| vec![(3, first), (8, second)]);
+        let (_, stored) = encode(&fitted, &images, 1e-4).of(&mixed);
+        let between = stored.ssdfs(&[0, 1]);
+        for (column, (first, second)) in sums.into_iter().enumerate() {
+            let expected = ends.column(0) * first + ends.column(1) * second;
+            let off = (between.column(column) - expected).amax();
+            assert!(off < 1e-4, "{off}");
         }
     }
 
@@ -216,7 +250,7 @@ mod tests {
             let basis = analyse(&ssdfs.fitted(), channels - 1);
             let (images, _) = reweight(&fitted, &basis, channels, 3);
             assert_eq!(images.values.ncols(), 1);
-            let error = encode(&fitted, &images, 0.0025).0.error();
+            let error = encode(&fitted, &images, 0.0025).error();
             assert!(error < 0.0025, "{channels}: {error}");
         }
     }
@@ -230,7 +264,7 @@ mod tests {
             let (images, _) = reweight(&fitted, &basis, 8, 3);
             for images in [&basis.images, &images] {
                 assert!(images.values.iter().all(|value| value.is_finite()));
-                let (compressed, _) = encode(&fitted, images, 1e-4);
+                let compressed = encode(&fitted, images, 1e-4);
                 assert!(compressed.error() < 1e-4, "{vertices} columns of {value}");
             }
         }

@@ -247,14 +247,17 @@ impl<'a> Bake<'a> {
 
     fn bake_chunk(&self, triangles: &[u32]) -> Result<Vec<Cluster>, Error> {
         let prepared = &self.prepared;
-        let (vertices, samples) = prepared.samples(triangles)?;
+        let (seen, ssdfs) = prepared.seen(triangles)?;
+        let start = Instant::now();
+        let samples = prepared.weighed(triangles, &seen, ssdfs);
+        add_time(&prepared.counters.compress_nanoseconds, start);
         let every = (prepared.triangles.len() / prepared.options.probes).max(LEAST_PROBE_STEP);
         let probes = prepared.probes(triangles, every as u32)?;
-        let count = vertices.len() as u64;
-        let bounced = prepared.bounced(triangles, &vertices, samples.ssdfs())?;
+        let count = seen.places.len() as u64;
+        let bounced = prepared.bounced(triangles, &seen.sources, samples.ssdfs())?;
         let bounced = bounced.as_ref();
         let start = Instant::now();
-        let part = (triangles, &vertices[..], &samples);
+        let part = (triangles, &seen, &samples);
         let mut finished = if prepared.options.representation == Representation::GlobalPca {
             vec![prepared.whole(part, &probes, bounced, self.aim)]
         } else {

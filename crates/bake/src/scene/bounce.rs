@@ -42,8 +42,8 @@ impl ChunkLight {
 }
 
 impl Prepared<'_> {
-    /// Bounced light of the vertices that some triangles use, if light bounces. `ssdfs` has a column for each of the
-    /// triangles' `places`, which ascend.
+    /// Bounced light of the vertices that some triangles use, if light bounces. `ssdfs` has a column for each of
+    /// `places`, which ascend: those that stand for the triangles'.
     pub(super) fn bounced(
         &self,
         triangles: &[u32],

@@ -10,8 +10,7 @@ use super::assemble::{Cluster, assemble};
 use super::bounce::ChunkLight;
 use super::error::Error;
 use super::options::Options;
-use super::plan::columns;
-use super::sample::Prepared;
+use super::sample::{Prepared, Seen};
 use super::surface::{ErrorSums, Probe};
 
 /// Chunks that are tried for a size, and for an error at most.
@@ -47,7 +46,7 @@ const SIZE_EXPONENT: f32 = -0.7;
 /// A chunk that is tried.
 struct Trial {
     triangles: Vec<u32>,
-    vertices: Vec<u32>,
+    seen: Seen,
     ssdfs: DMatrix<f32>,
     probes: Vec<Probe>,
     bounced: Option<ChunkLight>,
@@ -71,11 +70,10 @@ pub(super) fn default_aim(prepared: &Prepared) -> Result<f32, Error> {
     let step = PROBE_STEP * fewer as u32;
     let mut errors = ErrorSums::default();
     for chunk in spread(chunks.len(), count) {
-        let vertices = prepared.vertices_of(&chunks[chunk]);
-        let ssdfs = prepared.ssdfs(&vertices)?;
+        let (seen, ssdfs) = prepared.seen(&chunks[chunk])?;
         for probe in prepared.probes(&chunks[chunk], step)? {
-            let columns = columns(&probe.places, &vertices);
-            errors.add_probe(&probe, [(&ssdfs, &columns); 2], &prepared.weighting);
+            let exact = prepared.interpolated(&probe.places, &seen.sources, &ssdfs);
+            errors.add_probe(&probe, [&exact; 2], &prepared.weighting);
         }
     }
     let interpolation = errors.errors().interpolation;
@@ -102,8 +100,7 @@ pub(super) fn choose_aim(prepared: &Prepared, head: &format::Scene) -> Result<Ch
     let count = prepared.chunks.len().min(most);
     let mut trials = Vec::new();
     for chunk in spread(prepared.chunks.len(), count) {
-        let vertices = prepared.vertices_of(&prepared.chunks[chunk]);
-        let ssdfs = prepared.ssdfs(&vertices)?;
+        let (seen, ssdfs) = prepared.seen(&prepared.chunks[chunk])?;
         trials.push(Trial {
             triangles: prepared.chunks[chunk].clone(),
             // Only an error that is asked for has to be measured.
@@ -113,14 +110,14 @@ pub(super) fn choose_aim(prepared: &Prepared, head: &format::Scene) -> Result<Ch
             },
             // Only a size that is asked for counts its bytes.
             bounced: match size {
-                Some(_) => prepared.bounced(&prepared.chunks[chunk], &vertices, &ssdfs)?,
+                Some(_) => prepared.bounced(&prepared.chunks[chunk], &seen.sources, &ssdfs)?,
                 None => None,
             },
             ssdfs,
-            vertices,
+            seen,
         });
     }
-    let tried: Vec<usize> = trials.iter().map(|trial| trial.vertices.len()).collect();
+    let tried: Vec<usize> = trials.iter().map(|trial| trial.seen.places.len()).collect();
     let chunks: Vec<usize> = (0..prepared.chunks.len()).collect();
     let sizes = size
         .map(|_| Sizes::new(head, prepared.vertices_of_chunks(&chunks) as usize))
@@ -180,13 +177,13 @@ fn try_aim(prepared: &Prepared, trials: &[Trial], aim: f32) -> Result<Vec<Vec<Cl
     let compress = |trial: &Trial| {
         let Trial {
             triangles,
-            vertices,
+            seen,
             ssdfs,
             probes,
             bounced,
         } = trial;
-        let samples = prepared.weighed(triangles, vertices, ssdfs.clone());
-        let part = (&triangles[..], &vertices[..], &samples);
+        let samples = prepared.weighed(triangles, seen, ssdfs.clone());
+        let part = (&triangles[..], seen, &samples);
         let mut clusters = prepared.compress(part, probes, bounced.as_ref(), aim)?;
         if let Some(bounced) = bounced {
             bounced.open_group(&mut clusters);

@@ -8,10 +8,9 @@ use relight_format::{self as format, math};
 use super::assemble::Cluster;
 use super::bounce::ChunkLight;
 use super::layout;
-use super::sample::Prepared;
+use super::sample::{Prepared, Seen};
 use super::surface::{ErrorSums, Probe};
-use crate::compress::{self, Compressed, Fit, Fits, Samples};
-use crate::memory;
+use crate::compress::{self, Compressed, Fit, Fits, Samples, Stored};
 use crate::monitor::Interrupted;
 use crate::transfer::compress::ClusterTransfer;
 
@@ -37,14 +36,14 @@ impl Prepared<'_> {
     /// Divides a chunk into clusters and compresses them.
     pub(super) fn compress(
         &self,
-        (triangles, vertices, samples): (&[u32], &[u32], &Samples),
+        (triangles, seen, samples): (&[u32], &Seen, &Samples),
         probes: &[Probe],
         bounced: Option<&ChunkLight>,
         aim: f32,
     ) -> Result<Vec<Cluster>, Interrupted> {
         let mut plan = Vec::new();
         let tiles = self.options.max_tiles;
-        let chunk = (vertices, &samples.thinned());
+        let chunk = (&seen.sources[..], &samples.thinned());
         self.plan(triangles, chunk, (aim, tiles), &mut plan)?;
         let staggered = samples.staggered();
         let compress = |planned| {
@@ -55,36 +54,38 @@ impl Prepared<'_> {
             } = planned;
             self.report()?;
             let members = self.vertices_of(&triangles);
-            let columns = columns(&members, vertices);
+            let sources = self.sparse.sources_of(members.iter().copied());
+            let columns = columns(&sources, &seen.sources);
             let few = staggered.fitted_of(columns.clone());
             let coefficients = compress::alternate(&few, coefficients, ROUNDS);
             drop(few);
-            let fitted = samples.fitted_of(columns.clone());
+            let fitted = samples.fitted_of(columns);
             let (images, _) = compress::images(&fitted, &coefficients);
-            let compressed = compress::encode(&fitted, &images, error.max(aim));
+            let encoded = compress::encode(&fitted, &images, error.max(aim));
             drop(fitted);
-            let part = (&triangles[..], &members[..]);
-            let exact = (samples, &columns[..]);
-            Ok(self.cluster(part, exact, probes, compressed, bounced))
+            let compressed = encoded.of(&self.weights(&members, &sources));
+            let exact = (&seen.sources[..], samples);
+            Ok(self.cluster((&triangles, &members), exact, probes, compressed, bounced))
         };
         plan.into_iter().map(compress).collect()
     }
 
     /// Tiles, and splits along the leading principal component, where vertices that see
     /// alike stay together, as long as they lower the sum of bytes and of what errors are
-    /// worth in bytes. Returns that sum. The triangles are some of those whose vertices have these samples; `tiles`
-    /// is where the search begins.
+    /// worth in bytes. Returns that sum. The samples are of `sources`, which stand for all vertices of the triangles;
+    /// `tiles` is where the search begins.
     fn plan(
         &self,
         triangles: &[u32],
-        (vertices, samples): (&[u32], &Samples),
+        (sources, samples): (&[u32], &Samples),
         (aim, tiles): (f32, u32),
         plan: &mut Vec<Planned>,
     ) -> Result<f32, Interrupted> {
         self.report()?;
         let max_channels = self.options.max_tiles as usize * CHANNELS_PER_TILE;
         let members = self.vertices_of(triangles);
-        let fitted = samples.fitted_of(columns(&members, vertices));
+        let of_members = self.sparse.sources_of(members.iter().copied());
+        let fitted = samples.fitted_of(columns(&of_members, sources));
         let basis = compress::analyse(&fitted, max_channels - 1);
         let count = members.len() as f32;
         let counted: f32 = members
@@ -125,10 +126,18 @@ impl Prepared<'_> {
         if hopeless || members.len() < MIN_CLUSTER_VERTICES || triangles.len() < 2 {
             return Ok(cost);
         }
+        let along: Vec<f32> = (self.weights(&members, &of_members).iter())
+            .map(|sources| {
+                let projections = sources.iter();
+                projections
+                    .map(|&(source, weight)| weight * basis.projections[(0, source)])
+                    .sum()
+            })
+            .collect();
         let position = |triangle: u32| -> f32 {
             columns(&self.triangles[triangle as usize], &members)
                 .into_iter()
-                .map(|column| basis.projections[(0, column)])
+                .map(|column| along[column])
                 .sum()
         };
         let mut keyed: Vec<(f32, u32)> = triangles.iter().map(|&t| (position(t), t)).collect();
@@ -140,7 +149,7 @@ impl Prepared<'_> {
         for half in [low, high] {
             let mut group: Vec<u32> = half.iter().map(|&(_, triangle)| triangle).collect();
             group.sort_unstable();
-            split_cost += self.plan(&group, (vertices, samples), (aim, whole.tiles), plan)?;
+            split_cost += self.plan(&group, (sources, samples), (aim, whole.tiles), plan)?;
         }
         if split_cost < cost {
             plan.remove(begun);
@@ -154,39 +163,56 @@ impl Prepared<'_> {
     /// options ask for.
     pub(super) fn whole(
         &self,
-        (triangles, vertices, samples): (&[u32], &[u32], &Samples),
+        (triangles, seen, samples): (&[u32], &Seen, &Samples),
         probes: &[Probe],
         bounced: Option<&ChunkLight>,
         aim: f32,
     ) -> Cluster {
         let fitted = samples.fitted();
         let basis = compress::analyse(&fitted, self.options.global_rank as usize);
-        let compressed = compress::encode(&fitted, &basis.images, aim);
-        let columns: Vec<usize> = (0..vertices.len()).collect();
-        let exact = (samples, &columns[..]);
-        self.cluster((triangles, vertices), exact, probes, compressed, bounced)
+        let encoded = compress::encode(&fitted, &basis.images, aim);
+        let compressed = encoded.of(&self.weights(&seen.places, &seen.sources));
+        let exact = (&seen.sources[..], samples);
+        self.cluster(
+            (triangles, &seen.places),
+            exact,
+            probes,
+            compressed,
+            bounced,
+        )
+    }
+
+    /// What stands for each of some places, by its number among `sources`, with its weight.
+    fn weights(&self, places: &[u32], sources: &[u32]) -> Vec<Vec<(usize, f32)>> {
+        let number = |source: u32| sources.partition_point(|&other| other < source);
+        (places.iter())
+            .map(|&place| {
+                let weighted = self.sparse.sources(place).iter();
+                weighted
+                    .map(|&(source, weight)| (number(source), weight))
+                    .collect()
+            })
+            .collect()
     }
 
     /// Copies what a cluster needs of the mesh and measures how far it is off. Triangles and
-    /// vertices ascend; of the samples the vertices have some columns.
+    /// vertices ascend; the samples are of `sources`.
     fn cluster(
         &self,
         (triangles, vertices): (&[u32], &[u32]),
-        (samples, samples_columns): (&Samples, &[usize]),
+        (sources, samples): (&[u32], &Samples),
         probes: &[Probe],
-        (compressed, stored): (Compressed, DMatrix<f32>),
+        (compressed, stored): (Compressed, Stored),
         bounced: Option<&ChunkLight>,
     ) -> Cluster {
         let mut errors = ErrorSums::at_vertices(&compressed, vertices.len());
         for probe in probes {
             if triangles.binary_search(&probe.triangle).is_ok() {
-                let columns = columns(&probe.places, vertices);
-                let exact: Vec<usize> = columns.iter().map(|&i| samples_columns[i]).collect();
-                let ssdfs = [(&stored, &columns[..]), (samples.ssdfs(), &exact)];
-                errors.add_probe(probe, ssdfs, &self.weighting);
+                let stored = stored.ssdfs(&columns(&probe.places, vertices));
+                let exact = self.interpolated(&probe.places, sources, samples.ssdfs());
+                errors.add_probe(probe, [&stored, &exact], &self.weighting);
             }
         }
-        memory::keep(stored);
         let used = self.mesh_vertices_of(triangles);
         let local = |vertex: u32| used.partition_point(|&other| other < vertex) as u32;
         let triangle = |&index: &u32| {

@@ -161,6 +161,20 @@ fn counts(origins: &[Vec3], triangles: &[[u32; 3]], spacing: impl Fn(u32) -> f32
     counts
 }
 
+/// Places, and where what is seen from them is known.
+pub(super) struct Seen {
+    /// Ascending.
+    pub(super) places: Vec<u32>,
+    /// What stands for them, ascending: themselves where all are sampled.
+    pub(super) sources: Vec<u32>,
+}
+
+/// Of a place that no triangle is seen to use.
+const NO_NORMAL: Normal = Normal {
+    direction: Vec3::ZERO,
+    tilt: 0.0,
+};
+
 /// A refined scene with all that sampling and compressing parts of it needs, in any order.
 pub(super) struct Prepared<'a> {
     pub(super) options: Options,
@@ -330,37 +344,51 @@ impl<'a> Prepared<'a> {
         used
     }
 
-    /// The vertices that some triangles use, and what they see.
-    pub(super) fn samples(&self, triangles: &[u32]) -> Result<(Vec<u32>, Samples), Interrupted> {
-        let vertices = self.vertices_of(triangles);
-        let ssdfs = self.ssdfs(&vertices)?;
-        let start = Instant::now();
-        let samples = self.weighed(triangles, &vertices, ssdfs);
-        add_time(&self.counters.compress_nanoseconds, start);
-        Ok((vertices, samples))
+    /// The places that some triangles use, and what is seen from them.
+    pub(super) fn seen(&self, triangles: &[u32]) -> Result<(Seen, DMatrix<f32>), Interrupted> {
+        let places = self.vertices_of(triangles);
+        let seen = Seen {
+            sources: self.sparse.sources_of(places.iter().copied()),
+            places,
+        };
+        let ssdfs = self.ssdfs(&seen)?;
+        Ok((seen, ssdfs))
     }
 
-    /// SSDFs of `vertices`, which `triangles` use, with their weights.
-    pub(super) fn weighed(
-        &self,
-        triangles: &[u32],
-        vertices: &[u32],
-        ssdfs: DMatrix<f32>,
-    ) -> Samples {
-        let normals = self.normals(triangles, vertices);
+    /// SSDFs from places that `triangles` use, with their weights.
+    pub(super) fn weighed(&self, triangles: &[u32], seen: &Seen, ssdfs: DMatrix<f32>) -> Samples {
+        let normals = self.normals(triangles, &seen.places);
+        let normals = self.normals_of_sources(seen, &normals);
         Samples::new(ssdfs, &normals, &self.weighting)
+    }
+
+    /// Normals of what stands for places: their own, or those of what they stand for among these.
+    fn normals_of_sources(&self, seen: &Seen, of_places: &[Normal]) -> Vec<Normal> {
+        let own = |source: &u32| seen.places.binary_search(source).ok();
+        let mut normals: Vec<Normal> = (seen.sources.iter())
+            .map(|source| own(source).map_or(NO_NORMAL, |index| of_places[index]))
+            .collect();
+        for (&place, normal) in seen.places.iter().zip(of_places) {
+            for (source, _) in self.sparse.sources(place) {
+                if own(source).is_none() {
+                    let sum = &mut normals[seen.sources.partition_point(|other| other < source)];
+                    sum.direction += normal.direction;
+                    sum.tilt = sum.tilt.max(normal.tilt);
+                }
+            }
+        }
+        for (source, normal) in seen.sources.iter().zip(&mut normals) {
+            if own(source).is_none() {
+                normal.direction = normal.direction.normalize_or_zero();
+            }
+        }
+        normals
     }
 
     /// Shading normals at `places`, which `triangles` use: their mean, and how far others of
     /// the same place, and normal maps, turn away from it.
     fn normals(&self, triangles: &[u32], places: &[u32]) -> Vec<Normal> {
-        let mut normals = vec![
-            Normal {
-                direction: Vec3::ZERO,
-                tilt: 0.0,
-            };
-            places.len()
-        ];
+        let mut normals = vec![NO_NORMAL; places.len()];
         let corners = |triangle: u32| {
             let vertices = self.mesh.triangles[triangle as usize].vertices;
             vertices.map(|vertex| {
@@ -403,19 +431,21 @@ impl<'a> Prepared<'a> {
         self.tilts[usize::from(self.mesh.triangles[triangle as usize].material)]
     }
 
-    /// Clamped SSDFs at the basis resolution: one column per place, of which some are interpolated.
-    pub(super) fn ssdfs(&self, places: &[u32]) -> Result<DMatrix<f32>, Interrupted> {
+    /// Clamped SSDFs at the basis resolution: one column per source.
+    fn ssdfs(&self, Seen { places, sources }: &Seen) -> Result<DMatrix<f32>, Interrupted> {
         let texels = (self.options.basis_resolution as usize).pow(2);
-        let sources = self.sparse.sources_of(places.iter().copied());
+        let ssdfs = memory::used(texels * sources.len());
+        let mut ssdfs = DMatrix::from_vec(texels, sources.len(), ssdfs);
+        let columns = ssdfs.as_mut_slice().chunks_exact_mut(texels);
         if !self.kept.is_empty() {
-            self.sample_kept(&sources)?;
+            self.sample_kept(sources)?;
             (self.counters.known).fetch_add(places.len() as u64, Ordering::Relaxed);
-            let ssdf = |source| self.kept.ssdf(source).expect("it was sampled just now");
-            return Ok(self.interpolated(places, ssdf));
+            for (column, &source) in columns.zip(sources) {
+                let ssdf = self.kept.ssdf(source);
+                column.copy_from_slice(ssdf.expect("it was sampled just now"));
+            }
+            return Ok(ssdfs);
         }
-        let sampled = memory::used(texels * sources.len());
-        let mut sampled = DMatrix::from_vec(texels, sources.len(), sampled);
-        let columns = sampled.as_mut_slice().chunks_exact_mut(texels);
         let origins = sources.iter().map(|&place| self.origins[place as usize]);
         let done = AtomicUsize::new(0);
         self.sample(origins.zip(columns).collect(), |column, sampled| {
@@ -427,27 +457,26 @@ impl<'a> Prepared<'a> {
                 (done + 1) * places.len() / sources.len() - done * places.len() / sources.len();
             (self.counters.known).fetch_add(known as u64, Ordering::Relaxed);
         })?;
-        if sources == places {
-            return Ok(sampled);
-        }
-        let ssdfs = self.interpolated(places, |source| {
-            column(&sampled, sources.partition_point(|&other| other < source))
-        });
-        memory::keep(sampled);
         Ok(ssdfs)
     }
 
-    /// SSDFs of places by those of the places that stand for them.
-    fn interpolated<'s>(&self, places: &[u32], ssdf: impl Fn(u32) -> &'s [f32]) -> DMatrix<f32> {
-        let texels = (self.options.basis_resolution as usize).pow(2);
-        let mut ssdfs = memory::zeros(texels, places.len());
-        let columns = ssdfs.as_mut_slice().chunks_exact_mut(texels);
-        for (column, &place) in columns.zip(places) {
-            for &(source, weight) in self.sparse.sources(place) {
-                add_scaled(column, ssdf(source), weight);
+    /// SSDFs of some places, by those of sources: one column per place.
+    pub(super) fn interpolated(
+        &self,
+        places: &[u32],
+        sources: &[u32],
+        ssdfs: &DMatrix<f32>,
+    ) -> DMatrix<f32> {
+        let texels = ssdfs.nrows();
+        let mut interpolated = DMatrix::zeros(texels, places.len());
+        let columns = interpolated.as_mut_slice().chunks_exact_mut(texels);
+        for (out, &place) in columns.zip(places) {
+            for (source, weight) in self.sparse.sources(place) {
+                let index = sources.partition_point(|other| other < source);
+                add_scaled(out, column(ssdfs, index), *weight);
             }
         }
-        ssdfs
+        interpolated
     }
 
     /// Samples points and hands over, for each, what is seen from there.

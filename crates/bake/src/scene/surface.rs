@@ -65,18 +65,18 @@ impl ErrorSums {
         }
     }
 
-    /// Adds a probe among vertices whose SSDFs, as stored and exact, are columns of matrices.
+    /// Adds a probe at whose corners SSDFs, as stored and exact, are columns of matrices.
     pub(super) fn add_probe(
         &mut self,
         probe: &Probe,
-        [stored, exact]: [(&DMatrix<f32>, &[usize]); 2],
+        [stored, exact]: [&DMatrix<f32>; 2],
         weighting: &Weighting,
     ) {
         let weight = f64::from(probe.weight);
-        let squared_error = |(ssdfs, columns): (&DMatrix<f32>, &[usize])| {
+        let squared_error = |ssdfs: &DMatrix<f32>| {
             let mut found = vec![0.0; probe.exact.len()];
-            for (index, weight) in columns.iter().zip(probe.weights) {
-                add_scaled(&mut found, column(ssdfs, *index), weight);
+            for (corner, weight) in probe.weights.into_iter().enumerate() {
+                add_scaled(&mut found, column(ssdfs, corner), weight);
             }
             f64::from(weighting.squared_displacement(&found, &probe.exact, probe.normal))
         };

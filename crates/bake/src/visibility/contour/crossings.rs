@@ -25,12 +25,17 @@ pub(super) fn locate(
     let positions = &mut crossings.positions;
     positions.resize(2 * n * n, f32::NAN);
     let mut near = Near::new(n);
+    let mut any = false;
     visible.for_links(n, |x, y, below| {
+        any = true;
         near.mark(x, y);
         let texel = y * n + x;
         let first = if visible.get(texel) { -1.0 } else { 1.0 };
         positions[usize::from(below) * n * n + texel] = f32::NAN.copysign(first);
     });
+    if !any {
+        return;
+    }
     simd::arch().dispatch(Locate {
         layers,
         bundles,

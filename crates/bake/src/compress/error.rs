@@ -16,6 +16,9 @@ use crate::visibility::Directions;
 /// Half-width of the weight about the visibility boundary, radians: two texels of a basis
 /// image of usual size.
 const BOUNDARY_WIDTH: f32 = 0.05;
+/// The same where what was sampled stands for what lies between, whose boundaries are elsewhere: coefficients must be right
+/// there as well.
+const BOUNDARY_WIDTH_BETWEEN: f32 = 0.075;
 /// Half of the angular width of lights that errors are told for.
 const LIGHT_WIDTH: f32 = 0.05;
 /// A small angle.
@@ -55,11 +58,22 @@ pub struct Weighting {
     /// Of such a wall's edge that is off by one, squared, in [`Self::squared_displacement`],
     /// while it is off by little.
     wall: f32,
+    /// Half of the weight's about the boundary, radians.
+    width: f32,
 }
 
 impl Weighting {
     /// For basis images of this many texels per side.
     pub fn new(basis_resolution: u32) -> Self {
+        Self::of_width(basis_resolution, BOUNDARY_WIDTH)
+    }
+
+    /// The same for vertices that stand for others between them.
+    pub(crate) fn with_between(basis_resolution: u32) -> Self {
+        Self::of_width(basis_resolution, BOUNDARY_WIDTH_BETWEEN)
+    }
+
+    fn of_width(basis_resolution: u32, width: f32) -> Self {
         let directions = Directions::new(basis_resolution);
         // The octahedral map shrinks by the third power of the distance to the octahedron's
         // face (Engelhardt & Dachsbacher 2008).
@@ -75,6 +89,7 @@ impl Weighting {
             coordinates,
             solid_angles,
             wall: 1.0,
+            width,
         };
         let wall: Vec<f32> = (weighting.directions.as_slice().iter())
             .map(|direction| math::asin(direction.x))
@@ -139,7 +154,7 @@ impl Weighting {
             weights.iter_mut().zip(ssdf).zip(texels)
         {
             let seen = normal.seen([*x, *y, *z]);
-            let near = 1.0 / (1.0 + (distance / BOUNDARY_WIDTH).powi(4));
+            let near = 1.0 / (1.0 + (distance / self.width).powi(4));
             *weight = solid_angle * (FAR_WEIGHT + near) * (HIDDEN_WEIGHT + seen);
         }
     }

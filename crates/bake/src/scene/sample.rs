@@ -261,6 +261,11 @@ impl<'a> Prepared<'a> {
         let mut by_place: Vec<u32> = (0..placed.places.len() as u32).collect();
         by_place.sort_by_key(|&vertex| placed.places[vertex as usize]);
         let texels = (options.basis_resolution as usize).pow(2);
+        let weighting = if placed.sparse.is_all() {
+            Weighting::new(options.basis_resolution)
+        } else {
+            Weighting::with_between(options.basis_resolution)
+        };
         let gathered = if options.sample_spacing > 0.0 {
             by_place.len()
         } else {
@@ -292,7 +297,7 @@ impl<'a> Prepared<'a> {
                 options.basis_resolution,
                 options.distance_clamp,
             ),
-            weighting: Weighting::new(options.basis_resolution),
+            weighting,
             verify: false,
             counters: Counters::default(),
         }

@@ -98,6 +98,13 @@ impl Sparse {
         sparse
     }
 
+    /// Whether every place is sampled.
+    pub(crate) fn is_all(&self) -> bool {
+        (0u32..)
+            .zip(self.first.windows(2))
+            .all(|(place, _)| self.sources(place) == [(place, 1.0)])
+    }
+
     /// What stands for a place; itself where it is sampled. Weights add up to 1.
     pub(crate) fn sources(&self, place: u32) -> &[(u32, f32)] {
         let [first, end] = [0, 1].map(|next| self.first[place as usize + next] as usize);
@@ -460,5 +467,7 @@ mod tests {
             Sparse::new(&[], &[], &spacing(1.0, &origins)),
             Sparse::all(0)
         );
+        assert!(Sparse::all(0).is_all() && Sparse::all(count).is_all());
+        assert!(!Sparse::new(&origins, &triangles, &spacing(1.5, &origins)).is_all());
     }
 }

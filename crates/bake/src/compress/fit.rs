@@ -8,6 +8,7 @@ use nalgebra::DMatrix;
 use super::samples::{Fitted, column};
 use crate::memory;
 use crate::simd::{Panels, both_ways, product, product_of, vectorised, write_product};
+use crate::solve::orthonormal;
 
 /// Subspace iterations; two separate the spectrum of SSDFs to well below quantisation.
 const ITERATIONS: usize = 2;
@@ -67,18 +68,18 @@ pub fn analyse(fitted: &Fitted, rank: usize) -> FittedBasis {
     });
     let mut range = product_of(&centred, &subspace);
     for _ in 0..ITERATIONS {
-        subspace = product_of(&transposed, &range.qr().q());
-        range = product_of(&centred, &subspace.qr().q());
+        subspace = product_of(&transposed, &orthonormal(range));
+        range = product_of(&centred, &orthonormal(subspace));
     }
-    let orthonormal = range.qr().q();
+    let range = orthonormal(range);
     // Rotate the subspace to principal axes: eigenvectors of a small symmetric matrix.
-    let coordinates = product_of(&transposed, &orthonormal).transpose();
+    let coordinates = product_of(&transposed, &range).transpose();
     drop((centred, transposed));
     let covariance = product(&coordinates, &coordinates.transpose()).cast::<f64>();
     let (axes, lengths) = principal_axes(covariance);
     let rank = rank.min(axes.ncols());
     let rotation = axes.columns(0, rank).into_owned().cast::<f32>();
-    let components = product(&orthonormal, &rotation);
+    let components = product(&range, &rotation);
     let mut values = DMatrix::zeros(texels, rank + 1);
     values.column_mut(0).copy_from_slice(&mean);
     values.columns_mut(1, rank).copy_from(&components);

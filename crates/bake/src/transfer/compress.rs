@@ -10,6 +10,7 @@ use relight_format::MAX_TRANSFER_RANK;
 
 use super::radiosity::hash;
 use crate::simd::product;
+use crate::solve::orthonormal;
 
 /// A component is stored where it carries at least this part of the bounced light, and of what
 /// an open sky gives; both root mean squares over vertices. What is left is little, or noise. The
@@ -303,10 +304,10 @@ fn principal(samples: &DMatrix<f32>) -> DMatrix<f32> {
         }
     });
     let across_samples = samples.transpose();
-    let mut range = product(samples, &chance).qr().q();
+    let mut range = orthonormal(product(samples, &chance));
     for _ in 0..ITERATIONS {
-        let across = product(&across_samples, &range).qr().q();
-        range = product(samples, &across).qr().q();
+        let across = orthonormal(product(&across_samples, &range));
+        range = orthonormal(product(samples, &across));
     }
     let projected = product(&range.transpose(), samples);
     let eigen = product(&projected, &projected.transpose()).symmetric_eigen();

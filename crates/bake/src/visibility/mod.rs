@@ -226,11 +226,11 @@ pub fn sample(caster: &RayCaster, origin: Vec3, directions: &Directions) -> Bitm
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
 
     /// Deterministic numbers in [0, 1).
-    pub(super) fn random(state: &mut u64) -> f32 {
+    pub(crate) fn random(state: &mut u64) -> f32 {
         *state = state
             .wrapping_mul(6_364_136_223_846_793_005)
             .wrapping_add(1_442_695_040_888_963_407);

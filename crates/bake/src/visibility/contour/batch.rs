@@ -24,27 +24,6 @@ impl<const AXES: usize> Batch<AXES> {
         count: 0,
     };
 
-    /// Adds a contour to the last of `batches`, or to a new one.
-    #[inline(always)]
-    pub(super) fn append(batches: &mut Vec<Self>, ends: [[f32; AXES]; 2], step: i32) {
-        match batches.last_mut() {
-            Some(batch) if batch.count < LANES => {
-                batch.set(batch.count, ends, step);
-                batch.count += 1;
-            }
-            _ => Self::begin(batches, ends, step),
-        }
-    }
-
-    /// Adds a contour to a new batch.
-    #[cold]
-    pub(super) fn begin(batches: &mut Vec<Self>, ends: [[f32; AXES]; 2], step: i32) {
-        let mut batch = Self::EMPTY;
-        batch.set(0, ends, step);
-        batch.count = 1;
-        batches.push(batch);
-    }
-
     #[inline(always)]
     pub(super) fn set(&mut self, lane: usize, ends: [[f32; AXES]; 2], step: i32) {
         for (all, end) in self.ends.iter_mut().zip(ends) {
@@ -71,6 +50,44 @@ impl<const AXES: usize> Batch<AXES> {
             }
         }
         ends
+    }
+}
+
+/// Puts contours into batches. The batch that is being filled is at hand, not among the others.
+pub(super) struct Filling<'a, const AXES: usize> {
+    batches: &'a mut Vec<Batch<AXES>>,
+    last: Batch<AXES>,
+}
+
+impl<'a, const AXES: usize> Filling<'a, AXES> {
+    /// Behind those that are there, whether they are full or not.
+    #[inline(always)]
+    pub(super) fn new(batches: &'a mut Vec<Batch<AXES>>) -> Self {
+        let last = Batch::EMPTY;
+        Self { batches, last }
+    }
+
+    #[inline(always)]
+    pub(super) fn append(&mut self, ends: [[f32; AXES]; 2], step: i32) {
+        self.last.set(self.last.count % LANES, ends, step);
+        self.last.count += 1;
+        if self.last.count == LANES {
+            self.flush();
+        }
+    }
+
+    #[cold]
+    fn flush(&mut self) {
+        self.batches
+            .push(std::mem::replace(&mut self.last, Batch::EMPTY));
+    }
+
+    /// Adds what is left.
+    #[inline(always)]
+    pub(super) fn finish(self) {
+        if self.last.count > 0 {
+            self.batches.push(self.last);
+        }
     }
 }
 

@@ -11,7 +11,7 @@ use pulp::{Simd, WithSimd};
 
 use crate::simd;
 
-use super::batch::{Batch, LANES};
+use super::batch::{Batch, Filling, LANES};
 use super::edges::outline;
 use super::faces::Faces;
 use super::facing::{Facing, Sides, for_each_where};
@@ -281,17 +281,20 @@ impl Candidates {
         let irregular = self.levels[self.depth - 1].irregular.iter();
         let others =
             irregular.filter_map(|edge| edge.contour(|flat| self.faces.at(flat, || edge.vertices)));
+        let mut found = Filling::new(&mut self.found_batches);
         for contour in others.chain(self.faces.within().iter().copied()) {
             let place = self.places[parts.of_vertex(contour.vertices[0]) as usize];
             if places.binary_search(&place).is_ok() {
-                append(&mut self.found_batches, contour, positions);
+                append(&mut found, contour, positions);
             }
         }
+        found.finish();
     }
 
     /// Contours of the triangles that the point looked at last lies on.
     pub(super) fn contours_of_touched(&mut self, parts: &Parts, positions: &[Vec3]) -> &[Batch<3>] {
         self.found_batches.clear();
+        let mut found = Filling::new(&mut self.found_batches);
         let faces = &self.faces;
         let is_touched = |flat: u32, edge: [u32; 2]| faces.of_touched(flat, edge).is_some();
         let face = |flat: u32, edge: [u32; 2]| {
@@ -309,11 +312,7 @@ impl Candidates {
             let [a, b] = flats.map(|flat| i32::from(face(flat, vertices)));
             if a != b && flats.iter().any(|flat| is_touched(*flat, vertices)) {
                 let step = a - b;
-                append(
-                    &mut self.found_batches,
-                    Contour { vertices, step },
-                    positions,
-                );
+                append(&mut found, Contour { vertices, step }, positions);
             }
         }
         let irregular = level.irregular.iter().filter_map(|edge| {
@@ -328,8 +327,9 @@ impl Candidates {
             (edges.into_iter().flatten()).map(move |vertices| Contour { vertices, step })
         });
         for contour in irregular.chain(loose) {
-            append(&mut self.found_batches, contour, positions);
+            append(&mut found, contour, positions);
         }
+        found.finish();
         &self.found_batches
     }
 
@@ -366,9 +366,9 @@ fn sphere_around(origins: &[Vec3]) -> (Vec3, f32) {
     (centre, distances.fold(0.0, f32::max))
 }
 
-fn append(batches: &mut Vec<Batch<3>>, contour: Contour, positions: &[Vec3]) {
+fn append(found: &mut Filling<3>, contour: Contour, positions: &[Vec3]) {
     let ends = (contour.vertices).map(|vertex| positions[vertex as usize].into());
-    Batch::append(batches, ends, contour.step);
+    found.append(ends, contour.step);
 }
 
 fn gather(contours: &[Contour], positions: &[Vec3], batches: &mut Vec<Batch<3>>) {
@@ -407,6 +407,7 @@ impl WithSimd for Find<'_> {
             places,
         } = self;
         let differ = |flats| faces.may_differ(flats);
+        let mut found = Filling::new(found);
         for range in ranges(places, &level.first_edge) {
             let flats = &level.edge_flats[range.clone()];
             let numbers = &level.edge_numbers[range];
@@ -414,10 +415,11 @@ impl WithSimd for Find<'_> {
                 let face = |flat| i32::from(faces.at(flat, || ends.vertices(edge)));
                 let step = face(a) - face(b);
                 if step != 0 {
-                    Batch::append(found, ends.of(edge), step);
+                    found.append(ends.of(edge), step);
                 }
             });
         }
+        found.finish();
     }
 }
 

@@ -3,7 +3,7 @@
 
 use pulp::{Simd, WithSimd};
 
-use super::batch::{Batch, CLEARANCE, LANES, Lines, whole};
+use super::batch::{Batch, CLEARANCE, Filling, LANES, Lines, whole};
 use super::layers::{Layers, Point, for_pieces};
 use super::loose::{Bundle, SMALL};
 use crate::simd;
@@ -64,9 +64,10 @@ impl WithSimd for Locate<'_> {
             mut links,
         } = self;
         let mut chosen = Vec::new();
+        let mut filling = Filling::new(&mut chosen);
         for batch in layers.segments() {
             for lane in ones(near.to(batch)) {
-                Batch::append(&mut chosen, batch.lane(lane), 0);
+                filling.append(batch.lane(lane), 0);
             }
         }
         let half = layers.resolution() as f32 * 0.5;
@@ -75,10 +76,11 @@ impl WithSimd for Locate<'_> {
             let [a, b, c] = triangle.map(|corner| corner - layers.eye);
             for (from, to) in [(a, b), (b, c), (c, a)] {
                 for_pieces(from, to, half, |from, to| {
-                    Batch::append(&mut chosen, [from, to], 0);
+                    filling.append([from, to], 0);
                 });
             }
         }
+        filling.finish();
         for batch in &chosen {
             links.cross(batch);
         }

@@ -10,7 +10,7 @@
 use glam::Vec3;
 use pulp::{Simd, WithSimd};
 
-use super::batch::{Batch, CLEARANCE, LANES, Lines, whole};
+use super::batch::{Batch, CLEARANCE, Filling, LANES, Lines, whole};
 use super::loose::{self, Bundle, Drawn};
 use super::rounds::Open;
 use crate::simd::{self, vectorised};
@@ -222,9 +222,8 @@ impl Layers {
     /// All segments, to append some, and the batch from which on that is done: what was added before stays as it is.
     #[inline(always)]
     pub(super) fn take_segments(&mut self) -> (usize, Vec<Batch<2>>) {
-        let mut segments = std::mem::take(&mut self.segments);
-        segments.push(Batch::EMPTY);
-        (segments.len() - 1, segments)
+        let segments = std::mem::take(&mut self.segments);
+        (segments.len(), segments)
     }
 
     /// Adds segments' steps.
@@ -405,15 +404,17 @@ impl<'a, I: Iterator<Item = &'a [Batch<3>]>> WithSimd for Count<'_, I> {
         let eye = layers.eye;
         let half = layers.n as f32 * 0.5;
         let (first, mut segments) = layers.take_segments();
+        let mut filling = Filling::new(&mut segments);
         for batches in contours {
             for batch in batches {
                 let [from, to] = &batch.ends;
                 let (from, to) = (Points::new(from, eye, half), Points::new(to, eye, half));
                 for lane in ones(cross_lines(&from, &to) & batch.lanes()) {
-                    append(&mut segments, &from, &to, lane, batch.steps[lane], half);
+                    append(&mut filling, &from, &to, lane, batch.steps[lane], half);
                 }
             }
         }
+        filling.finish();
         layers.add_from(first, segments);
     }
 }
@@ -485,14 +486,14 @@ impl Points {
 /// Adds an edge's segments: one if it lies within one octant.
 #[inline(always)]
 pub(super) fn append(
-    segments: &mut Vec<Batch<2>>,
+    segments: &mut Filling<2>,
     from: &Points,
     to: &Points,
     lane: usize,
     step: i32,
     half: f32,
 ) {
-    let mut add = |a, b| Batch::append(segments, [a, b], step);
+    let mut add = |a, b| segments.append([a, b], step);
     if from.octants[lane] == to.octants[lane] {
         add(from.texel(lane), to.texel(lane));
     } else {

@@ -3,7 +3,7 @@
 use glam::Vec3;
 use pulp::{Simd, WithSimd};
 
-use super::batch::{Batch, LANES};
+use super::batch::{Batch, Filling, LANES};
 use super::candidates::{ABSENT, Ends, FACES_OF_KNOWN, KNOWN};
 use super::edges::IrregularEdge;
 use super::facing::{BACK, BLOCK, FRONT, Facing, block_of, for_each_where, sides_of};
@@ -170,8 +170,7 @@ impl WithSimd for Narrow<'_> {
 #[inline(always)]
 fn keep_edges(outer: &Level, names: &[u32], ends: Ends, inner: &mut Level) {
     for range in outer.first_edge.windows(2) {
-        let first = inner.sure.len();
-        inner.first_sure.push(first as u32);
+        inner.first_sure.push(inner.sure.len() as u32);
         inner.first_edge.push(inner.edge_flats.len() as u32);
         let range = range[0] as usize..range[1] as usize;
         let flats = &outer.edge_flats[range.clone()];
@@ -181,6 +180,7 @@ fn keep_edges(outer: &Level, names: &[u32], ends: Ends, inner: &mut Level) {
             let [a, b] = named(flats);
             a != b
         };
+        let mut sure = Filling::new(&mut inner.sure);
         for_each_where(flats, numbers, differ, |flats, edge| {
             let flats = named(flats);
             if flats.iter().any(|flat| *flat >= KNOWN) {
@@ -189,13 +189,9 @@ fn keep_edges(outer: &Level, names: &[u32], ends: Ends, inner: &mut Level) {
                 return;
             }
             let [a, b] = flats.map(|flat| i32::from(FACES_OF_KNOWN[flat as usize]));
-            let ends = ends.of(edge);
-            if inner.sure.len() == first {
-                Batch::begin(&mut inner.sure, ends, a - b);
-            } else {
-                Batch::append(&mut inner.sure, ends, a - b);
-            }
+            sure.append(ends.of(edge), a - b);
         });
+        sure.finish();
     }
     inner.first_sure.push(inner.sure.len() as u32);
     inner.first_edge.push(inner.edge_flats.len() as u32);

@@ -9,7 +9,7 @@
 use glam::Vec3;
 use pulp::{Simd, WithSimd};
 
-use super::batch::{CLEARANCE, LANES, whole};
+use super::batch::{CLEARANCE, Filling, LANES, whole};
 use super::layers::{BELOW, Layers, Point, Points, append, between_lines, crosses_lines};
 use super::rounds::Open;
 use crate::visibility::{ones, pack_bits, ray};
@@ -97,6 +97,7 @@ impl<'a, F: Fn(usize) -> i8, I: Iterator<Item = (usize, &'a Bundle, F)>> WithSim
         } = self;
         let (eye, half) = (layers.eye, layers.resolution() as f32 * 0.5);
         let (first, mut segments) = layers.take_segments();
+        let mut filling = Filling::new(&mut segments);
         for (number, bundle, face) in bundles {
             // Not by `map`, which would be compiled for any processor.
             let [a, b, c] = &bundle.corners;
@@ -143,11 +144,12 @@ impl<'a, F: Fn(usize) -> i8, I: Iterator<Item = (usize, &'a Bundle, F)>> WithSim
                 }
                 for (from, to) in [(a, b), (b, c), (c, a)] {
                     if crosses_lines(from, to, lane) == 1 {
-                        append(&mut segments, from, to, lane, step, half);
+                        append(&mut filling, from, to, lane, step, half);
                     }
                 }
             }
         }
+        filling.finish();
         layers.add_from(first, segments);
     }
 }

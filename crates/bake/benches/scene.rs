@@ -135,7 +135,7 @@ fn measure(path: &Path, vertices: usize, threads: usize) -> Measured {
         })
         .unwrap_or_else(|error| panic!("{error}"));
         let took = sampling.elapsed().as_secs_f64();
-        let (_, statistics) = bake.finish();
+        let (_, _, statistics) = bake.finish();
         let times = times.lock().expect("no panic elsewhere");
         let errors = (times.iter())
             .filter(|(fraction, _)| (0.1..0.95).contains(fraction))

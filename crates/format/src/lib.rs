@@ -39,8 +39,9 @@ pub use material::{
 pub use material_asset::{MaterialAsset, MaterialReport, read_material, write_material};
 pub use prediction::predict;
 pub use scene::{
-    BakeReport, CHANNELS_PER_TILE, Cluster, MAX_TILES_PER_CLUSTER, Representation, Scene, Triangle,
-    Vertex, VisibilityErrors, VisibilityParameters, read_scene, write_scene,
+    BakeReport, CHANNELS_PER_TILE, Cluster, MAX_TILES_PER_CLUSTER, Representation, Scene,
+    StoredTexels, Triangle, Vertex, VisibilityErrors, VisibilityParameters, read_scene,
+    write_scene, write_scene_with,
 };
 pub use transfer::{
     MAX_TRANSFER_ORDER, MAX_TRANSFER_RANK, TRANSFER_OUTPUTS, Transfer, TransferGroup,

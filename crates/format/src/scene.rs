@@ -247,22 +247,72 @@ pub fn read_scene(bytes: &[u8], limits: &Limits) -> Result<Scene, Error> {
     Ok(scene)
 }
 
+/// The texels of a scene's textures as its file stores them. Compressing them takes about as long as compressing all else, and can
+/// be done as soon as the textures are known: see [`write_scene_with`].
+pub struct StoredTexels {
+    section: Writer,
+    /// Of each texture.
+    lengths: Vec<usize>,
+}
+
+impl StoredTexels {
+    /// Compresses the texels of all textures of a scene.
+    pub fn new(textures: &[Texture]) -> Result<Self, Error> {
+        let mut section = Writer::new(Kind::Scene);
+        section.section(SectionKind::Texels, &concatenate_texels(textures))?;
+        Ok(Self {
+            section,
+            lengths: lengths(textures),
+        })
+    }
+}
+
+fn lengths(textures: &[Texture]) -> Vec<usize> {
+    textures
+        .iter()
+        .map(|texture| texture.texels.len())
+        .collect()
+}
+
 /// Encodes a scene; the same value gives the same bytes.
 pub fn write_scene(scene: &Scene) -> Result<Vec<u8>, Error> {
     scene.validate()?;
     // Texels and images take about as long as all else.
-    let ((others, basis), texels) = both(
-        || {
-            both(
-                || Ok([early_sections(scene)?, late_sections(scene)?]),
-                || basis_section(scene),
-            )
-        },
-        || texel_section(scene),
+    let (others, texels) = both(
+        || other_sections(scene),
+        || StoredTexels::new(&scene.textures),
+    );
+    Ok(whole(others?, texels?))
+}
+
+/// The same bytes in less time, with texels that are compressed already.
+///
+/// # Panics
+///
+/// If they are of textures of other sizes.
+pub fn write_scene_with(scene: &Scene, texels: StoredTexels) -> Result<Vec<u8>, Error> {
+    scene.validate()?;
+    assert_eq!(
+        texels.lengths,
+        lengths(&scene.textures),
+        "texels of other textures"
+    );
+    Ok(whole(other_sections(scene)?, texels))
+}
+
+/// Sections before the basis images, these, and those after the texels.
+fn other_sections(scene: &Scene) -> Result<[Writer; 3], Error> {
+    let (others, basis) = both(
+        || Ok([early_sections(scene)?, late_sections(scene)?]),
+        || basis_section(scene),
     );
     let [early, late] = others?;
-    let images = basis?.followed_by(texels?);
-    Ok(early.followed_by(images).followed_by(late).finish())
+    Ok([early, basis?, late])
+}
+
+fn whole([early, basis, late]: [Writer; 3], texels: StoredTexels) -> Vec<u8> {
+    let images = basis.followed_by(texels.section);
+    early.followed_by(images).followed_by(late).finish()
 }
 
 /// Does two things at the same time, where there are threads to be had.
@@ -311,12 +361,6 @@ fn basis_section(scene: &Scene) -> Result<Writer, Error> {
     let resolution = scene.visibility.basis_resolution;
     let differences = prediction::differences(&scene.basis, resolution);
     writer.section(SectionKind::Basis, &differences)?;
-    Ok(writer)
-}
-
-fn texel_section(scene: &Scene) -> Result<Writer, Error> {
-    let mut writer = Writer::new(Kind::Scene);
-    writer.section(SectionKind::Texels, &concatenate_texels(&scene.textures))?;
     Ok(writer)
 }
 

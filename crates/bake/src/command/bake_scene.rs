@@ -94,7 +94,7 @@ pub fn bake(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Summ
     result
         .map_err(|error| keep_or_remove(&parts, error))
         .map_err(of_input)?;
-    let (head, mut statistics) = bake.finish();
+    let (head, texels, mut statistics) = bake.finish();
     statistics.stages.insert(0, ("read", read));
     for warning in &head.report.warnings {
         show::warn(warning.as_str());
@@ -103,7 +103,7 @@ pub fn bake(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Summ
     let clock = ProcessorClock::start();
     monitor.step("write", 0.0)?;
     let mut summary = if arguments.shard.is_some() {
-        parts.finish(&head)?;
+        parts.finish(&head, texels)?;
         files::check_output_beside(&arguments.output, &files)?;
         std::fs::rename(&path, &arguments.output).map_err(|source| {
             let expected = "a file that can be written";
@@ -123,7 +123,7 @@ pub fn bake(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Summ
         let assembled = (0..chunks).map(|chunk| Ok(parts.chunk(chunk)?));
         let scene = assemble(head, assembled).map_err(of_input)?;
         files::check_output_beside(&arguments.output, &files)?;
-        let summary = write(&arguments.output, scene)?;
+        let summary = write(&arguments.output, scene, Some(texels))?;
         if let (Some(most), Some(bytes)) = (options.max_bytes, summary.json["bytes"].as_u64())
             && bytes > most
         {
@@ -242,7 +242,7 @@ pub fn merge(paths: &[PathBuf], output: &Path, monitor: Monitor) -> anyhow::Resu
     let scene = assemble(head, assembled)?;
     monitor.step("write", 0.0)?;
     files::check_output_among(output, paths)?;
-    let mut summary = write(output, scene)?;
+    let mut summary = write(output, scene, None)?;
     summary.text.push('\n');
     summary.json["peak_resident_bytes"] = json!(peak_resident_bytes());
     Ok(summary)
@@ -263,9 +263,17 @@ fn assemble(
 
 /// Writes an asset and checks what arrived. The scene is dropped before it is read back:
 /// two of them may not fit.
-fn write(path: &Path, scene: format::Scene) -> anyhow::Result<Summary> {
+fn write(
+    path: &Path,
+    scene: format::Scene,
+    texels: Option<format::StoredTexels>,
+) -> anyhow::Result<Summary> {
     let measured = || (seam::measure(&scene), fingerprint(&scene));
-    let (bytes, (seams, meant)) = rayon::join(|| format::write_scene(&scene), measured);
+    let write = || match texels {
+        Some(texels) => format::write_scene_with(&scene, texels),
+        None => format::write_scene(&scene),
+    };
+    let (bytes, (seams, meant)) = rayon::join(write, measured);
     let bytes = bytes?;
     let tiles: u32 = scene.clusters.iter().map(|cluster| cluster.tiles).sum();
     let report = &scene.report;

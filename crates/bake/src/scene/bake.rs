@@ -45,6 +45,7 @@ pub struct Bake<'a> {
     prepared: Prepared<'a>,
     /// What is known of the asset before sampling.
     head: format::Scene,
+    texels: format::StoredTexels,
     /// The error that clusters aim at, radians; what it is worth in bytes is the same for
     /// all.
     aim: f32,
@@ -69,7 +70,7 @@ pub fn bake(
             .unwrap_or_else(PoisonError::into_inner) = clusters;
         Ok::<_, Error>(())
     })?;
-    let (head, statistics) = bake.finish();
+    let (head, _, statistics) = bake.finish();
     let chunks = finished
         .into_iter()
         .map(|chunk| Ok(chunk.into_inner().unwrap_or_else(PoisonError::into_inner)));
@@ -87,8 +88,15 @@ impl<'a> Bake<'a> {
         monitor.step("build bvh", 0.0)?;
         // Refinement does not move the surface: what was imported blocks the same light with
         // the fewest edges.
-        let contours = ContourMesh::new(&input.mesh.soup());
-        stages.push(("build bvh", clock.elapsed()));
+        let soup = input.mesh.soup();
+        // Beside each other, as both are work for one thread mostly.
+        let (contours, texels) = rayon::join(
+            || ContourMesh::new(&soup),
+            || format::StoredTexels::new(&input.mesh.textures),
+        );
+        drop(soup);
+        let texels = texels?;
+        stages.push(("build bvh and textures", clock.elapsed()));
 
         let sizes = SizeFunction::new(&input.mesh.positions(), input.object_diagonal);
         let (ray_offset, far_off) = ray_offset(&input.mesh, &sizes);
@@ -123,24 +131,9 @@ impl<'a> Bake<'a> {
         report.warnings = warnings;
         let mut head = format::Scene {
             name,
-            visibility: format::VisibilityParameters {
-                representation: options.representation,
-                sample_resolution: options.sample_resolution,
-                basis_resolution: options.basis_resolution,
-                distance_clamp: options.distance_clamp,
-                ray_offset,
-            },
             camera,
-            materials: mesh.materials.clone(),
-            textures: std::mem::take(&mut mesh.textures),
             report,
-            vertices: Vec::new(),
-            second_uvs: Vec::new(),
-            triangles: Vec::new(),
-            clusters: Vec::new(),
-            coefficients: Vec::new(),
-            basis: Vec::new(),
-            transfer: (radiosity.as_ref()).map(|all| all.head(options.transfer.order)),
+            ..head(&mut mesh, options, ray_offset, radiosity.as_ref())
         };
         let placed = Placed::new(&mut mesh, &contours, ray_offset, sizes, options);
         head.report.warnings.extend(darkness::warning(
@@ -166,6 +159,7 @@ impl<'a> Bake<'a> {
                 monitor,
             ),
             head,
+            texels,
             aim: options.aim,
             fingerprint: dependencies.fingerprint(),
             description: dependencies.description(),
@@ -272,8 +266,8 @@ impl<'a> Bake<'a> {
         Ok(finished)
     }
 
-    /// The asset without its clusters, and what was done.
-    pub fn finish(self) -> (format::Scene, Statistics) {
+    /// The asset without its clusters, its texels as its file has them, and what was done.
+    pub fn finish(self) -> (format::Scene, format::StoredTexels, Statistics) {
         let Prepared {
             counters,
             sampler,
@@ -305,7 +299,37 @@ impl<'a> Bake<'a> {
             verified_points: load(&counters.verified),
             differing_texels: load(&counters.differing),
         };
-        (self.head, statistics)
+        (self.head, self.texels, statistics)
+    }
+}
+
+/// An asset of a mesh whose textures it takes, without a name and without clusters.
+fn head(
+    mesh: &mut Mesh,
+    options: &Options,
+    ray_offset: f32,
+    radiosity: Option<&Radiosity>,
+) -> format::Scene {
+    format::Scene {
+        name: String::new(),
+        visibility: format::VisibilityParameters {
+            representation: options.representation,
+            sample_resolution: options.sample_resolution,
+            basis_resolution: options.basis_resolution,
+            distance_clamp: options.distance_clamp,
+            ray_offset,
+        },
+        camera: None,
+        materials: mesh.materials.clone(),
+        textures: std::mem::take(&mut mesh.textures),
+        report: format::BakeReport::default(),
+        vertices: Vec::new(),
+        second_uvs: Vec::new(),
+        triangles: Vec::new(),
+        clusters: Vec::new(),
+        coefficients: Vec::new(),
+        basis: Vec::new(),
+        transfer: radiosity.map(|all| all.head(options.transfer.order)),
     }
 }
 

@@ -365,9 +365,13 @@ impl Parts {
         Ok(())
     }
 
-    /// Ends a finished shard. `head` is the scene without its clusters.
-    pub fn finish(&mut self, head: &format::Scene) -> Result<(), Error> {
-        let bytes = format::write_scene(head)
+    /// Ends a finished shard. `head` is the scene without its clusters, with its texels.
+    pub fn finish(
+        &mut self,
+        head: &format::Scene,
+        texels: format::StoredTexels,
+    ) -> Result<(), Error> {
+        let bytes = format::write_scene_with(head, texels)
             .map_err(|error| self.invalid("scene", "one that can be written", error))?;
         self.head = Some(self.append_record(HEAD, &bytes)?);
         self.file.sync_all().map_err(io(&self.path))

@@ -1,8 +1,9 @@
 //! What is written comes back, and from the same value the same bytes.
 
 use relight_format::{
-    Kind, Limits, Scene, Surface, TextureSlot, inspect, read_environment, read_material,
-    read_scene, write_environment, write_file, write_material, write_scene,
+    Kind, Limits, Scene, StoredTexels, Surface, TextureSlot, inspect, read_environment,
+    read_material, read_scene, write_environment, write_file, write_material, write_scene,
+    write_scene_with,
 };
 
 use crate::container::{File, Section};
@@ -17,6 +18,9 @@ fn random_scenes_come_back() {
         let scene = scene(&mut Random::new(seed));
         let bytes = write_scene(&scene).expect("a valid scene");
         assert_eq!(bytes, write_scene(&scene).unwrap(), "seed {seed}");
+        let texels = StoredTexels::new(&scene.textures).unwrap();
+        let with = write_scene_with(&scene, texels).unwrap();
+        assert_eq!(bytes, with, "seed {seed}");
         assert_eq!(
             read_scene(&bytes, &Limits::default()).unwrap(),
             scene,

@@ -45,6 +45,7 @@ pub struct Bake<'a> {
     prepared: Prepared<'a>,
     /// What is known of the asset before sampling.
     head: format::Scene,
+    /// Its texels, compressed.
     texels: format::StoredTexels,
     /// The error that clusters aim at, radians; what it is worth in bytes is the same for
     /// all.

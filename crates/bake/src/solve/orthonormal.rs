@@ -1,4 +1,4 @@
-//! Columns of a tall matrix -> an orthonormal basis of what they span.
+//! Columns of a tall matrix -> an orthonormal basis of what they span, by the modified Gram-Schmidt process.
 
 use nalgebra::DMatrix;
 
@@ -10,8 +10,8 @@ const LANES: usize = 16;
 const LEAST: f32 = 1e-4;
 /// The same of a coordinate axis in place of one that does: where there is room for another column, some axis keeps more.
 const LEAST_OF_AXIS: f32 = 0.05;
-/// Each pass takes away what rounding left of the one before; twice is enough (Giraud, Langou, Rozložník and
-/// van den Eshof 2005, "Rounding error analysis of the classical Gram-Schmidt orthogonalization process").
+/// Each pass takes away what rounding left of the one before; twice is enough (Giraud, Langou and Rozložník 2005, "The
+/// loss of orthogonality in the Gram-Schmidt orthogonalization process").
 const PASSES: usize = 2;
 
 /// As many orthonormal columns, the first few of which span what the same number of the first columns do. In place of

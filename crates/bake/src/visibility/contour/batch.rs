@@ -53,7 +53,8 @@ impl<const AXES: usize> Batch<AXES> {
     }
 }
 
-/// Puts contours into batches. The batch that is being filled is at hand, not among the others.
+/// Puts contours into batches. The one that is being filled is at hand, and joins the others once it is full or [`Self::finish`]
+/// is called.
 pub(super) struct Filling<'a, const AXES: usize> {
     batches: &'a mut Vec<Batch<AXES>>,
     last: Batch<AXES>,

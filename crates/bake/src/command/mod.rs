@@ -434,19 +434,22 @@ fn bake_material(arguments: &MaterialArguments, monitor: Monitor) -> anyhow::Res
     Ok(Summary { text, json: object })
 }
 
-/// Writes an asset, reads it back and compares it with what was meant.
+/// Writes an asset, reads it back and compares it with what was meant. `same` is told the bytes meanwhile.
 pub(crate) fn write_checked(
     path: &Path,
     bytes: &[u8],
-    same: impl FnOnce(&[u8]) -> Result<bool, format::Error>,
+    same: impl FnOnce(&[u8]) -> Result<bool, format::Error> + Send,
 ) -> anyhow::Result<()> {
     let _writing = WRITING
         .lock()
         .unwrap_or_else(std::sync::PoisonError::into_inner);
     files::check_output(path)?;
-    format::write_file(path, bytes)?;
-    let read = read(path)?;
-    if read != bytes || !same(&read).map_err(|error| Error::asset(path, error))? {
+    let arrives = || {
+        format::write_file(path, bytes)?;
+        anyhow::Ok(read(path)? == bytes)
+    };
+    let (arrived, same) = rayon::join(arrives, || same(bytes));
+    if !arrived? || !same.map_err(|error| Error::asset(path, error))? {
         let found = "other bytes when it was read back";
         return Err(Error::invalid(path, "output", "what was written", found).into());
     }

@@ -90,25 +90,29 @@ impl<'a> Bake<'a> {
         // Refinement does not move the surface: what was imported blocks the same light with
         // the fewest edges.
         let soup = input.mesh.soup();
-        // Beside each other, as both are work for one thread mostly.
-        let (contours, texels) = rayon::join(
-            || ContourMesh::new(&soup),
-            || format::StoredTexels::new(&input.mesh.textures),
-        );
-        drop(soup);
-        let texels = texels?;
-        stages.push(("build bvh and textures", clock.elapsed()));
-
         let sizes = SizeFunction::new(&input.mesh.positions(), input.object_diagonal);
         let (ray_offset, far_off) = ray_offset(&input.mesh, &sizes);
-        let (radiosity, reflections) = bounces(
-            &input.mesh,
-            contours.caster(),
-            options,
-            (&sizes, ray_offset),
-            monitor,
-            &mut stages,
-        )?;
+        let light = || {
+            let contours = ContourMesh::new(&soup);
+            drop(soup);
+            stages.push(("build bvh and textures", clock.elapsed()));
+            let mesh = &input.mesh;
+            let scale = (&sizes, ray_offset);
+            bounces(
+                mesh,
+                contours.caster(),
+                options,
+                scale,
+                monitor,
+                &mut stages,
+            )
+            .map(|found| (contours, found))
+        };
+        // Texels are work for one thread, beside what is so in part. What is left of it counts with bounces.
+        let texels = || format::StoredTexels::new(&input.mesh.textures);
+        let (light, texels) = rayon::join(light, texels);
+        let (contours, (radiosity, reflections)) = light?;
+        let texels = texels?;
 
         let clock = ProcessorClock::start();
         monitor.step("refine", 0.0)?;

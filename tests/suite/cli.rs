@@ -1,5 +1,6 @@
 //! `bake` as a user meets it: exit codes, messages, files left behind.
 
+use std::fmt::Write as _;
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
@@ -37,6 +38,7 @@ pub fn trials() -> Vec<Trial> {
         Trial::test("cli::budget", budget),
         Trial::test("cli::refine_error", refine_error),
         Trial::test("cli::small_drafts", small_drafts),
+        Trial::test("cli::drafts_of_leaves", drafts_of_leaves),
         Trial::test("cli::environment", environment),
         Trial::test("cli::layered_material", layered_material),
         Trial::test("cli::broken_table", broken_table),
@@ -262,6 +264,52 @@ fn small_drafts() -> Outcome {
         standard < bounded && bounded < draft,
         "{standard}, {bounded}, {draft}"
     );
+    Ok(())
+}
+
+/// So many triangles, each by itself, turned in all directions, in a cube of side 2, as an OBJ file.
+fn leaves(count: u32) -> String {
+    let mut state = 1u64;
+    let mut random = || {
+        state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        (state >> 40) as f32 / (1u64 << 24) as f32 - 0.5
+    };
+    let mut obj = String::from("# leaves\n");
+    for _ in 0..count {
+        let centre = [(); 3].map(|()| 2.0 * random());
+        for _ in 0..3 {
+            let [x, y, z] = centre.map(|centre| centre + 0.1 * random());
+            let _ = writeln!(obj, "v {x} {y} {z}");
+        }
+        obj.push_str("f -3 -2 -1\n");
+    }
+    obj
+}
+
+/// Of very many small pieces a draft samples few points, and says so. Of fewer it samples what it always does.
+fn drafts_of_leaves() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let mesh = folder.path().join("a.obj");
+    let baked = |count: u32| -> Result<(bool, u64), Failed> {
+        let asset = folder.path().join(format!("{count}.relight"));
+        std::fs::write(&mesh, leaves(count))?;
+        let mut bake = binary("bake");
+        bake.arg("scene").arg(&mesh).arg("-o").arg(&asset);
+        bake.args(["--preset", "draft", "--bounces", "0", "--json"]);
+        let text = String::from_utf8(expect(OK, &mut bake).stdout)?;
+        let summary: Value = serde_json::from_str(&text)?;
+        assert_eq!(summary["triangles"], u64::from(count), "{summary}");
+        let warnings = summary["warnings"].as_array().expect("a list");
+        let shared = |w: &Value| w.as_str().is_some_and(|w| w.contains("small pieces"));
+        let sampled = summary["sampled_vertices"].as_u64().expect("a number");
+        Ok((warnings.iter().any(shared), sampled))
+    };
+    let (warned, sampled) = baked(30_000)?;
+    assert!(warned && sampled < 8_000, "{sampled}");
+    let (warned, sampled) = baked(1_000)?;
+    assert!(!warned && sampled > 1_000, "{sampled}");
     Ok(())
 }
 

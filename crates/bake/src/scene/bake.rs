@@ -141,6 +141,7 @@ impl<'a> Bake<'a> {
             ..head(&mut mesh, options, ray_offset, radiosity.as_ref())
         };
         let placed = Placed::new(&mut mesh, &contours, ray_offset, sizes, options);
+        head.report.warnings.extend(placed.warning());
         head.report.warnings.extend(darkness::warning(
             &mesh,
             &|index| placed.origin(index),

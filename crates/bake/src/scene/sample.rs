@@ -22,6 +22,7 @@ use crate::ssdf::{Sampled, Sampler};
 use crate::transfer::gather::Gathered;
 use crate::transfer::radiosity::Radiosity;
 use crate::visibility;
+use crate::visibility::clutter::Clutter;
 use crate::visibility::contour::ContourMesh;
 use crate::visibility::places::{Divided, Places};
 use crate::visibility::sparse::{Spacing, Sparse};
@@ -51,6 +52,8 @@ pub(super) struct Placed {
     /// Which of them are sampled, and at which light is gathered.
     sparse: Sparse,
     sparse_light: Sparse,
+    /// How many samples small pieces share, and in place of how many, if they do.
+    shared: Option<[usize; 2]>,
     ray_offset: f32,
     sizes: SizeFunction,
 }
@@ -69,6 +72,12 @@ const SMOOTH: f32 = 0.8;
 /// gathered, in the spacing of samples.
 const LIGHT_SMOOTH: f32 = 0.6;
 const LIGHT_SPACING: f32 = 2.5;
+
+/// Borders that are looked at as contours from all samples, above which small pieces share samples: of a draft that takes some ten
+/// seconds of two processors.
+const MOST_CONTOURS: f32 = 1e9;
+/// Samples then, about, and points at which light is gathered.
+const MOST_SHARED: usize = 4096;
 
 impl Placed {
     /// Where a triangle's first corner is sampled.
@@ -98,11 +107,11 @@ impl Placed {
         let sizes_at: Vec<f32> = (places.origins.par_iter())
             .map(|&origin| sizes.at(origin))
             .collect();
-        let [sparse, sparse_light] = if spacing > 0.0 {
+        let ([sparse, sparse_light], shared) = if spacing > 0.0 {
             let spacings: Vec<f32> = sizes_at.iter().map(|size| spacing * size).collect();
             spread(&places, &spacings)
         } else {
-            [(); 2].map(|()| Sparse::all(places.origins.len()))
+            ([(); 2].map(|()| Sparse::all(places.origins.len())), None)
         };
         let divided = Divided::new(&triangles, mesh.vertices.len(), &places.corners);
         for (triangle, vertices) in mesh.triangles.iter_mut().zip(divided.triangles) {
@@ -120,14 +129,25 @@ impl Placed {
             triangles: places.corners,
             sparse,
             sparse_light,
+            shared,
             ray_offset,
             sizes,
         }
     }
+
+    /// That small pieces share samples.
+    pub(super) fn warning(&self) -> Option<String> {
+        let [few, all] = self.shared?;
+        Some(format!(
+            "so many small pieces, such as leaves, that a draft samples {few} of {all} points: pieces beside each other \
+             that face the same way have the same light and shadow; other presets sample each"
+        ))
+    }
 }
 
-/// Which places are sampled so far apart, and at which light is gathered.
-fn spread(places: &Places, spacings: &[f32]) -> [Sparse; 2] {
+/// Which places are sampled so far apart, and at which light is gathered; how many samples small pieces share, and in place of how
+/// many, if there are so many that they have to.
+fn spread(places: &Places, spacings: &[f32]) -> ([Sparse; 2], Option<[usize; 2]>) {
     let sparse = |factor: f32, smooth| {
         let spacing = Spacing {
             distances: spacings.iter().map(|spacing| factor * spacing).collect(),
@@ -139,7 +159,16 @@ fn spread(places: &Places, spacings: &[f32]) -> [Sparse; 2] {
         || sparse(1.0, SMOOTH),
         || sparse(LIGHT_SPACING, LIGHT_SMOOTH),
     );
-    [seen, light]
+    let clutter = Clutter::new(&places.origins, &places.corners);
+    let all = seen.sampled().len();
+    if clutter.contours(all) > MOST_CONTOURS
+        && let Some(shared) = clutter.shared(&seen, spacings, MOST_SHARED)
+    {
+        let few = shared.sampled().len();
+        let light = (clutter.shared(&light, spacings, MOST_SHARED)).unwrap_or(light);
+        return ([shared, light], Some([few, all]));
+    }
+    ([seen, light], None)
 }
 
 /// Of every place, what its errors count for beside those of one at the ordinary distance from others, its `spacing`:
@@ -296,7 +325,8 @@ impl<'a> Prepared<'a> {
                 options.sample_resolution,
                 options.basis_resolution,
                 options.distance_clamp,
-            ),
+            )
+            .by_rays(placed.shared.is_some()),
             weighting,
             verify: false,
             counters: Counters::default(),

@@ -1,6 +1,7 @@
 //! Visibility of the sphere of directions from a point: one bit per octahedral texel.
 
 mod arrange;
+pub(crate) mod clutter;
 pub(crate) mod contour;
 pub(crate) mod places;
 pub(crate) mod ray;

@@ -98,11 +98,39 @@ impl Sparse {
         sparse
     }
 
+    /// With others that stand for places: what `source` tells of one stands for it alone, and for what that one stood for.
+    pub(crate) fn replaced(&self, source: impl Fn(u32) -> Option<u32>) -> Self {
+        let mut replaced = Self {
+            first: vec![0],
+            sources: Vec::with_capacity(self.sources.len()),
+        };
+        for place in 0..self.first.len() as u32 - 1 {
+            if let Some(source) = source(place) {
+                replaced.sources.push((source, 1.0));
+            } else {
+                let sources = self.sources(place).iter();
+                (replaced.sources).extend(
+                    sources.map(|&(other, weight)| (source(other).unwrap_or(other), weight)),
+                );
+            }
+            replaced.first.push(replaced.sources.len() as u32);
+        }
+        replaced
+    }
+
     /// Whether every place is sampled.
     pub(crate) fn is_all(&self) -> bool {
         (0u32..)
             .zip(self.first.windows(2))
             .all(|(place, _)| self.sources(place) == [(place, 1.0)])
+    }
+
+    /// Places that are sampled, ascending.
+    pub(crate) fn sampled(&self) -> Vec<u32> {
+        let places = 0..self.first.len() as u32 - 1;
+        places
+            .filter(|&place| self.sources(place) == [(place, 1.0)])
+            .collect()
     }
 
     /// What stands for a place; itself where it is sampled. Weights add up to 1.

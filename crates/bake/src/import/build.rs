@@ -7,7 +7,7 @@ use glam::{DVec3, Vec2, Vec3};
 use relight_format::{Material, Texture, TextureSlot, math};
 
 use super::colors::{self, Palette};
-use super::cutout::{self, Cutout, TooMuch};
+use super::cutout::{self, Bound, Cutout, TooMuch};
 use super::{Error, Options};
 use crate::mesh::{self, MAX_COORDINATE, Mesh, Triangle, Vertex, orient, tangent};
 use crate::visibility::places::{self, Divided};
@@ -52,6 +52,8 @@ pub(super) struct GivenVertex {
 
 /// Added to the material of a part whose vertices have colours.
 const PAINTED: usize = 1 << (usize::BITS - 1);
+/// Triangles that a part may leave if less is wanted of it.
+const LEAST_CUT: usize = 1024;
 
 /// Where a part's tangents come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -243,6 +245,7 @@ impl<'a> Builder<'a> {
             ..Mesh::default()
         };
         let diagonal = whole.diagonal();
+        let masked: usize = uncut.iter().map(|part| part.triangles.len()).sum();
         // By material: triangles before and after, divided and without area in the texture, and
         // the largest tolerance, texels.
         let mut counted: BTreeMap<usize, ([usize; 4], f64)> = BTreeMap::new();
@@ -250,9 +253,18 @@ impl<'a> Builder<'a> {
             let name = &materials[part.material].name;
             let texture = &textures[part.cutout.slot.texture as usize];
             let left = (self.max_vertices).saturating_sub(self.triangles.len());
-            let most = if part.double_sided { left / 2 } else { left };
+            // What is wanted of all, by how many triangles each part has of them.
+            let wanted = (self.options.cut_triangles).map_or(left, |all| {
+                let part = part.triangles.len() as f64 / masked as f64;
+                ((all as f64 * part) as usize).max(LEAST_CUT)
+            });
+            let sides = if part.double_sided { 2 } else { 1 };
+            let bound = Bound {
+                wanted: wanted / sides,
+                most: left / sides,
+            };
             let (vertices, before) = (&mut part.vertices, &part.triangles);
-            let cut = cutout::cut(vertices, before, &part.cutout, texture, diagonal, most);
+            let cut = cutout::cut(vertices, before, &part.cutout, texture, diagonal, bound);
             let cut = cut.map_err(|error| {
                 let (expected, found) = match error {
                     TooMuch::Coordinates => (

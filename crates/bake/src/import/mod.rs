@@ -34,6 +34,9 @@ pub struct Options {
     /// Degrees; where an OBJ file has neither normals nor smoothing groups, faces that bend by
     /// more meet at a hard edge. [`DEFAULT_CREASE_DEGREES`] where there is none.
     pub crease_degrees: Option<f32>,
+    /// Triangles that alpha masks leave, about: where there would be more, outlines get coarser, as far as they still enclose nearly as
+    /// much. As fine as a picture of the whole mesh can show where there is none.
+    pub cut_triangles: Option<usize>,
 }
 
 /// Boxes are flat and scans smooth.

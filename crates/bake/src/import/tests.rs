@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use glam::{Vec2, Vec3};
-use relight_format::{Specular, Surface, TextureSlot};
+use relight_format::{Specular, Surface, TextureSlot, math};
 use relight_shading::textures::sample_point;
 use serde_json::{Value, json};
 
@@ -1071,6 +1071,48 @@ fn a_mask_on_a_double_sided_material_cuts_both_sides() {
         .filter(|normal| normal.z > 0.0)
         .count();
     assert_eq!(2 * front, mesh.triangles.len());
+}
+
+/// Outlines are as coarse as it takes for about as many triangles as are wanted, on both sides, and a warning tells how far off they are.
+#[test]
+fn masks_leave_about_as_many_triangles_as_are_wanted() {
+    let waves = image::RgbaImage::from_fn(256, 256, |x, y| {
+        let [x, y] = [x, y].map(|at| f32::from(u16::try_from(at).expect("small")) * 0.1);
+        image::Rgba([
+            90,
+            120,
+            40,
+            if math::sin(x) * math::sin(y) > 0.2 {
+                255
+            } else {
+                0
+            },
+        ])
+    });
+    let mut png = std::io::Cursor::new(Vec::new());
+    (waves.write_to(&mut png, image::ImageFormat::Png)).expect("PNG encodes");
+    let (mut json, blob) = textured_square(&png.into_inner());
+    json["materials"][0]["alphaMode"] = json!("MASK");
+    json["materials"][0]["doubleSided"] = json!(true);
+    let run = |cut_triangles| {
+        let options = Options {
+            cut_triangles,
+            ..Options::default()
+        };
+        let mesh = gltf::import(
+            &no_files(),
+            Path::new("test.glb"),
+            &options,
+            &glb(&json, &blob),
+        );
+        mesh.expect("a square")
+    };
+    let (fine, coarse) = (run(None), run(Some(1500)));
+    let counts = [&fine, &coarse].map(|mesh| mesh.triangles.len());
+    assert!(counts[0] > 2000 && counts[1] <= 1500, "{counts:?}");
+    assert!((area(&coarse) / area(&fine) - 1.0).abs() < 0.03);
+    let off_by = |mesh: &Mesh, texels| mesh.warnings.iter().any(|text| text.contains(texels));
+    assert!(off_by(&fine, "up to 0.25 texels") && !off_by(&coarse, "up to 0.25 texels"));
 }
 
 #[test]

@@ -124,6 +124,7 @@ fn read_into(
     let options = import::Options {
         cutoffs: file.cutout.clone(),
         crease_degrees: file.crease_degrees.or(options.crease_degrees),
+        ..options.clone()
     };
     let mut mesh = import::mesh_of(files, &mesh_path, &options, || {
         let bytes = files.read(&mesh_path);

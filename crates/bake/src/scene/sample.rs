@@ -21,11 +21,11 @@ use crate::simd::add_scaled;
 use crate::ssdf::{Sampled, Sampler};
 use crate::transfer::gather::Gathered;
 use crate::transfer::radiosity::Radiosity;
-use crate::visibility;
-use crate::visibility::clutter::Clutter;
+use crate::visibility::clutter::Drafted;
 use crate::visibility::contour::ContourMesh;
 use crate::visibility::places::{Divided, Places};
 use crate::visibility::sparse::{Spacing, Sparse};
+use crate::visibility::{self, Directions};
 
 /// Sine of the angle by which normal maps are taken to turn normals; texels that turn them
 /// further only see larger errors.
@@ -54,6 +54,7 @@ pub(super) struct Placed {
     sparse_light: Sparse,
     /// How many samples small pieces share, and in place of how many, if they do.
     shared: Option<[usize; 2]>,
+    by_rays: bool,
     ray_offset: f32,
     sizes: SizeFunction,
 }
@@ -72,14 +73,6 @@ const SMOOTH: f32 = 0.8;
 /// gathered, in the spacing of samples.
 const LIGHT_SMOOTH: f32 = 0.6;
 const LIGHT_SPACING: f32 = 2.5;
-
-/// Borders that are looked at as contours from all samples, above which small pieces share samples: of a draft that takes some ten
-/// seconds of two processors.
-const MOST_CONTOURS: f32 = 1e9;
-/// Scenes of which one place in so many is sampled, or fewer, are of large pieces.
-const SPARSE: usize = 4;
-/// Samples then, about, and points at which light is gathered.
-const MOST_SHARED: usize = 4096;
 
 impl Placed {
     /// Where a triangle's first corner is sampled.
@@ -109,11 +102,29 @@ impl Placed {
         let sizes_at: Vec<f32> = (places.origins.par_iter())
             .map(|&origin| sizes.at(origin))
             .collect();
-        let ([sparse, sparse_light], shared) = if spacing > 0.0 {
-            let spacings: Vec<f32> = sizes_at.iter().map(|size| spacing * size).collect();
-            spread(&places, &spacings)
+        let all = || Sparse::all(places.origins.len());
+        let drafted = if spacing > 0.0 {
+            let distances: Vec<f32> = sizes_at.iter().map(|size| spacing * size).collect();
+            let sparse = |factor: f32, smooth| {
+                let spacing = Spacing {
+                    distances: distances.iter().map(|way| factor * way).collect(),
+                    smooth,
+                };
+                Sparse::new(&places.origins, &places.corners, &spacing)
+            };
+            let both = rayon::join(
+                || sparse(1.0, SMOOTH),
+                || sparse(LIGHT_SPACING, LIGHT_SMOOTH),
+            );
+            let directions = Directions::new(options.sample_resolution);
+            Drafted::new(both, &places, &distances, contours, &directions)
         } else {
-            ([(); 2].map(|()| Sparse::all(places.origins.len())), None)
+            Drafted {
+                seen: all(),
+                light: all(),
+                shared: None,
+                by_rays: false,
+            }
         };
         let divided = Divided::new(&triangles, mesh.vertices.len(), &places.corners);
         for (triangle, vertices) in mesh.triangles.iter_mut().zip(divided.triangles) {
@@ -129,9 +140,10 @@ impl Placed {
             origins: places.origins,
             places: divided.places,
             triangles: places.corners,
-            sparse,
-            sparse_light,
-            shared,
+            sparse: drafted.seen,
+            sparse_light: drafted.light,
+            shared: drafted.shared,
+            by_rays: drafted.by_rays,
             ray_offset,
             sizes,
         }
@@ -145,35 +157,6 @@ impl Placed {
              that face the same way have the same light and shadow; other presets sample each"
         ))
     }
-}
-
-/// Which places are sampled so far apart, and at which light is gathered; how many samples small pieces share, and in place of how
-/// many, if there are so many that they have to.
-fn spread(places: &Places, spacings: &[f32]) -> ([Sparse; 2], Option<[usize; 2]>) {
-    let sparse = |factor: f32, smooth| {
-        let spacing = Spacing {
-            distances: spacings.iter().map(|spacing| factor * spacing).collect(),
-            smooth,
-        };
-        Sparse::new(&places.origins, &places.corners, &spacing)
-    };
-    let (seen, light) = rayon::join(
-        || sparse(1.0, SMOOTH),
-        || sparse(LIGHT_SPACING, LIGHT_SMOOTH),
-    );
-    let all = seen.sampled().len();
-    // What borders a scan has is not worth the memory to know it.
-    if SPARSE * all >= places.origins.len() {
-        let clutter = Clutter::new(&places.origins, &places.corners);
-        if clutter.contours(all) > MOST_CONTOURS
-            && let Some(shared) = clutter.shared(&seen, spacings, MOST_SHARED)
-        {
-            let few = shared.sampled().len();
-            let light = (clutter.shared(&light, spacings, MOST_SHARED)).unwrap_or(light);
-            return ([shared, light], Some([few, all]));
-        }
-    }
-    ([seen, light], None)
 }
 
 /// Of every place, what its errors count for beside those of one at the ordinary distance from others, its `spacing`:
@@ -331,7 +314,7 @@ impl<'a> Prepared<'a> {
                 options.basis_resolution,
                 options.distance_clamp,
             )
-            .by_rays(placed.shared.is_some()),
+            .by_rays(placed.by_rays),
             weighting,
             verify: false,
             counters: Counters::default(),

@@ -36,6 +36,8 @@ const FAR: f64 = 1e9;
 const MAX_CROSSINGS: usize = 1 << 22;
 /// Most points of a line that are simplified at once, which bounds the time.
 const RUN: usize = 1024;
+/// How often the sides of a simplified line are moved so that it encloses what it should.
+const WIDENED: usize = 3;
 /// Texels per side of the squares that contours are found by.
 const BUCKET: f64 = 16.0;
 /// Most such squares per axis.
@@ -224,15 +226,14 @@ impl Mask {
         DVec2::new(shift(0), shift(1))
     }
 
-    /// Contours that are off by at most `tolerance` texels, but for their enclosed areas, which
-    /// are kept; those that enclose less than its square are left out. `None` if there are too many.
-    pub(super) fn contours(&self, tolerance: f64) -> Option<Contours<'_>> {
+    /// The contours, with every point at which they cross a line between texels. `None` if there are too many.
+    pub(super) fn lines(&self) -> Option<Vec<Line>> {
         let mut pairs = self.crossings()?;
         pairs.sort_unstable_by_key(|[(from, _), _]| *from);
         let mut entered: Vec<usize> = pairs.iter().map(|[_, (to, _)]| *to).collect();
         entered.sort_unstable();
         let mut done = vec![false; pairs.len()];
-        let mut contours = Contours::new(self);
+        let mut lines = Vec::new();
         let begins = |at: &usize| entered.binary_search(&pairs[*at][0].0).is_err();
         let (open, closed): (Vec<usize>, Vec<usize>) = (0..pairs.len()).partition(begins);
         for start in open.into_iter().chain(closed) {
@@ -240,7 +241,7 @@ impl Mask {
                 continue;
             }
             let [(first, first_tile), mut end] = pairs[start];
-            let mut line = vec![self.place(first) + self.period(first_tile)];
+            let mut points = vec![self.place(first) + self.period(first_tile)];
             let mut tile = [0, 0];
             let closed = loop {
                 let (to, to_tile) = end;
@@ -248,7 +249,7 @@ impl Mask {
                 if to == first {
                     break Some([arrived[0] - first_tile[0], arrived[1] - first_tile[1]]);
                 }
-                line.push(self.place(to) + self.period(arrived));
+                points.push(self.place(to) + self.period(arrived));
                 let Ok(next) = pairs.binary_search_by_key(&to, |[(from, _), _]| *from) else {
                     break None;
                 };
@@ -257,9 +258,32 @@ impl Mask {
                 tile = [arrived[0] - from_tile[0], arrived[1] - from_tile[1]];
                 end = after;
             };
-            contours.add(line, closed, tolerance);
+            lines.push(Line { points, closed });
         }
-        Some(contours)
+        Some(lines)
+    }
+
+    /// Lines that are off by at most `tolerance` texels, but for their enclosed areas, which
+    /// are kept; those that enclose less than its square are left out.
+    pub(super) fn contours(&self, lines: &[Line], tolerance: f64) -> Contours<'_> {
+        let mut contours = Contours::new(self);
+        for line in lines {
+            contours.add(line, tolerance);
+        }
+        contours
+    }
+}
+
+/// A contour.
+pub(super) struct Line {
+    points: Vec<DVec2>,
+    /// After how many periods it ends where it began, if it does.
+    closed: Option<[i32; 2]>,
+}
+
+impl Line {
+    fn is_island(&self) -> bool {
+        self.closed == Some([0, 0])
     }
 }
 
@@ -276,6 +300,9 @@ pub(in crate::import) struct Contours<'a> {
     mask: &'a Mask,
     points: Vec<DVec2>,
     pub pieces: Vec<Piece>,
+    /// What lines enclose, in texels, those about holes too, and how much more or less that is than it should be.
+    pub enclosed: f64,
+    pub lost: f64,
     /// Squares per axis.
     counts: [usize; 2],
     /// Pieces of every square, with the tile that they are to be moved by.
@@ -292,6 +319,8 @@ impl<'a> Contours<'a> {
             mask,
             points: Vec::new(),
             pieces: Vec::new(),
+            enclosed: 0.0,
+            lost: 0.0,
             counts,
             buckets: vec![Vec::new(); counts[0] * counts[1]],
         }
@@ -373,33 +402,40 @@ impl<'a> Contours<'a> {
         Some(found)
     }
 
-    /// Adds a line, which ends where it began but for so many periods if it is closed.
-    fn add(&mut self, mut line: Vec<DVec2>, closed: Option<[i32; 2]>, tolerance: f64) {
-        let area = |line: &[DVec2]| {
-            let pairs = line.iter().zip(line.iter().cycle().skip(1));
-            pairs
-                .map(|(a, b)| (*a - line[0]).perp_dot(*b - line[0]))
-                .sum::<f64>()
-                * 0.5
+    /// Fewer points of a line.
+    fn simplified(&self, line: &Line, tolerance: f64) -> Vec<DVec2> {
+        let Some(tile) = line.closed else {
+            return simplified(&line.points, tolerance);
         };
-        let island = closed == Some([0, 0]);
-        if island && area(&line).abs() < tolerance * tolerance {
+        let mut round = line.points.clone();
+        round.push(round[0] + self.mask.period(tile));
+        let mut round = simplified(&round, tolerance);
+        round.pop();
+        round
+    }
+
+    fn add(&mut self, line: &Line, tolerance: f64) {
+        let island = line.is_island();
+        let exact = area(&line.points);
+        if island {
+            self.enclosed += exact.abs();
+        }
+        let coarse = if island && exact.abs() < tolerance * tolerance {
+            Vec::new()
+        } else {
+            self.simplified(line, tolerance)
+        };
+        if island && coarse.len() < 3 {
+            self.lost += exact.abs();
             return;
         }
-        let exact = area(&line);
-        if let Some(tile) = closed {
-            line.push(line[0] + self.mask.period(tile));
-        }
-        let mut line = simplified(&line, tolerance);
-        if closed.is_some() {
-            line.pop();
-        }
+        let (mut line, closed) = (coarse, line.closed);
         if island {
-            if line.len() < 3 {
-                return;
+            for _ in 0..WIDENED {
+                let missing = exact - area(&line);
+                widen(&mut line, missing);
             }
-            let missing = exact - area(&line);
-            widen(&mut line, missing);
+            self.lost += (exact - area(&line)).abs();
         }
         let base = self.points.len() as u32;
         let count = line.len() as u32;
@@ -430,6 +466,15 @@ impl<'a> Contours<'a> {
             }
         }
     }
+}
+
+/// What a closed line encloses.
+fn area(line: &[DVec2]) -> f64 {
+    let pairs = line.iter().zip(line.iter().cycle().skip(1));
+    pairs
+        .map(|(a, b)| (*a - line[0]).perp_dot(*b - line[0]))
+        .sum::<f64>()
+        * 0.5
 }
 
 /// Fewer points of a line, both ends among them, none of which was farther than `tolerance` from
@@ -506,7 +551,8 @@ mod tests {
     fn a_disc_becomes_one_loop_of_its_area() {
         for tolerance in [0.1, 0.5, 2.0] {
             let mask = disc(64, 20.0, Wrap::Repeat);
-            let contours = mask.contours(tolerance).expect("few");
+            let lines = mask.lines().expect("few");
+            let contours = mask.contours(&lines, tolerance);
             let sum: f64 = (contours.pieces.iter())
                 .map(|piece| {
                     let [a, b] = [
@@ -528,14 +574,16 @@ mod tests {
         // Two lines per period, neither of which encloses anything.
         let stripe = |_, y: u32| if (8..24).contains(&y) { 1.0 } else { -1.0 };
         let mask = Mask::new([32, 32], [Wrap::Repeat; 2], stripe);
-        let contours = mask.contours(0.25).expect("few");
+        let lines = mask.lines().expect("few");
+        let contours = mask.contours(&lines, 0.25);
         assert_eq!(
             contours.pieces.iter().filter(|p| p.step != [0, 0]).count(),
             2
         );
         // Clamped, they end far off.
         let mask = Mask::new([32, 32], [Wrap::Clamp; 2], stripe);
-        let contours = mask.contours(0.25).expect("few");
+        let lines = mask.lines().expect("few");
+        let contours = mask.contours(&lines, 0.25);
         let far = contours.points.iter().filter(|p| p.x.abs() > 1e8).count();
         assert_eq!(far, 4);
         let [low, high] = [DVec2::new(5000.0, 7.0), DVec2::new(5001.0, 9.0)];

@@ -26,6 +26,9 @@ const TOLERANCE: f64 = 0.25;
 const RELATIVE_TOLERANCE: f64 = 5e-5;
 /// Largest tolerance, in sides of the texture.
 const COARSEST: f64 = 1.0 / 32.0;
+/// Part of what outlines enclose that may be lost for fewer triangles: needles and small leaves get thinner, and are left out, where they
+/// are not much wider than the tolerance.
+const MOST_LOST: f64 = 0.02;
 /// Most squares of contours looked at for all triangles of a material, which bounds the time.
 const MAX_WORK: f64 = (1u64 << 24) as f64;
 /// Most pieces of contours in one triangle.
@@ -79,15 +82,23 @@ pub(super) struct Outcome {
     pub tolerance: f64,
 }
 
-/// Cuts triangles, of which at most `most` may come; vertices are appended. `diagonal` is the whole
-/// mesh's, metres.
+/// How many triangles may come of some.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Bound {
+    /// So many if outlines can be as coarse as that takes and still enclose nearly as much.
+    pub wanted: usize,
+    /// In any case.
+    pub most: usize,
+}
+
+/// Cuts triangles; vertices are appended. `diagonal` is the whole mesh's, metres.
 pub(super) fn cut(
     vertices: &mut Vec<Vertex>,
     triangles: &[[u32; 3]],
     cutout: &Cutout,
     texture: &Texture,
     diagonal: f32,
-    most: usize,
+    Bound { wanted, most }: Bound,
 ) -> Result<Outcome, TooMuch> {
     let mask = mask(cutout, texture);
     let whole = Outcome {
@@ -133,8 +144,10 @@ pub(super) fn cut(
     let unseen = RELATIVE_TOLERANCE * f64::from(diagonal) / scale;
     let mut tolerance = unseen.clamp(TOLERANCE, coarsest);
     let before = vertices.len();
+    let lines = mask.lines().ok_or(TooMuch::Contours)?;
+    let mut contours = mask.contours(&lines, tolerance);
+    let mut bound = wanted.min(most);
     loop {
-        let contours = mask.contours(tolerance).ok_or(TooMuch::Contours)?;
         let mut knife = Knife {
             mask: &mask,
             contours: &contours,
@@ -147,14 +160,19 @@ pub(super) fn cut(
             },
             work: 0.0,
         };
-        let result = triangles.iter().try_for_each(|&t| knife.cut(t, most));
+        let result = triangles.iter().try_for_each(|&t| knife.cut(t, bound));
         match result {
             Ok(()) => return Ok(knife.outcome),
-            Err(TooMuch::Triangles(_)) if tolerance < coarsest => {
-                vertices.truncate(before);
-                tolerance = (tolerance * 2.0).min(coarsest);
-            }
+            Err(TooMuch::Triangles(_)) if tolerance < coarsest || bound < most => {}
             Err(error) => return Err(error),
+        }
+        vertices.truncate(before);
+        let coarser = (tolerance * 2.0).min(coarsest);
+        let coarse = mask.contours(&lines, coarser);
+        if bound < most && (tolerance == coarsest || coarse.lost > MOST_LOST * coarse.enclosed) {
+            bound = most;
+        } else {
+            (tolerance, contours) = (coarser, coarse);
         }
     }
 }

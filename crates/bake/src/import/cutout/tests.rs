@@ -40,6 +40,10 @@ fn texture(size: u32, shape: impl Fn(f64, f64) -> f64) -> Texture {
     }
 }
 
+fn at_most(most: usize) -> Bound {
+    Bound { wanted: most, most }
+}
+
 fn cutout(wrap: Wrap) -> Cutout {
     Cutout {
         slot: TextureSlot::whole(0),
@@ -152,7 +156,7 @@ fn what_is_left_is_what_the_texture_shows() {
             &cutout(wrap),
             &texture,
             0.0,
-            1 << 20,
+            at_most(1 << 20),
         )
         .expect("few triangles");
         let difference = difference(
@@ -192,7 +196,7 @@ fn triangles_keep_their_side_and_their_place() {
         &cutout(Wrap::Repeat),
         &texture,
         0.0,
-        10_000,
+        at_most(10_000),
     )
     .expect("few triangles");
     assert!(outcome.divided > 0 && outcome.flat == 0);
@@ -217,7 +221,7 @@ fn a_budget_coarsens_the_outline_and_then_refuses() {
             &cutout(Wrap::Repeat),
             &texture,
             0.0,
-            most,
+            at_most(most),
         )
     };
     let fine = run(1 << 20).expect("room");
@@ -225,6 +229,48 @@ fn a_budget_coarsens_the_outline_and_then_refuses() {
     let coarse = run(fine.triangles.len() * 2 / 3).expect("room for a coarser one");
     assert!(coarse.tolerance > TOLERANCE);
     assert_eq!(run(20), Err(TooMuch::Triangles(20)));
+}
+
+/// Outlines get coarser for fewer triangles, but needles stay.
+#[test]
+fn a_wish_coarsens_the_outline_while_it_encloses_as_much() {
+    let needles = |x: f64, y: f64| {
+        let across = (x * 8.0).fract() - 0.5;
+        (0.05 - across.abs()).min(0.45 - (y - 0.5).abs()) / 8.0
+    };
+    let run = |texture: &Texture, wanted| {
+        let (mut vertices, triangles) = sheet(1, Vec2::ZERO, Vec2::splat(4.0));
+        let bound = Bound {
+            wanted,
+            most: 1 << 20,
+        };
+        let cut = cut(
+            &mut vertices,
+            &triangles,
+            &cutout(Wrap::Repeat),
+            texture,
+            0.0,
+            bound,
+        );
+        let cut = cut.expect("room");
+        let kept = cut
+            .triangles
+            .iter()
+            .map(|triangle| area(&vertices, *triangle));
+        (cut.triangles.len(), kept.sum::<f64>(), cut.tolerance)
+    };
+    for (texture, least) in [(texture(128, leaf), 4.0), (texture(128, needles), 0.25)] {
+        let fine = run(&texture, 1 << 20);
+        let coarse = run(&texture, 200);
+        assert!(
+            coarse.2 >= least && coarse.0 <= fine.0,
+            "{coarse:?} {fine:?}"
+        );
+        assert!(
+            (coarse.1 / fine.1 - 1.0).abs() < 0.05,
+            "{coarse:?} {fine:?}"
+        );
+    }
 }
 
 #[test]
@@ -259,7 +305,7 @@ fn hostile_textures_and_coordinates_end_in_time() {
                 &cutout(wrap),
                 texture,
                 0.0,
-                300_000,
+                at_most(300_000),
             );
             assert!(
                 result.is_ok() || !small,
@@ -281,7 +327,7 @@ fn hostile_textures_and_coordinates_end_in_time() {
             &cutout(Wrap::Repeat),
             &leafy,
             0.0,
-            999,
+            at_most(999),
         )
         .expect("nothing to divide");
         assert_eq!((outcome.divided, outcome.flat), (0, triangles.len()));

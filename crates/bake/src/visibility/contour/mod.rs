@@ -185,6 +185,11 @@ impl ContourMesh {
         }
     }
 
+    /// How many triangles there are, of those that lie on each other one.
+    pub(crate) fn triangles(&self) -> usize {
+        self.vertices.len() - self.repeated.values().map(Vec::len).sum::<usize>()
+    }
+
     /// Casts rays at the same triangles.
     pub fn caster(&self) -> &RayCaster {
         &self.caster
@@ -245,6 +250,18 @@ impl ContourMesh {
             self.try_touched(eye, directions, scratch, &mut bitmap);
         }
         (bitmap, rays)
+    }
+
+    /// How many contours are looked at to tell what is visible from a point, by itself.
+    pub(crate) fn contours_from(
+        &self,
+        origin: Vec3,
+        directions: &Directions,
+        scratch: &mut Scratch,
+    ) -> usize {
+        self.prepare(&[origin], scratch);
+        self.sample(origin, directions, scratch);
+        scratch.rounds.contours()
     }
 
     /// Takes from what is visible what the triangles hide that the point looked at last lies on.

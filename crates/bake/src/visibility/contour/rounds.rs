@@ -27,6 +27,8 @@ pub(super) struct Rounds {
     waiting: Vec<u32>,
     /// Per part, whether it is counted.
     counted: Vec<bool>,
+    /// Contours that are counted.
+    contours: usize,
     budget: usize,
     open: Open,
 }
@@ -40,6 +42,7 @@ impl Rounds {
         self.counted.resize(parts.len(), false);
         self.waiting.clear();
         self.waiting.extend(0..parts.len() as u32);
+        self.contours = 0;
         self.budget = if at_once {
             usize::MAX
         } else {
@@ -69,6 +72,7 @@ impl Rounds {
             contours += candidates.contours_of(self.waiting[taken]);
             taken += 1;
         }
+        self.contours += contours;
         chosen.extend(self.waiting.drain(..taken));
         for &place in chosen.iter() {
             self.counted[candidates.parts_in_order()[place as usize] as usize] = true;
@@ -79,6 +83,11 @@ impl Rounds {
     /// What is visible with what was counted in the rounds before, if any.
     pub(super) fn open(&self) -> Option<&Open> {
         (!self.open.rows.is_empty()).then_some(&self.open)
+    }
+
+    /// Contours that are counted so far, lanes left free among them.
+    pub(super) fn contours(&self) -> usize {
+        self.contours
     }
 
     /// Whether a part is counted.

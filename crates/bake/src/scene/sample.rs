@@ -54,6 +54,7 @@ pub(super) struct Placed {
     sparse_light: Sparse,
     /// How many samples small pieces share, and in place of how many, if they do.
     shared: Option<[usize; 2]>,
+    /// Whether samples are made by a ray in every direction.
     by_rays: bool,
     ray_offset: f32,
     sizes: SizeFunction,

@@ -21,7 +21,7 @@ const MOST_TIME: f32 = 16.0;
 const TRIANGLES: f32 = 1e5;
 /// What is left of them for samples and light, at least.
 const LEAST_TIME: f32 = 2.5;
-/// What else takes time, by itself and for each place, seconds. These and those below were measured on one Xeon, over drafts of 20 scenes.
+/// What else takes time, by itself and for each place, seconds. These and those below are for one Xeon, fitted to drafts of a dozen scenes.
 const OTHERWISE: f32 = 3.0;
 const PER_PLACE: f32 = 6e-5;
 /// For a sample by contours, and for each contour; for each ray of a sample by rays; for a point at which light is gathered, seconds.
@@ -288,7 +288,7 @@ mod tests {
         assert!(turned > 0.7, "{turned}");
     }
 
-    /// What there is time for is sampled as it was; more is shared, with what takes longest shared most.
+    /// What there is time for is sampled as it was; of more, some is shared.
     #[test]
     fn drafts_share_what_would_take_too_long() {
         let drafted = |count: u32, side: u32| {

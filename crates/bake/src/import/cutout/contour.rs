@@ -402,7 +402,7 @@ impl<'a> Contours<'a> {
         Some(found)
     }
 
-    /// Fewer points of a line.
+    /// Some points of a line; the last is not the first again where it is closed.
     fn simplified(&self, line: &Line, tolerance: f64) -> Vec<DVec2> {
         let Some(tile) = line.closed else {
             return simplified(&line.points, tolerance);
@@ -414,6 +414,7 @@ impl<'a> Contours<'a> {
         round
     }
 
+    /// Adds a line with fewer points.
     fn add(&mut self, line: &Line, tolerance: f64) {
         let island = line.is_island();
         let exact = area(&line.points);

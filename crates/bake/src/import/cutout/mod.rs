@@ -80,6 +80,8 @@ pub(super) struct Outcome {
     pub flat: usize,
     /// How far the cut is off, texels.
     pub tolerance: f64,
+    /// Whether that is more than it had to be, for fewer triangles.
+    pub coarser: bool,
 }
 
 /// How many triangles may come of some.
@@ -142,7 +144,8 @@ pub(super) fn cut(
     let scale = scale.fold(f64::MIN_POSITIVE, f64::max);
     let coarsest = (size.min_element() * COARSEST).max(TOLERANCE);
     let unseen = RELATIVE_TOLERANCE * f64::from(diagonal) / scale;
-    let mut tolerance = unseen.clamp(TOLERANCE, coarsest);
+    let finest = unseen.clamp(TOLERANCE, coarsest);
+    let mut tolerance = finest;
     let before = vertices.len();
     let lines = mask.lines().ok_or(TooMuch::Contours)?;
     let mut contours = mask.contours(&lines, tolerance);
@@ -156,6 +159,7 @@ pub(super) fn cut(
             on_edges: HashMap::new(),
             outcome: Outcome {
                 tolerance,
+                coarser: tolerance > finest,
                 ..Outcome::default()
             },
             work: 0.0,

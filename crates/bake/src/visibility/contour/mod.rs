@@ -185,7 +185,7 @@ impl ContourMesh {
         }
     }
 
-    /// How many triangles there are, of those that lie on each other one.
+    /// How many triangles there are; those that lie on each other count once.
     pub(crate) fn triangles(&self) -> usize {
         self.vertices.len() - self.repeated.values().map(Vec::len).sum::<usize>()
     }

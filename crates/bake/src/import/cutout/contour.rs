@@ -301,8 +301,8 @@ pub(in crate::import) struct Contours<'a> {
     points: Vec<DVec2>,
     pub pieces: Vec<Piece>,
     /// What lines enclose, in texels, those about holes too, and how much more or less that is than it should be.
-    pub enclosed: f64,
-    pub lost: f64,
+    pub(super) enclosed: f64,
+    pub(super) lost: f64,
     /// Squares per axis.
     counts: [usize; 2],
     /// Pieces of every square, with the tile that they are to be moved by.

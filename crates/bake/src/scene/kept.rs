@@ -33,14 +33,15 @@ pub(super) struct Kept {
 }
 
 impl Kept {
-    /// For those among the places that stand for others, with so many texels each.
-    pub(super) fn new(sparse: &Sparse, origins: &[Vec3], texels: usize) -> Self {
+    /// For those among the places that stand for others, with so many texels each. Samples `by_rays` have nothing in common, and few of
+    /// them at a time keep all threads at work.
+    pub(super) fn new(sparse: &Sparse, origins: &[Vec3], texels: usize, by_rays: bool) -> Self {
         let mut places = sparse.sources_of(0..origins.len() as u32);
         let bytes = places.len().saturating_mul(texels * size_of::<f32>());
         if places.len() == origins.len() || bytes > MOST_BYTES {
             return Self::default();
         }
-        let group = group_of(places.len());
+        let group = if by_rays { RUN } else { group_of(places.len()) };
         arrange(&mut places, &[group, RUN], &|&place| {
             (origins[place as usize].to_array(), place)
         });
@@ -137,7 +138,7 @@ mod tests {
         };
         let sparse = |distance| Sparse::new(&origins, &triangles, &spacing(distance));
         let some = sparse(4.0);
-        let kept = Kept::new(&some, &origins, 16);
+        let kept = Kept::new(&some, &origins, 16, false);
         let mut places = kept.places.clone();
         places.sort_unstable();
         assert_eq!(places, some.sources_of(0..origins.len() as u32));
@@ -156,7 +157,7 @@ mod tests {
         }
         assert_eq!(kept.sampled(), places.len());
         // Where all are sampled, or too many, every chunk has its own.
-        assert!(Kept::new(&sparse(0.5), &origins, 16).is_empty());
-        assert!(Kept::new(&some, &origins, MOST_BYTES / 1024).is_empty());
+        assert!(Kept::new(&sparse(0.5), &origins, 16, false).is_empty());
+        assert!(Kept::new(&some, &origins, MOST_BYTES / 1024, false).is_empty());
     }
 }

@@ -23,8 +23,8 @@ use crate::transfer::gather::Gathered;
 use crate::transfer::radiosity::Radiosity;
 use crate::visibility::clutter::Drafted;
 use crate::visibility::contour::ContourMesh;
-use crate::visibility::places::{Divided, Places};
-use crate::visibility::sparse::{Spacing, Sparse};
+use crate::visibility::places::{Divided, Finding};
+use crate::visibility::sparse::Sparse;
 use crate::visibility::{self, Directions};
 
 /// Sine of the angle by which normal maps are taken to turn normals; texels that turn them
@@ -68,13 +68,6 @@ const LEAST_COUNT: f32 = 0.2;
 /// Area of a vertex of an even mesh, in squares of its edges.
 const EVEN_AREA: f32 = 0.866;
 
-/// Least cosine between normals of places that stand for each other.
-const SMOOTH: f32 = 0.8;
-/// The same for bounced light, which varies less, and less with the normal; and how far apart it is
-/// gathered, in the spacing of samples.
-const LIGHT_SMOOTH: f32 = 0.6;
-const LIGHT_SPACING: f32 = 2.5;
-
 impl Placed {
     /// Where a triangle's first corner is sampled.
     pub(super) fn origin(&self, triangle: usize) -> Vec3 {
@@ -93,33 +86,20 @@ impl Placed {
         let spacing = options.sample_spacing;
         let triangles = mesh.indices();
         let positions = mesh.positions();
-        let places = Places::new(
+        let mut found = Finding::new(
             &positions,
             &triangles,
             contours.caster(),
             ray_offset,
             options.exposure_resolution,
         );
-        let sizes_at: Vec<f32> = (places.origins.par_iter())
-            .map(|&origin| sizes.at(origin))
-            .collect();
-        let all = || Sparse::all(places.origins.len());
         let drafted = if spacing > 0.0 {
-            let distances: Vec<f32> = sizes_at.iter().map(|size| spacing * size).collect();
-            let sparse = |factor: f32, smooth| {
-                let spacing = Spacing {
-                    distances: distances.iter().map(|way| factor * way).collect(),
-                    smooth,
-                };
-                Sparse::new(&places.origins, &places.corners, &spacing)
-            };
-            let both = rayon::join(
-                || sparse(1.0, SMOOTH),
-                || sparse(LIGHT_SPACING, LIGHT_SMOOTH),
-            );
             let directions = Directions::new(options.sample_resolution);
-            Drafted::new(both, &places, &distances, contours, &directions)
+            let distance = |point: Vec3| spacing * sizes.at(point);
+            Drafted::new(&mut found, distance, contours, &directions)
         } else {
+            found.emerge(|_| true, true);
+            let all = || Sparse::all(found.places.origins.len());
             Drafted {
                 seen: all(),
                 light: all(),
@@ -127,6 +107,10 @@ impl Placed {
                 by_rays: false,
             }
         };
+        let places = found.places;
+        let sizes_at: Vec<f32> = (places.origins.par_iter())
+            .map(|&origin| sizes.at(origin))
+            .collect();
         let divided = Divided::new(&triangles, mesh.vertices.len(), &places.corners);
         for (triangle, vertices) in mesh.triangles.iter_mut().zip(divided.triangles) {
             triangle.vertices = vertices;
@@ -291,7 +275,7 @@ impl<'a> Prepared<'a> {
         };
         Self {
             shared: shared(&placed, &chunks),
-            kept: Kept::new(&placed.sparse, &placed.origins, texels),
+            kept: Kept::new(&placed.sparse, &placed.origins, texels, placed.by_rays),
             counts: placed.counts,
             options: options.clone(),
             monitor,

@@ -5,16 +5,14 @@
 //! which light is gathered, with those beside them that face the same way, from the further apart the more there are. How long it takes is told by
 //! how many contours are looked at from some of the samples.
 
-use std::collections::HashMap;
-
-use glam::{IVec3, Vec3};
+use glam::Vec3;
 use rayon::prelude::*;
 use relight_format::math;
 
 use super::Directions;
 use super::contour::ContourMesh;
-use super::places::{Groups, Places};
-use super::sparse::Sparse;
+use super::places::{Finding, Groups, Places};
+use super::sparse::{Spacing, Sparse};
 
 /// Seconds that a draft may take of one processor, about, half of it of two; scenes of more than so many triangles accordingly more.
 const MOST_TIME: f32 = 16.0;
@@ -40,9 +38,17 @@ const SPARSE: usize = 16;
 /// Samples that are left where some are shared, of all, at most.
 const LEFT: f32 = 0.6;
 
+/// Samples of large pieces are as far apart as ordinary ones until they take so many times what there is; then further, so many times
+/// at most. Those on edges stay, so that twice as far apart are more than a quarter.
+const BEYOND: f32 = 1.2;
+const SPARSEST: f32 = 4.0;
+/// How many times further from one try to the next.
+const LEAST_STEP: f32 = 1.1;
+const MOST_STEP: f32 = 2.0;
+
 /// By how much more room samples get from one try to the next, and how often.
 const WIDER: f32 = 1.25;
-const TRIES: u32 = 20;
+const TRIES: i32 = 20;
 /// Pieces that are no larger than so many of the distances between samples that share are small beside them, if they
 /// are no larger than so many of the ordinary ones: those are about a quarter of what is there.
 const SMALL: f32 = 4.0;
@@ -51,6 +57,13 @@ const LARGEST: f32 = 32.0;
 const LEVELS: f32 = 4.0;
 /// Steps of normals from the middle of a cube's face to its edge: those within one share samples.
 const FACETS: f32 = 2.0;
+
+/// Least cosine between normals of places that stand for each other.
+const SMOOTH: f32 = 0.8;
+/// The same for bounced light, which varies less, and less with the normal; and how far apart it is
+/// gathered, in the distances of samples.
+const LIGHT_SMOOTH: f32 = 0.6;
+const LIGHT_SPACING: f32 = 2.5;
 
 /// How a draft samples what is seen and gathers light.
 pub(crate) struct Drafted {
@@ -64,55 +77,181 @@ pub(crate) struct Drafted {
 }
 
 impl Drafted {
-    /// `distances` of samples are those of `seen`; it is sampled in `directions`.
+    /// Finds where places emerge, those of small pieces that share samples only where they are sampled. `distance` tells
+    /// how far apart samples are about a point; they are taken in `directions`.
     pub(crate) fn new(
-        (seen, light): (Sparse, Sparse),
+        found: &mut Finding,
+        distance: impl Fn(Vec3) -> f32 + Sync,
+        contours: &ContourMesh,
+        directions: &Directions,
+    ) -> Self {
+        let by_places = |places: &Places| {
+            let distances: Vec<f32> = (places.origins.par_iter())
+                .map(|&origin| distance(origin))
+                .collect();
+            Self::by_places(places, &distances, contours, directions)
+        };
+        let small = of_small_pieces(&found.places, &distance);
+        let is_small = |place: u32| small.get(place as usize) == Some(&true);
+        if !is_few(small.iter().filter(|small| !**small).count(), small.len()) {
+            found.emerge(|_| true, true);
+            return by_places(&found.places);
+        }
+        found.emerge(|place| !is_small(place), true);
+        let drafted = by_places(&found.places);
+        if drafted.shared.is_none() {
+            found.emerge(is_small, true);
+            return by_places(&found.places);
+        }
+        let mut sampled = vec![false; small.len()];
+        for sparse in [&drafted.seen, &drafted.light] {
+            for place in sparse.sampled() {
+                if is_small(place) {
+                    sampled[place as usize] = true;
+                }
+            }
+        }
+        found.emerge(|place| sampled.get(place as usize) == Some(&true), false);
+        drafted
+    }
+
+    fn by_places(
         places: &Places,
         distances: &[f32],
         contours: &ContourMesh,
         directions: &Directions,
     ) -> Self {
+        // So many times as far apart as ordinarily.
+        let sparse = |factor: f32| {
+            let sparse = |factor: f32, smooth| {
+                let spacing = Spacing {
+                    distances: distances.iter().map(|way| factor * way).collect(),
+                    smooth,
+                };
+                Sparse::new(&places.origins, &places.corners, &spacing)
+            };
+            let light = factor * LIGHT_SPACING;
+            rayon::join(|| sparse(factor, SMOOTH), || sparse(light, LIGHT_SMOOTH))
+        };
+        let (seen, light) = sparse(1.0);
         let samples = seen.sampled();
-        let lights = light.sampled().len();
-        let by_rays = PER_RAY * directions.as_slice().len() as f32;
-        let large = (contours.triangles() as f32 / TRIANGLES).max(1.0);
-        let allowed = MOST_TIME * large - OTHERWISE - PER_PLACE * places.origins.len() as f32;
-        let allowed = allowed.max(LEAST_TIME);
-        let plain = Self {
+        let mut plain = Self {
             seen,
             light,
             shared: None,
-            by_rays: false,
+            by_rays: true,
         };
-        let takes = |sample: f32| samples.len() as f32 * sample + lights as f32 * PER_LIGHT;
-        if takes(by_rays) <= allowed || SPARSE * samples.len() < places.origins.len() {
+        let large = (contours.triangles() as f32 / TRIANGLES).max(1.0);
+        let allowed = MOST_TIME * large - OTHERWISE - PER_PLACE * places.origins.len() as f32;
+        let mut times = Times {
+            by_contours: 0.0,
+            by_rays: PER_RAY * directions.as_slice().len() as f32,
+            allowed: allowed.max(LEAST_TIME),
+        };
+        let is_sparse = SPARSE * samples.len() < places.origins.len();
+        if is_sparse || plain.takes(&times) <= times.allowed {
+            plain.by_rays = false;
             return plain;
         }
         let counted = counted(contours, &places.origins, &samples, directions);
-        let by_contours = PER_SAMPLE + PER_CONTOUR * counted;
-        let plain = Self {
-            by_rays: by_rays < FASTER * by_contours,
-            ..plain
-        };
-        let sample = if plain.by_rays { by_rays } else { by_contours };
-        if takes(sample) <= allowed {
+        times.by_contours = PER_SAMPLE + PER_CONTOUR * counted;
+        plain.by_rays = times.by_rays < FASTER * times.by_contours;
+        if plain.takes(&times) <= times.allowed {
             return plain;
         }
         let clutter = Clutter::new(&places.origins, &places.corners);
-        let most_lights = (LIGHT_SHARE * allowed / PER_LIGHT) as usize;
-        let light = clutter.shared(&plain.light, distances, most_lights);
-        let lights = light.as_ref().map_or(lights, |light| light.sampled().len());
-        let left = (allowed - lights as f32 * PER_LIGHT).max(LEAST_TIME);
-        let Some(seen) = clutter.shared(&plain.seen, distances, (left / sample) as usize) else {
-            return plain;
-        };
-        Self {
-            shared: Some([seen.sampled().len(), samples.len()]),
-            by_rays: by_rays < by_contours,
-            light: light.unwrap_or(plain.light),
+        (plain.sharing(&clutter, distances, &times))
+            .unwrap_or_else(|| plain.sparser(sparse, &times))
+    }
+
+    /// About how long samples and light take, seconds.
+    fn takes(&self, times: &Times) -> f32 {
+        self.takes_with(times.sample(self.by_rays))
+    }
+
+    fn takes_with(&self, sample: f32) -> f32 {
+        let [samples, lights] = [&self.seen, &self.light].map(|all| all.sampled().len() as f32);
+        samples * sample + lights * PER_LIGHT
+    }
+
+    /// With what small pieces share, if that is enough.
+    fn sharing(&self, clutter: &Clutter, distances: &[f32], times: &Times) -> Option<Self> {
+        let most_lights = (LIGHT_SHARE * times.allowed / PER_LIGHT) as usize;
+        let light = clutter.shared(&self.light, distances, most_lights);
+        let light = light.unwrap_or_else(|| self.light.clone());
+        let left = times.allowed - light.sampled().len() as f32 * PER_LIGHT;
+        let left = left.max(LEAST_TIME);
+        // Fewer samples are of more of the surface each, and have fewer contours in common.
+        let all = self.seen.sampled().len();
+        let apart = (all as f32 * times.by_contours / left).max(1.0);
+        let by_rays = times.by_rays < apart * times.by_contours;
+        let most = (left / times.sample(by_rays)) as usize;
+        let seen = clutter.shared(&self.seen, distances, most)?;
+        Some(Self {
+            shared: Some([seen.sampled().len(), all]),
+            by_rays,
+            light,
             seen,
+        })
+    }
+
+    /// With fewer samples and points of light: `sparse` makes those that are so many times as far apart.
+    fn sparser(self, sparse: impl Fn(f32) -> (Sparse, Sparse), times: &Times) -> Self {
+        let by_rays = times.by_rays < times.by_contours;
+        let sample = times.sample(by_rays);
+        if self.takes_with(sample) < BEYOND * times.allowed {
+            return self;
+        }
+        let mut found = Self { by_rays, ..self };
+        let mut factor = 1.0;
+        loop {
+            let beyond = found.takes_with(sample) / times.allowed;
+            if beyond <= 1.0 || factor >= SPARSEST {
+                return found;
+            }
+            factor = (factor * beyond.clamp(LEAST_STEP, MOST_STEP)).min(SPARSEST);
+            (found.seen, found.light) = sparse(factor);
         }
     }
+}
+
+/// What a sample takes by contours and by rays, and what all samples and points of light may take, seconds.
+struct Times {
+    by_contours: f32,
+    by_rays: f32,
+    allowed: f32,
+}
+
+impl Times {
+    fn sample(&self, by_rays: bool) -> f32 {
+        if by_rays {
+            self.by_rays
+        } else {
+            self.by_contours
+        }
+    }
+}
+
+/// Whether so many of all are few enough for some to be shared.
+fn is_few(count: usize, all: usize) -> bool {
+    count as f32 <= LEFT * all as f32
+}
+
+/// Of every place, whether the piece that it belongs to may be small beside the distances between samples.
+fn of_small_pieces(places: &Places, distance: impl Fn(Vec3) -> f32) -> Vec<bool> {
+    let mut pieces = Groups::new(places.origins.len());
+    for [a, b, c] in &places.corners {
+        pieces.join(*a, *b);
+        pieces.join(*a, *c);
+    }
+    let (count, pieces) = pieces.numbered();
+    let sizes = sizes((count, &pieces), &places.origins);
+    let mut small = vec![true; count];
+    for (piece, origin) in pieces.iter().zip(&places.origins) {
+        let piece = *piece as usize;
+        small[piece] &= sizes[piece] <= LARGEST * distance(*origin);
+    }
+    pieces.iter().map(|&piece| small[piece as usize]).collect()
 }
 
 /// From one sample, on average, contours that are looked at.
@@ -133,6 +272,9 @@ fn counted(
         .sum();
     counted as f32 / COUNTED as f32
 }
+
+/// A level, a cell of it, and a facet of normals.
+type Key = (i32, [i32; 3], [i32; 3]);
 
 /// Pieces of a surface.
 struct Clutter<'a> {
@@ -159,8 +301,10 @@ impl<'a> Clutter<'a> {
         for normal in &mut normals {
             *normal = normal.normalize_or_zero();
         }
+        let (count, pieces) = pieces.numbered();
+        let sizes = sizes((count, &pieces), origins);
         Self {
-            sizes: sizes(pieces, origins),
+            sizes: pieces.iter().map(|&piece| sizes[piece as usize]).collect(),
             origins,
             normals,
         }
@@ -170,37 +314,49 @@ impl<'a> Clutter<'a> {
     /// leaves nearly all.
     fn shared(&self, sparse: &Sparse, distances: &[f32], most: usize) -> Option<Sparse> {
         let all = sparse.sampled();
-        let key_at = |place: u32, room: f32| self.key(place, distances[place as usize], room);
-        let few = |count: usize| count as f32 <= LEFT * all.len() as f32;
+        let is_large = |place: u32| {
+            let place = place as usize;
+            self.sizes[place] > LARGEST * distances[place]
+        };
         // Those of large pieces stay, however much room the others get.
-        let widest = WIDER.powi(TRIES as i32 - 1);
-        let large = all.iter().filter(|&&place| key_at(place, widest).is_none());
-        if all.len() <= most || !few(large.count()) {
+        let large = all.iter().filter(|&&place| is_large(place)).count();
+        if all.len() <= most || !is_few(large, all.len()) {
             return None;
         }
-        let mut room = 1.0;
-        for tried in 1..=TRIES {
-            let mut shared = HashMap::new();
-            let mut alone = 0;
-            for &place in &all {
-                if let Some(key) = key_at(place, room) {
-                    shared.entry(key).or_insert(place);
-                } else {
-                    alone += 1;
-                }
+        // Those that share, by their keys, each with the one that is sampled.
+        let share = |tried: i32| {
+            let room = WIDER.powi(tried);
+            let keyed = all.par_iter().filter_map(|&place| {
+                Some((self.key(place, distances[place as usize], room)?, place))
+            });
+            let mut keyed: Vec<(Key, u32)> = keyed.collect();
+            keyed.par_sort_unstable();
+            let sharing = keyed.len();
+            keyed.dedup_by_key(|(key, _)| *key);
+            let left = all.len() - sharing + keyed.len();
+            (left, room, keyed)
+        };
+        // The least room in which few enough are left.
+        let (mut low, mut high) = (0, TRIES - 1);
+        while low < high {
+            let middle = i32::midpoint(low, high);
+            if share(middle).0 <= most {
+                high = middle;
+            } else {
+                low = middle + 1;
             }
-            let count = alone + shared.len();
-            if count <= most || tried == TRIES {
-                let source = |place| shared.get(&key_at(place, room)?).copied();
-                return few(count).then(|| sparse.replaced(source));
-            }
-            room *= WIDER;
         }
-        None
+        let (left, room, keyed) = share(low);
+        let source = |place: u32| {
+            let key = self.key(place, distances[place as usize], room)?;
+            let index = keyed.binary_search_by_key(&key, |(key, _)| *key).ok()?;
+            Some(keyed[index].1)
+        };
+        is_few(left, all.len()).then(|| sparse.replaced(source))
     }
 
     /// Places of equal keys share a sample, in so many times their distance. Nothing for those of pieces that are not small.
-    fn key(&self, place: u32, distance: f32, room: f32) -> Option<(i32, IVec3, IVec3)> {
+    fn key(&self, place: u32, distance: f32, room: f32) -> Option<Key> {
         if self.sizes[place as usize] > (SMALL * room).min(LARGEST) * distance {
             return None;
         }
@@ -210,23 +366,20 @@ impl<'a> Clutter<'a> {
         let normal = self.normals[place as usize];
         let facet = normal / normal.abs().max_element().max(f32::MIN_POSITIVE);
         let facet = (FACETS * facet).round();
-        Some((level as i32, cell.as_ivec3(), facet.as_ivec3()))
+        let [cell, facet] = [cell, facet].map(|at| at.as_ivec3().to_array());
+        Some((level as i32, cell, facet))
     }
 }
 
-/// The diagonal of the box about each place's piece.
-fn sizes(pieces: Groups, origins: &[Vec3]) -> Vec<f32> {
-    let (count, pieces) = pieces.numbered();
+/// The diagonal of the box about each piece, of so many; `pieces` are those of places.
+fn sizes((count, pieces): (usize, &[u32]), origins: &[Vec3]) -> Vec<f32> {
     let mut boxes = vec![(Vec3::INFINITY, Vec3::NEG_INFINITY); count];
     for (piece, origin) in pieces.iter().zip(origins) {
         let (low, high) = &mut boxes[*piece as usize];
         (*low, *high) = (low.min(*origin), high.max(*origin));
     }
-    let size = |piece: &u32| {
-        let (low, high) = boxes[*piece as usize];
-        low.distance(high)
-    };
-    pieces.iter().map(size).collect()
+    let size = |(low, high): &(Vec3, Vec3)| low.distance(*high);
+    boxes.iter().map(size).collect()
 }
 
 #[cfg(test)]
@@ -297,8 +450,7 @@ mod tests {
                 .map(|corners| corners.map(|corner| origins[corner as usize]))
                 .collect();
             let distances = vec![0.01; origins.len()];
-            let sparse = || sparse(&origins, &corners, &distances);
-            let (seen, light, all) = (sparse(), sparse(), sparse().sampled().len());
+            let all = sparse(&origins, &corners, &distances).sampled().len();
             let places = Places {
                 origins: origins.iter().map(|origin| *origin + 1e-4).collect(),
                 corners: corners.clone(),
@@ -306,7 +458,7 @@ mod tests {
             };
             let contours = ContourMesh::new(&mesh);
             let directions = Directions::new(side);
-            let drafted = Drafted::new((seen, light), &places, &distances, &contours, &directions);
+            let drafted = Drafted::by_places(&places, &distances, &contours, &directions);
             (drafted, all)
         };
         let (few, all) = drafted(2_000, 32);
@@ -317,8 +469,54 @@ mod tests {
         assert!((2_000..all / 2).contains(&left), "{left} of {all}");
         assert!(many.light.sampled().len() < all);
         // Where there are more rays to a sample, contours take less.
-        let finer = drafted(20_000, 64).0;
+        let finer = drafted(20_000, 128).0;
         assert!(!finer.by_rays && finer.shared.is_some());
+    }
+
+    #[test]
+    fn one_large_piece_has_fewer_samples_where_they_would_take_too_long() {
+        let (origins, triangles) = grid(60, |_, _| 0.0);
+        let spaced = |factor: f32| sparse(&origins, &triangles, &vec![1.5 * factor; origins.len()]);
+        let both = |factor: f32| (spaced(factor), spaced(2.5 * factor));
+        let drafted = |allowed: f32| {
+            let (seen, light) = both(1.0);
+            let plain = Drafted {
+                seen,
+                light,
+                shared: None,
+                by_rays: false,
+            };
+            let times = Times {
+                by_contours: 3e-3,
+                by_rays: 1e-3,
+                allowed,
+            };
+            let before = plain.takes_with(times.by_rays);
+            let after = plain.sparser(both, &times);
+            (before, after.takes(&times), after)
+        };
+        let (before, ..) = drafted(1.0);
+        // A little is let be, and by contours as it was.
+        let (_, _, same) = drafted(before / 1.1);
+        assert!(!same.by_rays && same.seen == both(1.0).0);
+        let (_, after, fewer) = drafted(before / 3.0);
+        assert!(fewer.by_rays && fewer.shared.is_none());
+        assert!(
+            (0.1 * before..before / 3.0).contains(&after),
+            "{after} of {before}"
+        );
+        for place in 0..origins.len() as u32 {
+            let sum: f32 = fewer
+                .seen
+                .sources(place)
+                .iter()
+                .map(|(_, weight)| weight)
+                .sum();
+            assert!((sum - 1.0).abs() < 1e-4);
+        }
+        // It does not go on for ever.
+        let (_, after, _) = drafted(before / 1e4);
+        assert!(after > before / 1e4);
     }
 
     #[test]

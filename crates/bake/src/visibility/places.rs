@@ -18,10 +18,11 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 mod emerging;
+mod finding;
 
 use super::ray::RayCaster;
-use emerging::Emerging;
 pub(crate) use emerging::Exposure;
+pub(crate) use finding::Finding;
 
 /// Rays per side of an octahedral map of all directions that tell whether a place sees anything, usually.
 pub const EXPOSURE_RESOLUTION: u32 = 8;
@@ -55,101 +56,9 @@ impl Places {
         offset: f32,
         exposure_resolution: u32,
     ) -> Self {
-        let exposure = || Exposure::new(exposure_resolution);
-        let welded = weld(positions, triangles);
-        let corner = |index: usize| positions[triangles[index / 3][index % 3] as usize];
-        let (mut places, mut of) = umbrellas(positions, triangles, &welded);
-        let normals: Vec<Vec3> = (triangles.par_iter())
-            .map(|triangle| {
-                let [a, b, c] = triangle.map(|vertex| positions[vertex as usize]);
-                (b - a).cross(c - a)
-            })
-            .collect();
-        let members = Members::new(&of, places);
-        let emerging = |triangle: usize| Emerging {
-            caster,
-            offset,
-            corners: [0, 1, 2].map(|k| corner(3 * triangle + k)),
-            normal: normals[triangle].normalize_or_zero(),
-        };
-        let mut ends: Vec<Option<Vec3>> = (0..triangles.len())
-            .into_par_iter()
-            .map_init(exposure, |exposure, triangle| {
-                let around = |k: usize| {
-                    let members = members.of(of[3 * triangle + k]).iter();
-                    members.map(|&member| normals[member as usize / 3])
-                };
-                emerging(triangle).ends(around, exposure)
-            })
-            .flatten_iter()
-            .collect();
-        let mut sums = vec![Vec3::ZERO; places];
-        let mut starts = vec![Vec3::ZERO; places];
-        for (index, end) in ends.iter().enumerate() {
-            let place = of[index] as usize;
-            starts[place] = corner(index);
-            if end.is_none() {
-                sums[place] += normals[index / 3];
-            }
-        }
-        let mut origins: Vec<Vec3> = (starts.iter().zip(&sums))
-            .map(|(start, sum)| *start + offset * sum.normalize_or_zero())
-            .collect();
-        // Where nothing is seen from, though no crossing tells so, the triangles may see something all the same.
-        let dark: Vec<bool> = (origins.par_iter().zip(&sums))
-            .map_init(exposure, |exposure, (origin, sum)| {
-                *sum != Vec3::ZERO && !exposure.sees(caster, *origin, *sum)
-            })
-            .collect();
-        let elsewhere = |exposure: &mut Exposure,
-                         (triangle, ends): (usize, &mut [Option<Vec3>])| {
-            let is_dark = |k: &usize| ends[*k].is_none() && dark[of[3 * triangle + k] as usize];
-            let corners: Vec<usize> = (0..3).filter(is_dark).collect();
-            if normals[triangle] != Vec3::ZERO && !corners.is_empty() {
-                let from = emerging(triangle).seen_from(exposure);
-                for k in corners {
-                    ends[k] = from[k];
-                }
-            }
-        };
-        (ends.par_chunks_exact_mut(3).enumerate()).for_each_init(exposure, elsewhere);
-        for place in 0..members.count() {
-            let moved = members.of(place).iter();
-            let mut moved: Vec<(Vec3, usize)> = moved
-                .filter_map(|&index| Some((ends[index as usize]?, index as usize)))
-                .collect();
-            // What emerges nearest to the corner stands for all that it sees.
-            let start = starts[place as usize];
-            moved.sort_by(|(a, first), (b, second)| {
-                let distance = |end: &Vec3| end.distance_squared(start);
-                distance(a).total_cmp(&distance(b)).then(first.cmp(second))
-            });
-            let mut room = moved.len() == members.of(place).len();
-            let mut groups: Vec<(Vec3, u32)> = Vec::new();
-            for (end, index) in moved {
-                let seen = |from: Vec3| !caster.blocked(from, end);
-                if let Some(&(_, place)) = groups.iter().find(|(from, _)| seen(*from)) {
-                    of[index] = place;
-                    continue;
-                }
-                // A place that none is left at is used again.
-                let first = if std::mem::take(&mut room) {
-                    origins[place as usize] = end;
-                    place
-                } else {
-                    origins.push(end);
-                    places += 1;
-                    places as u32 - 1
-                };
-                groups.push((end, first));
-                of[index] = first;
-            }
-        }
-        Self {
-            origins,
-            corners: of.as_chunks::<3>().0.to_vec(),
-            moved_corners: ends.iter().flatten().count(),
-        }
+        let mut found = Finding::new(positions, triangles, caster, offset, exposure_resolution);
+        found.emerge(|_| true, true);
+        found.places
     }
 }
 
@@ -375,40 +284,6 @@ impl Groups {
     }
 }
 
-/// The corners of every place.
-struct Members {
-    first: Vec<u32>,
-    corners: Vec<u32>,
-}
-
-impl Members {
-    fn new(of: &[u32], places: usize) -> Self {
-        let mut first = vec![0; places + 1];
-        for &place in of {
-            first[place as usize + 1] += 1;
-        }
-        for place in 0..places {
-            first[place + 1] += first[place];
-        }
-        let mut next = first.clone();
-        let mut corners = vec![0; of.len()];
-        for (corner, &place) in of.iter().enumerate() {
-            corners[next[place as usize] as usize] = corner as u32;
-            next[place as usize] += 1;
-        }
-        Self { first, corners }
-    }
-
-    fn count(&self) -> u32 {
-        self.first.len() as u32 - 1
-    }
-
-    fn of(&self, place: u32) -> &[u32] {
-        let [from, to] = [0, 1].map(|k| self.first[place as usize + k] as usize);
-        &self.corners[from..to]
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use glam::Vec3Swizzles as _;
@@ -601,6 +476,77 @@ mod tests {
                 "{corner:?}: {moved}"
             );
         }
+    }
+
+    /// A box that is sunk into a floor, and a tip beside it that sticks out of another box.
+    fn sunk() -> (Vec<Vec3>, Vec<[u32; 3]>) {
+        let mut faces = vec![FLOOR];
+        faces.extend(cuboid([-1.0, -0.5, -1.0], [1.0, 2.0, 1.0]));
+        faces.extend(cuboid([2.0, -0.5, 0.0], [3.0, 1.0, 1.0]));
+        let (mut positions, mut triangles) = squares(&faces);
+        let first = positions.len() as u32;
+        positions.extend([[1.9, 0.5, 0.5], [2.5, 0.5, 0.7], [2.5, 0.5, 0.3]]);
+        triangles.push([first, first + 1, first + 2]);
+        (positions.into_iter().map(Vec3::from).collect(), triangles)
+    }
+
+    fn found<R>(call: impl FnOnce(Finding) -> R) -> R {
+        let (positions, triangles) = sunk();
+        let soup: Vec<[Vec3; 3]> = (triangles.iter())
+            .map(|triangle| triangle.map(|vertex| positions[vertex as usize]))
+            .collect();
+        let caster = RayCaster::new(&soup);
+        call(Finding::new(
+            &positions,
+            &triangles,
+            &caster,
+            OFFSET,
+            EXPOSURE_RESOLUTION,
+        ))
+    }
+
+    #[test]
+    fn pieces_that_are_asked_for_one_after_the_other_lie_where_they_do_at_once() {
+        let corners = |places: &Places| -> Vec<[Vec3; 3]> {
+            let corners = places.corners.iter();
+            corners
+                .map(|corners| corners.map(|place| places.origins[place as usize]))
+                .collect()
+        };
+        let at_once = found(|mut found| {
+            found.emerge(|_| true, true);
+            found.places
+        });
+        assert!(at_once.moved_corners > 8);
+        // The floor's four places come first, then those of the first box.
+        for first in [4, 12] {
+            let in_turn = found(|mut found| {
+                let all = found.places.origins.len() as u32;
+                found.emerge(|place| place < first, true);
+                found.emerge(|place| (first..all).contains(&place), true);
+                found.places
+            });
+            assert_eq!(corners(&in_turn), corners(&at_once));
+            assert_eq!(in_turn.moved_corners, at_once.moved_corners);
+        }
+    }
+
+    #[test]
+    fn places_that_are_not_divided_are_sampled_where_all_of_them_emerge() {
+        found(|mut found| {
+            let before = found.places.clone();
+            found.emerge(|place| place >= 4, false);
+            let after = &found.places;
+            assert_eq!(after.corners, before.corners);
+            assert_eq!(after.origins.len(), before.origins.len());
+            let moved = (before.origins.iter().zip(&after.origins)).filter(|(a, b)| a != b);
+            assert!(moved.count() >= 2);
+            // The tip's other corners, within the box, are seen where it comes out of that.
+            let [tip, inside, _] = after.corners[after.corners.len() - 1];
+            assert_eq!(after.origins[tip as usize], before.origins[tip as usize]);
+            let inside = after.origins[inside as usize];
+            assert!(inside.x < 2.0, "{inside}");
+        });
     }
 
     #[test]

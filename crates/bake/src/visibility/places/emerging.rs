@@ -40,25 +40,32 @@ impl Exposure {
         }
     }
 
-    /// Of the directions over the hemisphere about a normal, those that are open.
-    fn open_rays(
-        &mut self,
-        caster: &RayCaster,
-        origin: Vec3,
-        normal: Vec3,
-    ) -> impl Iterator<Item = Vec3> {
-        self.rays
-            .iter_mut()
-            .filter_map(move |(direction, occluder)| {
-                let is_open = direction.dot(normal) > 0.0
-                    && !caster.any_hit_as_before(origin, *direction, occluder);
-                is_open.then_some(*direction)
-            })
-    }
-
     /// Whether something is seen in one of the directions over the hemisphere about a normal.
     pub(crate) fn sees(&mut self, caster: &RayCaster, origin: Vec3, normal: Vec3) -> bool {
-        self.open_rays(caster, origin, normal).next().is_some()
+        self.rays.iter_mut().any(|(direction, occluder)| {
+            direction.dot(normal) > 0.0 && !caster.any_hit_as_before(origin, *direction, occluder)
+        })
+    }
+
+    /// How many of those directions are open, if they are more than `beyond`; else no more than that.
+    fn count_open(
+        &mut self,
+        caster: &RayCaster,
+        (origin, normal): (Vec3, Vec3),
+        beyond: usize,
+    ) -> usize {
+        let is_above = |direction: Vec3| direction.dot(normal) > 0.0;
+        let above = (self.rays.iter()).filter(|(direction, _)| is_above(*direction));
+        let mut open = above.count();
+        for (direction, occluder) in &mut self.rays {
+            if open <= beyond {
+                break;
+            }
+            if is_above(*direction) && caster.any_hit_as_before(origin, *direction, occluder) {
+                open -= 1;
+            }
+        }
+        open
     }
 }
 
@@ -114,8 +121,8 @@ impl Emerging<'_> {
             return [None; 3];
         }
         // What people see of the triangle may be near one of its corners alone.
-        let mut open = |weights: [f32; 3]| {
-            (exposure.open_rays(self.caster, self.above(weights), self.normal)).count()
+        let mut open = |weights: [f32; 3], beyond: usize| {
+            exposure.count_open(self.caster, (self.above(weights), self.normal), beyond)
         };
         // Halfway to the corner from where the centre's way to it comes out of something.
         let tips = ways.into_iter().enumerate().filter_map(|(k, way)| {
@@ -124,9 +131,9 @@ impl Emerging<'_> {
             weights[k] += along;
             way.end.is_none().then_some(weights)
         });
-        let mut best = (CENTRES[0], open(CENTRES[0]));
+        let mut best = (CENTRES[0], open(CENTRES[0], 0));
         for weights in CENTRES.into_iter().skip(1).chain(tips) {
-            let open = open(weights);
+            let open = open(weights, 2 * best.1);
             if open > 2 * best.1 {
                 best = (weights, open);
             }
@@ -242,5 +249,32 @@ impl Emerging<'_> {
                 normal.dot(crossing.normal) > 0.0
                     && normal.cross(crossing.normal).length() < SAME_PLANE
             })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::EXPOSURE_RESOLUTION;
+    use super::*;
+
+    #[test]
+    fn open_directions_are_counted_as_far_as_they_matter() {
+        let wall = [[-5.0, -5.0], [5.0, -5.0], [5.0, 5.0]].map(|[y, z]| Vec3::new(0.5, y, z));
+        let caster = RayCaster::new(&[wall]);
+        let mut exposure = Exposure::new(EXPOSURE_RESOLUTION);
+        let at = (Vec3::ZERO, Vec3::Y);
+        let open = exposure.count_open(&caster, at, 0);
+        let above = exposure
+            .rays
+            .iter()
+            .filter(|(direction, _)| direction.y > 0.0);
+        assert!(0 < open && open < above.count());
+        for beyond in 0..open {
+            assert_eq!(exposure.count_open(&caster, at, beyond), open);
+        }
+        for beyond in open..open + 3 {
+            assert!(exposure.count_open(&caster, at, beyond) <= beyond);
+        }
+        assert!(exposure.sees(&caster, at.0, at.1));
     }
 }

@@ -307,7 +307,7 @@ fn drafts_of_leaves() -> Outcome {
         let sampled = summary["sampled_vertices"].as_u64().expect("a number");
         Ok((warnings.iter().any(shared), sampled))
     };
-    let (warned, sampled) = baked(40_000)?;
+    let (warned, sampled) = baked(50_000)?;
     assert!(warned && sampled < 8_000, "{sampled}");
     let (warned, sampled) = baked(1_000)?;
     assert!(!warned && sampled > 1_000, "{sampled}");

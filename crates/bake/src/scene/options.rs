@@ -45,7 +45,7 @@ pub struct Options {
     pub least_vertices: usize,
     /// Where the mesh is finer than this, as a fraction of the same diagonal, visibility and bounced light
     /// are found at places so far apart, and interpolated at those between
-    /// (`crate::visibility::sparse`); of very many small pieces at fewer still (`crate::visibility::clutter`). 0: they are found
+    /// (`crate::visibility::sparse`); at fewer still where that would take too long (`crate::visibility::clutter`). 0: they are found
     /// everywhere.
     pub sample_spacing: f32,
     /// Rays per side of an octahedral map of all directions that tell whether a place sees anything, or lies behind

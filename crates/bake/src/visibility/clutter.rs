@@ -1,9 +1,9 @@
-//! Which of many small pieces are sampled, and what stands for the others.
+//! Which places of a draft are sampled where all would take too long, and what stands for the others.
 //!
 //! Leaves, blades of grass and loose triangles have borders everywhere: nearly all of their places would be sampled, and
 //! from each of them the borders of most others are contours. Where that takes too long for a draft, small pieces share samples, and points at
-//! which light is gathered, with those beside them that face the same way, from the further apart the more there are. How long it takes is told by
-//! how many contours are looked at from some of the samples.
+//! which light is gathered, with those beside them that face the same way, from the further apart the more there are; large pieces have fewer.
+//! How long it takes is told by how many contours are looked at from some of the samples.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -239,14 +239,8 @@ fn is_few(count: usize, all: usize) -> bool {
 
 /// Of every place, whether the piece that it belongs to may be small beside the distances between samples.
 fn of_small_pieces(places: &Places, distance: impl Fn(Vec3) -> f32) -> Vec<bool> {
-    let mut pieces = Groups::new(places.origins.len());
-    for [a, b, c] in &places.corners {
-        pieces.join(*a, *b);
-        pieces.join(*a, *c);
-    }
-    let (count, pieces) = pieces.numbered();
-    let sizes = sizes((count, &pieces), &places.origins);
-    let mut small = vec![true; count];
+    let (pieces, sizes) = pieces(&places.origins, &places.corners);
+    let mut small = vec![true; sizes.len()];
     for (piece, origin) in pieces.iter().zip(&places.origins) {
         let piece = *piece as usize;
         small[piece] &= sizes[piece] <= LARGEST * distance(*origin);
@@ -289,11 +283,8 @@ impl<'a> Clutter<'a> {
     /// `triangles` have places for corners.
     fn new(origins: &'a [Vec3], triangles: &[[u32; 3]]) -> Self {
         let mut normals = vec![Vec3::ZERO; origins.len()];
-        let mut pieces = Groups::new(origins.len());
         for triangle in triangles {
             let [a, b, c] = triangle.map(|place| origins[place as usize]);
-            pieces.join(triangle[0], triangle[1]);
-            pieces.join(triangle[0], triangle[2]);
             for place in triangle {
                 normals[*place as usize] += (b - a).cross(c - a);
             }
@@ -301,8 +292,7 @@ impl<'a> Clutter<'a> {
         for normal in &mut normals {
             *normal = normal.normalize_or_zero();
         }
-        let (count, pieces) = pieces.numbered();
-        let sizes = sizes((count, &pieces), origins);
+        let (pieces, sizes) = pieces(origins, triangles);
         Self {
             sizes: pieces.iter().map(|&piece| sizes[piece as usize]).collect(),
             origins,
@@ -371,15 +361,21 @@ impl<'a> Clutter<'a> {
     }
 }
 
-/// The diagonal of the box about each piece, of so many; `pieces` are those of places.
-fn sizes((count, pieces): (usize, &[u32]), origins: &[Vec3]) -> Vec<f32> {
+/// The piece that each place belongs to, and the diagonal of the box about each, metres. `triangles` have places for corners.
+fn pieces(origins: &[Vec3], triangles: &[[u32; 3]]) -> (Vec<u32>, Vec<f32>) {
+    let mut pieces = Groups::new(origins.len());
+    for [a, b, c] in triangles {
+        pieces.join(*a, *b);
+        pieces.join(*a, *c);
+    }
+    let (count, pieces) = pieces.numbered();
     let mut boxes = vec![(Vec3::INFINITY, Vec3::NEG_INFINITY); count];
     for (piece, origin) in pieces.iter().zip(origins) {
         let (low, high) = &mut boxes[*piece as usize];
         (*low, *high) = (low.min(*origin), high.max(*origin));
     }
-    let size = |(low, high): &(Vec3, Vec3)| low.distance(*high);
-    boxes.iter().map(size).collect()
+    let sizes = boxes.iter().map(|(low, high)| low.distance(*high));
+    (pieces, sizes.collect())
 }
 
 #[cfg(test)]

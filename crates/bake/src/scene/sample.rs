@@ -93,21 +93,22 @@ impl Placed {
             ray_offset,
             options.exposure_resolution,
         );
-        let drafted = if spacing > 0.0 {
+        let (drafted, places) = if spacing > 0.0 {
             let directions = Directions::new(options.sample_resolution);
             let distance = |point: Vec3| spacing * sizes.at(point);
-            Drafted::new(&mut found, distance, contours, &directions)
+            Drafted::new(found, distance, contours, &directions)
         } else {
             found.emerge(|_| true, true);
-            let all = || Sparse::all(found.places.origins.len());
-            Drafted {
+            let places = found.into_places();
+            let all = || Sparse::all(places.origins.len());
+            let drafted = Drafted {
                 seen: all(),
                 light: all(),
                 shared: None,
                 by_rays: false,
-            }
+            };
+            (drafted, places)
         };
-        let places = found.places;
         let sizes_at: Vec<f32> = (places.origins.par_iter())
             .map(|&origin| sizes.at(origin))
             .collect();

@@ -78,13 +78,13 @@ pub(crate) struct Drafted {
 
 impl Drafted {
     /// Finds where places emerge, those of small pieces that share samples only where they are sampled. `distance` tells
-    /// how far apart samples are about a point; they are taken in `directions`.
+    /// how far apart samples are about a point; they are taken in `directions`. With the places.
     pub(crate) fn new(
-        found: &mut Finding,
+        mut found: Finding,
         distance: impl Fn(Vec3) -> f32 + Sync,
         contours: &ContourMesh,
         directions: &Directions,
-    ) -> Self {
+    ) -> (Self, Places) {
         let by_places = |places: &Places| {
             let distances: Vec<f32> = (places.origins.par_iter())
                 .map(|&origin| distance(origin))
@@ -95,13 +95,16 @@ impl Drafted {
         let is_small = |place: u32| small.get(place as usize) == Some(&true);
         if !is_few(small.iter().filter(|small| !**small).count(), small.len()) {
             found.emerge(|_| true, true);
-            return by_places(&found.places);
+            // Of scenes of a million triangles the rest takes much memory.
+            let places = found.into_places();
+            return (by_places(&places), places);
         }
         found.emerge(|place| !is_small(place), true);
         let drafted = by_places(&found.places);
         if drafted.shared.is_none() {
             found.emerge(is_small, true);
-            return by_places(&found.places);
+            let places = found.into_places();
+            return (by_places(&places), places);
         }
         let mut sampled = vec![false; small.len()];
         for sparse in [&drafted.seen, &drafted.light] {
@@ -112,7 +115,7 @@ impl Drafted {
             }
         }
         found.emerge(|place| sampled.get(place as usize) == Some(&true), false);
-        drafted
+        (drafted, found.into_places())
     }
 
     fn by_places(

@@ -58,7 +58,7 @@ impl Places {
     ) -> Self {
         let mut found = Finding::new(positions, triangles, caster, offset, exposure_resolution);
         found.emerge(|_| true, true);
-        found.places
+        found.into_places()
     }
 }
 

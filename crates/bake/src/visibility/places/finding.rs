@@ -60,6 +60,11 @@ impl<'a> Finding<'a> {
         found
     }
 
+    /// The places, without what it takes to find more.
+    pub(crate) fn into_places(self) -> Places {
+        self.places
+    }
+
     fn corner(&self, index: u32) -> Vec3 {
         let triangle = self.triangles[index as usize / 3];
         self.positions[triangle[index as usize % 3] as usize]

@@ -247,8 +247,8 @@ impl<'a> Builder<'a> {
         let diagonal = whole.diagonal();
         let masked: usize = uncut.iter().map(|part| part.triangles.len()).sum();
         // By material: triangles before and after, divided and without area in the texture, and
-        // the largest tolerance, texels, and whether that is larger for fewer triangles.
-        let mut counted: BTreeMap<usize, ([usize; 4], f64, bool)> = BTreeMap::new();
+        // the largest tolerance, texels, and what of it is for fewer triangles and can be helped.
+        let mut counted: BTreeMap<usize, ([usize; 4], f64, &str)> = BTreeMap::new();
         for mut part in uncut {
             let name = &materials[part.material].name;
             let texture = &textures[part.cutout.slot.texture as usize];
@@ -285,14 +285,20 @@ impl<'a> Builder<'a> {
                 );
                 Error::invalid(self.file, place, expected, found)
             })?;
-            let ([before, after, divided, flat], tolerance, coarser) =
+            let ([before, after, divided, flat], tolerance, finer) =
                 counted.entry(part.material).or_default();
             *before += part.triangles.len();
             *after += cut.triangles.len();
             *divided += cut.divided;
             *flat += cut.flat;
             *tolerance = tolerance.max(cut.tolerance);
-            *coarser |= cut.coarser;
+            if cut.coarser {
+                *finer = if wanted < left {
+                    ", for fewer triangles; --preset high keeps them as fine as it can"
+                } else {
+                    ", for fewer triangles; a larger --limit-vertices keeps them finer"
+                };
+            }
             part.triangles = cut.triangles;
             drop_unused(&mut part.vertices, &mut part.triangles);
             self.append_sides(
@@ -302,16 +308,11 @@ impl<'a> Builder<'a> {
                 part.double_sided,
             )?;
         }
-        for (material, ([before, after, divided, flat], tolerance, coarser)) in counted {
+        for (material, ([before, after, divided, flat], tolerance, finer)) in counted {
             let name = &materials[material].name;
-            let why = if coarser {
-                ", for fewer triangles; --preset high keeps them as fine as it can"
-            } else {
-                ""
-            };
             self.warn(format!(
                 "material {name:?}: its alpha cuts {divided} of {before} triangles, which leaves \
-                 {after}; outlines are off by up to {tolerance:.2} texels{why}"
+                 {after}; outlines are off by up to {tolerance:.2} texels{finer}"
             ));
             if flat > 0 {
                 self.warn(format!(

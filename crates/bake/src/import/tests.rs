@@ -1094,26 +1094,37 @@ fn masks_leave_about_as_many_triangles_as_are_wanted() {
     let (mut json, blob) = textured_square(&png.into_inner());
     json["materials"][0]["alphaMode"] = json!("MASK");
     json["materials"][0]["doubleSided"] = json!(true);
-    let run = |cut_triangles| {
+    let run = |cut_triangles, max_vertices| {
         let options = Options {
             cut_triangles,
             ..Options::default()
         };
+        let access = Access {
+            max_vertices,
+            ..Access::default()
+        };
         let mesh = gltf::import(
-            &no_files(),
+            &Files::in_memory(BTreeMap::new(), &access),
             Path::new("test.glb"),
             &options,
             &glb(&json, &blob),
         );
         mesh.expect("a square")
     };
-    let (fine, coarse) = (run(None), run(Some(1500)));
+    let (fine, coarse) = (run(None, 1 << 20), run(Some(1500), 1 << 20));
     let counts = [&fine, &coarse].map(|mesh| mesh.triangles.len());
     assert!(counts[0] > 2000 && counts[1] <= 1500, "{counts:?}");
     assert!((area(&coarse) / area(&fine) - 1.0).abs() < 0.03);
     let warned = |mesh: &Mesh, what| mesh.warnings.iter().any(|text| text.contains(what));
     assert!(warned(&fine, "up to 0.25 texels") && !warned(&fine, "fewer"));
     assert!(!warned(&coarse, "up to 0.25 texels") && warned(&coarse, "fewer"));
+    // What helps is told: a preset that wants more, or more room.
+    assert!(warned(&coarse, "--preset high") && !warned(&coarse, "--limit-vertices"));
+    for cut_triangles in [None, Some(1 << 16)] {
+        let limited = run(cut_triangles, 2000);
+        assert!(limited.triangles.len() <= 2000);
+        assert!(!warned(&limited, "--preset high") && warned(&limited, "--limit-vertices"));
+    }
 }
 
 #[test]

@@ -9,6 +9,7 @@ pub(super) const LANES: usize = 16;
 pub(super) const CLEARANCE: f32 = 2.5e-4;
 
 /// Contours side by side, structure of arrays: in space, or projected to the map.
+#[derive(Clone, Copy)]
 pub(super) struct Batch<const AXES: usize> {
     /// Coordinates of both ends.
     pub(super) ends: [[[f32; LANES]; AXES]; 2],
@@ -79,8 +80,9 @@ impl<'a, const AXES: usize> Filling<'a, AXES> {
 
     #[cold]
     fn flush(&mut self) {
-        self.batches
-            .push(std::mem::replace(&mut self.last, Batch::EMPTY));
+        self.batches.push(self.last);
+        // What its lanes hold is overwritten, or not in use.
+        self.last.count = 0;
     }
 
     /// Adds what is left.

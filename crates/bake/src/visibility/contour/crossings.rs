@@ -4,7 +4,7 @@
 use pulp::{Simd, WithSimd};
 
 use super::batch::{Batch, CLEARANCE, Filling, LANES, Lines, whole};
-use super::layers::{Layers, Point, for_pieces};
+use super::layers::{Layers, Point, between_lines, for_pieces};
 use super::loose::{Bundle, SMALL};
 use crate::simd;
 use crate::visibility::{Bitmap, Crossings, ones, pack_bits};
@@ -72,6 +72,17 @@ impl WithSimd for Locate<'_> {
         }
         let half = layers.resolution() as f32 * 0.5;
         for drawn in (layers.drawn().iter()).filter(|drawn| near.to_small(drawn.middle)) {
+            if let Some([a, b, c]) = drawn.flat {
+                // Edges that pass between all lines of texel centres cross no link.
+                for [from, to] in [[a, b], [b, c], [c, a]] {
+                    let u = between_lines(from[0], to[0]);
+                    let v = between_lines(from[1], to[1]);
+                    if !(u && v) {
+                        filling.append([from, to], 0);
+                    }
+                }
+                continue;
+            }
             let triangle = bundles[drawn.bundle as usize].triangle(drawn.lane as usize);
             let [a, b, c] = triangle.map(|corner| corner - layers.eye);
             for (from, to) in [(a, b), (b, c), (c, a)] {

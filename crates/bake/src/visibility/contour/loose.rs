@@ -82,6 +82,8 @@ pub(super) struct Drawn {
     pub(super) lane: u32,
     /// Its middle, in texels.
     pub(super) middle: Point,
+    /// Its corners in texels, if it lies within one octant, where its edges are straight.
+    pub(super) flat: Option<[Point; 3]>,
 }
 
 impl<'a, F: Fn(usize) -> i8, I: Iterator<Item = (usize, &'a Bundle, F)>> WithSimd for Count<'_, I> {
@@ -122,14 +124,14 @@ impl<'a, F: Fn(usize) -> i8, I: Iterator<Item = (usize, &'a Bundle, F)>> WithSim
                     continue;
                 }
                 if bounds.small[lane] == 1 {
+                    let flat = (bounds.flat[lane] == 1)
+                        .then(|| [a.texel(lane), b.texel(lane), c.texel(lane)]);
                     if bounds.covers_none[lane] == 0 {
-                        let flat = (bounds.flat[lane] == 1)
-                            .then(|| Flat::new([a.texel(lane), b.texel(lane), c.texel(lane)]));
                         let texels =
                             [&bounds.first, &bounds.past].map(|of| [of[0][lane], of[1][lane]]);
                         layers.draw(
                             bundle.triangle(lane),
-                            flat.as_ref(),
+                            flat.map(Flat::new).as_ref(),
                             texels,
                             directions,
                             open,
@@ -139,6 +141,7 @@ impl<'a, F: Fn(usize) -> i8, I: Iterator<Item = (usize, &'a Bundle, F)>> WithSim
                         bundle: number as u32,
                         lane: lane as u32,
                         middle: [0, 1].map(|axis| 0.5 * (low[axis] + high[axis])),
+                        flat,
                     });
                     continue;
                 }

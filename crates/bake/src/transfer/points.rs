@@ -28,6 +28,8 @@ const ROUNDING: f32 = 1.001;
 /// Sizes at places a spacing apart differ by this factor at most, nearly always.
 const NEAR_PART: f32 = 0.8;
 
+/// So few points are looked at one after the other: which of them are farther than the nearest takes as long to tell.
+const FEW: usize = 8;
 /// Hashes per point, about.
 const HASHES: usize = 16;
 /// What a normal has along the face that one within a spacing of it looks through, at least:
@@ -226,7 +228,13 @@ impl Points {
     }
 
     fn search(&self, key: &[f32; 6], start: usize, end: usize, best: &mut (f32, Option<usize>)) {
-        if start >= end {
+        if end - start <= FEW {
+            for index in start..end {
+                let distance = self.distance(key, index);
+                if distance < best.0 {
+                    *best = (distance, Some(index));
+                }
+            }
             return;
         }
         let middle = start + (end - start) / 2;

@@ -63,11 +63,7 @@ pub fn pays(view: &View, [a, b, c]: [Vec3; 3]) -> bool {
     let Some([x, y]) = view.steps(normal, (a + b + c) / 3.0) else {
         return false;
     };
-    let least: f32 = std::env::var("LP")
-        .ok()
-        .and_then(|v| v.parse().ok())
-        .unwrap_or(LEAST_PIXELS);
-    normal.length_squared() >= (2.0 * least).powi(2) * x.cross(y).length_squared()
+    normal.length_squared() >= (2.0 * LEAST_PIXELS).powi(2) * x.cross(y).length_squared()
 }
 
 /// Spokes for each light at vertices, in the order in which pixels gather lights; none for what

@@ -28,6 +28,15 @@ pub const SHORTEST_STEP_LIMIT: f32 = 0.1;
 /// Least that a spoke's last step goes, in shortest steps: next to nothing of a lobe is left there. Not 1: whole steps end
 /// where the lobe does, and rounding would say whether the last is taken.
 pub const LAST_STEP: f32 = 0.5;
+/// Where little of what there is may be seen, as through a room's window, what is visible is looked for more thoroughly:
+/// steps are this multiple of the distance, and as short as this part of the shortest. Else a good part of a window that
+/// lies aside of a lobe's middle is passed over.
+pub const THOROUGH_RELAXATION: f32 = 1.0;
+/// See [`THOROUGH_RELAXATION`].
+pub const THOROUGH_SHORTEST: f32 = 0.5;
+/// A lobe that can add more than so many times what has been gathered before it is looked at so thoroughly. The first
+/// ones are: without, half of what this gains in rooms would be lost.
+pub const LARGE_SHARE: f32 = 4.0;
 /// Azimuth of the first spoke from the projected normal, in spokes. The integrand is often
 /// symmetric about that plane: a quarter puts no spoke on another's mirror image.
 pub const PHASE: f32 = 0.25;
@@ -71,6 +80,11 @@ impl PolarOptions {
     }
 }
 
+/// Whether to look thoroughly at a lobe that can add `share` times what has been gathered before.
+pub(crate) fn is_thorough(share: f32) -> bool {
+    share > LARGE_SHARE
+}
+
 impl Default for PolarOptions {
     fn default() -> Self {
         Self::STANDARD
@@ -88,13 +102,23 @@ pub fn integrate(
     normal: Vec3,
     options: &PolarOptions,
 ) -> f32 {
-    let cosine = normal.dot(axis);
-    if !meets_horizon(sharpness, cosine) {
+    let unoccluded = Tables::get().cosine_integral(sharpness, normal.dot(axis));
+    unoccluded * lobe_fraction(field, (sharpness, axis), normal, (*options, false))
+}
+
+/// The share of that integral that is visible, in \[0, 1\]; 0 where the lobe does not meet the horizon. With the
+/// options goes whether to look thoroughly, as [`THOROUGH_RELAXATION`] says.
+pub(crate) fn lobe_fraction(
+    field: &impl SignedDistance,
+    (sharpness, axis): (f32, Vec3),
+    normal: Vec3,
+    options: (PolarOptions, bool),
+) -> f32 {
+    if !meets_horizon(sharpness, normal.dot(axis)) {
         return 0.0;
     }
     let distance = field.distance(axis);
-    let fraction = visible_fraction(field, sharpness, axis, [normal; 2], distance, *options);
-    Tables::get().cosine_integral(sharpness, cosine) * fraction
+    visible_fraction(field, sharpness, axis, [normal; 2], distance, options)
 }
 
 /// Whether a lobe whose axis has this cosine with the normal reaches above the horizon.
@@ -104,14 +128,14 @@ pub(crate) fn meets_horizon(sharpness: f32, cosine: f32) -> bool {
 
 /// The visible fraction of a lobe that [`meets_horizon`], `distance` being that of its axis: the share of the
 /// integral that spokes yield. `face` is the unit normal of the plane behind which nothing is visible, whatever the
-/// field says: that of a triangle's corners is of the surface about them.
+/// field says: that of a triangle's corners is of the surface about them. Looks `thoroughly` or not.
 pub(crate) fn visible_fraction(
     field: &impl SignedDistance,
     sharpness: f32,
     axis: Vec3,
     [normal, face]: [Vec3; 2],
     distance: f32,
-    options: PolarOptions,
+    (options, thoroughly): (PolarOptions, bool),
 ) -> f32 {
     let cosine = normal.dot(axis);
     let radius = support_radius(sharpness);
@@ -130,7 +154,12 @@ pub(crate) fn visible_fraction(
         any_orthogonal(axis)
     };
     let bitangent = axis.cross(tangent);
-    let shortest = (SHORTEST_STEP * radius).min(SHORTEST_STEP_LIMIT);
+    let (relaxation, part) = if thoroughly {
+        (THOROUGH_RELAXATION, THOROUGH_SHORTEST)
+    } else {
+        (RELAXATION, 1.0)
+    };
+    let shortest = part * (SHORTEST_STEP * radius).min(SHORTEST_STEP_LIMIT);
     let count = options.spokes as f32;
     let mut visible = 0.0;
     let mut whole = 0.0;
@@ -172,8 +201,8 @@ pub(crate) fn visible_fraction(
             here = field.distance(axis * cosine + outward * sine);
         }
         let mut sum = if here > 0.0 { -first } else { 0.0 };
-        while theta + (RELAXATION * here.abs()).max(LAST_STEP * shortest) < end {
-            let next = (theta + (RELAXATION * here.abs()).max(shortest)).min(end);
+        while theta + (relaxation * here.abs()).max(LAST_STEP * shortest) < end {
+            let next = (theta + (relaxation * here.abs()).max(shortest)).min(end);
             let (sine_there, cosine_there) = math::sin_cos(next);
             let there = field.distance(axis * cosine_there + outward * sine_there);
             if (here > 0.0) != (there > 0.0) {
@@ -249,6 +278,9 @@ pub fn wgsl_constants() -> String {
          const POLAR_SHORTEST_STEP: f32 = {SHORTEST_STEP:?};\n\
          const POLAR_SHORTEST_STEP_LIMIT: f32 = {SHORTEST_STEP_LIMIT:?};\n\
          const POLAR_LAST_STEP: f32 = {LAST_STEP:?};\n\
+         const POLAR_THOROUGH_RELAXATION: f32 = {THOROUGH_RELAXATION:?};\n\
+         const POLAR_THOROUGH_SHORTEST: f32 = {THOROUGH_SHORTEST:?};\n\
+         const POLAR_LARGE_SHARE: f32 = {LARGE_SHARE:?};\n\
          const POLAR_PHASE: f32 = {PHASE:?};\n\
          const POLAR_MOST_SPOKES: f32 = {MOST_SPOKES:?};\n\
          const POLAR_LEAST_SPOKES: f32 = {LEAST_SPOKES:?};\n\
@@ -511,7 +543,14 @@ mod tests {
             let [normal, face, axis] = [normal, face, axis].map(DVec3::as_vec3);
             let sharpness = sharpness as f32;
             let options = PolarOptions { spokes: 16 };
-            let fraction = visible_fraction(&field, sharpness, axis, [normal, face], 0.5, options);
+            let fraction = visible_fraction(
+                &field,
+                sharpness,
+                axis,
+                [normal, face],
+                0.5,
+                (options, false),
+            );
             squares += (f64::from(fraction) * whole / samples - seen / samples).powi(2);
             cut += u32::from(seen < 0.95 * whole);
             count += 1;

@@ -473,14 +473,15 @@ impl<'a, F: SignedDistance> Tile<'a, F> {
             } = waiting.lobe;
             match self.method {
                 Method::Polar(options) => {
-                    let options = options.for_share(waiting.asked.rounded().share);
+                    let share = waiting.asked.rounded().share;
+                    let thoroughly = polar::is_thorough(share);
                     polar::visible_fraction(
                         pixel.field,
                         sharpness,
                         axis,
                         waiting.normals,
                         distance,
-                        options,
+                        (options.for_share(share), thoroughly),
                     )
                 }
                 Method::Ambient | Method::Cells(_) => {

@@ -14,7 +14,6 @@ use crate::contribution::{negligible, share};
 use crate::polar::{self, PolarOptions, support_radius};
 use crate::spherical_gaussian::SphericalGaussian;
 use crate::ssdf::SignedDistance;
-use crate::tables::Tables;
 
 /// Corners whose fractions differ by no more than this agree.
 pub const AGREEMENT: f32 = 0.05;
@@ -36,6 +35,11 @@ pub const REACH: f32 = 1.0;
 /// Pixels that a triangle covers, at least, for its corners to be asked: of smaller ones there are so many vertices that
 /// pixels, which share what they find, do with less.
 pub const LEAST_PIXELS: f32 = 4.0;
+/// Of a light of which less than this is visible, what is visible may lie between spokes, as a window does: it is
+/// integrated once more.
+pub const THIN: f32 = 0.25;
+/// With so many times as many spokes.
+pub const MORE_SPOKES: u32 = 4;
 /// Stands for a fraction that was not integrated, as the light adds nothing there.
 pub const UNKNOWN: f32 = -1.0;
 /// Texels per row of the texture of fractions, four lights each.
@@ -93,10 +97,15 @@ pub fn light_fraction(
     if spokes == 0 {
         return UNKNOWN;
     }
-    let options = PolarOptions { spokes };
-    let visible = polar::integrate(field, light.sharpness, light.axis, normal, &options);
-    let unoccluded = Tables::get().cosine_integral(light.sharpness, normal.dot(light.axis));
-    (visible / unoccluded.max(f32::MIN_POSITIVE)).clamp(0.0, 1.0)
+    let fraction = |spokes: u32| {
+        let lobe = (light.sharpness, light.axis);
+        polar::lobe_fraction(field, lobe, normal, (PolarOptions { spokes }, true))
+    };
+    let found = fraction(spokes);
+    if found >= THIN {
+        return found;
+    }
+    fraction(MORE_SPOKES * spokes)
 }
 
 /// Fractions at the corners of the triangle that a point lies on.
@@ -178,6 +187,7 @@ pub fn wgsl_constants() -> String {
         ("SURE", SURE),
         ("REACH", REACH),
         ("LEAST_PIXELS", LEAST_PIXELS),
+        ("THIN", THIN),
         ("UNKNOWN", UNKNOWN),
     ];
     reals
@@ -185,6 +195,7 @@ pub fn wgsl_constants() -> String {
         .concat()
         + &format!(
             "const VERTEX_VISIBILITY_TEXTURE_WIDTH: u32 = {TEXTURE_WIDTH}u;\n\
+             const VERTEX_VISIBILITY_MORE_SPOKES: u32 = {MORE_SPOKES}u;\n\
              const VERTEX_VISIBILITY_FRAME_BITS: u32 = {FRAME_BITS}u;\n"
         )
 }
@@ -192,6 +203,7 @@ pub fn wgsl_constants() -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tables::Tables;
 
     /// Visible above a plane through the point, tilted by some angle from the horizon.
     struct HalfSpace(Vec3);
@@ -219,6 +231,44 @@ mod tests {
         assert!(fraction(Vec3::new(1.0, 0.0, 1.0), 12) > 0.999);
         assert!(fraction(Vec3::new(-1.0, 0.0, 1.0), 12) < 0.001);
         assert_eq!(fraction(Vec3::Z, 0), UNKNOWN);
+    }
+
+    /// Visible within a small circle.
+    struct Window(Vec3, f32);
+
+    impl SignedDistance for Window {
+        fn distance(&self, direction: Vec3) -> f32 {
+            let away = 2.0 * math::asin((0.5 * direction.distance(self.0)).min(1.0));
+            (self.1 - away).clamp(-0.5, 0.5)
+        }
+    }
+
+    /// A room's window is small, and seldom where a light is brightest: as it moves, neither may its light be lost
+    /// nor change from one place to the next.
+    #[test]
+    fn windows_aside_of_wide_lights_are_found() {
+        let wide = light(Vec3::new(1.0, 0.0, 1.0), 2.0, 1.0);
+        let radius = 0.2f32;
+        let (mut sum, mut squares, mut truth) = (0.0, 0.0, 0.0);
+        for i in 0..90 {
+            // On the other side of the normal, an eighth of a turn about it and back again.
+            let (sine, cosine) = math::sin_cos(0.01 * (i as f32 - 45.0));
+            let window = Vec3::new(-cosine, sine, 1.0).normalize();
+            let field = Window(window, radius);
+            let found = light_fraction(&wide, 12, Vec3::Z, &field);
+            // Of so small a part of the sphere the light and the cosine are those of its middle.
+            let at_middle = math::exp(2.0 * (wide.axis.dot(window) - 1.0)) * window.z;
+            let solid_angle = std::f32::consts::TAU * (1.0 - math::cos(radius));
+            let unoccluded = Tables::get().cosine_integral(2.0, wide.axis.z);
+            let exact = at_middle * solid_angle / unoccluded;
+            sum += found;
+            squares += (found - exact).powi(2);
+            truth += exact;
+        }
+        let error = (squares / 90.0).sqrt() / (truth / 90.0);
+        println!("{} {error}", sum / truth);
+        assert!((sum / truth - 1.0).abs() < 0.05, "{}", sum / truth);
+        assert!(error < 0.25, "{error}");
     }
 
     #[test]

@@ -220,7 +220,8 @@ fn pixel_look(phase: u32, index: u32, between: vec3<f32>) {
                 face = surface_geometric_normal(triangles[seen_known(tile_pixel(index % PIXEL_COUNT)).x].xyz);
             }
             let clipped = PIXEL_CLIPS && polar_is_clipped(radius, axis.xyz, normal, face);
-            found = polar_fraction(ssdf, axis.w, axis.xyz, normal, face, clipped, distance, spokes);
+            let thoroughly = share > POLAR_LARGE_SHARE;
+            found = polar_fraction(ssdf, axis.w, axis.xyz, normal, face, clipped, distance, spokes, thoroughly);
         }
         pixel_fractions[index] += pixel_unknown(index) * found;
     }

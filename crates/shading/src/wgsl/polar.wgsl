@@ -19,16 +19,28 @@ fn polar_integrate(
     normal: vec3<f32>,
     spokes: u32,
 ) -> f32 {
-    let cosine = dot(normal, axis);
-    if !polar_meets_horizon(sharpness, cosine) {
+    let unoccluded = tables_cosine_integral(sharpness, dot(normal, axis));
+    return unoccluded * polar_lobe_fraction(ssdf, sharpness, axis, normal, spokes, false);
+}
+
+// The visible share of a lobe; 0 where it does not meet the horizon.
+fn polar_lobe_fraction(
+    ssdf: Ssdf,
+    sharpness: f32,
+    axis: vec3<f32>,
+    normal: vec3<f32>,
+    spokes: u32,
+    thoroughly: bool,
+) -> f32 {
+    if !polar_meets_horizon(sharpness, dot(normal, axis)) {
         return 0.0;
     }
-    let fraction = polar_fraction(ssdf, sharpness, axis, normal, normal, false, ssdf_distance(ssdf, axis), spokes);
-    return tables_cosine_integral(sharpness, cosine) * fraction;
+    let distance = ssdf_distance(ssdf, axis);
+    return polar_fraction(ssdf, sharpness, axis, normal, normal, false, distance, spokes, thoroughly);
 }
 
 // The visible fraction of a lobe that meets the horizon, `distance` being that of its axis, if it is
-// `clipped` in front of the plane whose normal is `face`.
+// `clipped` in front of the plane whose normal is `face`. `thoroughly`: in shorter steps.
 fn polar_fraction(
     ssdf: Ssdf,
     sharpness: f32,
@@ -38,6 +50,7 @@ fn polar_fraction(
     clipped: bool,
     distance: f32,
     spokes: u32,
+    thoroughly: bool,
 ) -> f32 {
     let cosine = dot(normal, axis);
     let radius = polar_support_radius(sharpness);
@@ -46,6 +59,8 @@ fn polar_fraction(
     let tangent = select(polar_any_orthogonal(axis), projected / sine, sine > 1e-4);
     // None where the axis tells it.
     let seen = distance >= radius && !clipped;
+    let relaxation = select(POLAR_RELAXATION, POLAR_THOROUGH_RELAXATION, thoroughly);
+    let part = select(1.0, POLAR_THOROUGH_SHORTEST, thoroughly);
     let count = select(spokes, 0u, seen || distance <= -radius);
     var visible = select(0.0, 1.0, seen);
     var whole = visible;
@@ -74,8 +89,8 @@ fn polar_fraction(
         var theta = ends.x;
         var here = 0.0;
         var shortest = 0.0;
-        while theta + max(POLAR_RELAXATION * abs(here), POLAR_LAST_STEP * shortest) < ends.y {
-            let next = min(theta + max(POLAR_RELAXATION * abs(here), shortest), ends.y);
+        while theta + max(relaxation * abs(here), POLAR_LAST_STEP * shortest) < ends.y {
+            let next = min(theta + max(relaxation * abs(here), shortest), ends.y);
             var there = distance;
             if next > 0.0 {
                 there = ssdf_distance(ssdf, axis * cos(next) + outward * sin(next));
@@ -89,7 +104,7 @@ fn polar_fraction(
             }
             theta = next;
             here = there;
-            shortest = POLAR_SHORTEST_STEP * min(radius, POLAR_SHORTEST_STEP_LIMIT / POLAR_SHORTEST_STEP);
+            shortest = part * POLAR_SHORTEST_STEP * min(radius, POLAR_SHORTEST_STEP_LIMIT / POLAR_SHORTEST_STEP);
         }
         visible += select(0.0, last, here > 0.0);
     }

@@ -58,13 +58,16 @@ fn vertices_fraction(ssdf: Ssdf, index: u32, normal: vec3<f32>) -> f32 {
         return VERTEX_VISIBILITY_UNKNOWN;
     }
     let light = light_entry(index);
-    let spokes = u32(light.vertex_spokes);
+    var spokes = u32(light.vertex_spokes);
     if spokes == 0u {
         return VERTEX_VISIBILITY_UNKNOWN;
     }
-    let visible = polar_integrate(ssdf, light.sharpness, light.axis, normal, spokes);
-    let unoccluded = tables_cosine_integral(light.sharpness, dot(normal, light.axis));
-    return clamp(visible / max(unoccluded, 1.17549435e-38), 0.0, 1.0);
+    var fraction = 0.0;
+    for (var i = 0u; i < 2u && fraction < VERTEX_VISIBILITY_THIN; i++) {
+        fraction = polar_lobe_fraction(ssdf, light.sharpness, light.axis, normal, spokes, true);
+        spokes *= VERTEX_VISIBILITY_MORE_SPOKES;
+    }
+    return fraction;
 }
 
 // The last cluster that begins at or before a vertex.

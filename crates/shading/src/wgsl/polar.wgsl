@@ -59,8 +59,6 @@ fn polar_fraction(
     let tangent = select(polar_any_orthogonal(axis), projected / sine, sine > 1e-4);
     // None where the axis tells it.
     let seen = distance >= radius && !clipped;
-    let relaxation = select(POLAR_RELAXATION, POLAR_THOROUGH_RELAXATION, thoroughly);
-    let part = select(1.0, POLAR_THOROUGH_SHORTEST, thoroughly);
     let count = select(spokes, 0u, seen || distance <= -radius);
     var visible = select(0.0, 1.0, seen);
     var whole = visible;
@@ -88,9 +86,10 @@ fn polar_fraction(
         }
         var theta = ends.x;
         var here = 0.0;
+        var ahead = 0.0;
         var shortest = 0.0;
-        while theta + max(relaxation * abs(here), POLAR_LAST_STEP * shortest) < ends.y {
-            let next = min(theta + max(relaxation * abs(here), shortest), ends.y);
+        while theta + max(ahead, POLAR_LAST_STEP * shortest) < ends.y {
+            let next = min(theta + max(ahead, shortest), ends.y);
             var there = distance;
             if next > 0.0 {
                 there = ssdf_distance(ssdf, axis * cos(next) + outward * sin(next));
@@ -104,7 +103,9 @@ fn polar_fraction(
             }
             theta = next;
             here = there;
-            shortest = part * POLAR_SHORTEST_STEP * min(radius, POLAR_SHORTEST_STEP_LIMIT / POLAR_SHORTEST_STEP);
+            ahead = select(POLAR_RELAXATION, POLAR_THOROUGH_RELAXATION, thoroughly) * abs(here);
+            shortest = select(POLAR_SHORTEST_STEP, POLAR_THOROUGH_SHORTEST * POLAR_SHORTEST_STEP, thoroughly)
+                * min(radius, POLAR_SHORTEST_STEP_LIMIT / POLAR_SHORTEST_STEP);
         }
         visible += select(0.0, last, here > 0.0);
     }

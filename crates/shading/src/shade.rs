@@ -464,7 +464,7 @@ mod tests {
                 // As far as the lobes of a round know.
                 let (mut visited, mut before) = (0, Vec3::ZERO);
                 product_lobes(&point, &distant(&lights), |lobe| {
-                    if visited % lights.len() % WAITING as usize == 0 {
+                    if (visited % lights.len()).is_multiple_of(WAITING as usize) {
                         before = gathered;
                     }
                     visited += 1;

@@ -12,17 +12,6 @@ fn polar_meets_horizon(sharpness: f32, cosine: f32) -> bool {
     return cosine > -sin(min(polar_support_radius(sharpness), 0.5 * PI));
 }
 
-fn polar_integrate(
-    ssdf: Ssdf,
-    sharpness: f32,
-    axis: vec3<f32>,
-    normal: vec3<f32>,
-    spokes: u32,
-) -> f32 {
-    let unoccluded = tables_cosine_integral(sharpness, dot(normal, axis));
-    return unoccluded * polar_lobe_fraction(ssdf, sharpness, axis, normal, spokes, false);
-}
-
 // The visible share of a lobe; 0 where it does not meet the horizon.
 fn polar_lobe_fraction(
     ssdf: Ssdf,

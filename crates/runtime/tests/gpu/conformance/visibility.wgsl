@@ -22,7 +22,8 @@ fn probe(@builtin(global_invocation_id) id: vec3<u32>) {
     let ssdf = ssdf_load(clusters[triangle.w >> 16u], triangle.xyz, query.barycentrics);
     answers[id.x] = vec4(
         ssdf_distance(ssdf, query.axis),
-        polar_integrate(ssdf, query.sharpness, query.axis, query.normal, frames[frame_index].spokes),
+        tables_cosine_integral(query.sharpness, dot(query.normal, query.axis))
+            * polar_lobe_fraction(ssdf, query.sharpness, query.axis, query.normal, frames[frame_index].spokes, false),
         ambient_integrate(ssdf, query.sharpness, query.axis, query.normal),
         0.0,
     );

@@ -29,7 +29,7 @@ pub struct Transfer {
     pub emitted: bool,
     /// Bounces that were added up.
     pub bounces: u32,
-    /// What the last of them added, relative to all before.
+    /// What the last of them added, as a part of what each place had before; root mean square.
     pub last_bounce: f32,
     /// Root mean square error of what is stored, relative to the bounced light.
     pub error: f32,

@@ -235,7 +235,7 @@ pub struct SceneArguments {
     #[arg(long, value_name = "N", value_parser = at_least_one)]
     pub max_vertices: Option<usize>,
     /// How often light bounces between surfaces: a number from 0 (not at all) to 64, or auto, which stops
-    /// when the next bounce would add less than 0.5 %. Bounced light follows the light as it changes, but
+    /// when all further bounces would add less than 0.5 % to what a place has. Bounced light follows the light as it changes, but
     /// keeps the colours that materials had in the bake.
     #[arg(long, value_name = "N|auto", default_value = "auto", value_parser = bounces)]
     bounces: Bounces,

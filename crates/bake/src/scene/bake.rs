@@ -122,6 +122,7 @@ impl<'a> Bake<'a> {
             source_triangles: input.mesh.triangles.len() as u64,
             ..Default::default()
         };
+        let diagonal = input.object_diagonal;
         let (name, camera) = (input.name.clone(), input.camera);
         let mut warnings = input.warnings.clone();
         warnings.extend(far_off.into_iter().chain(highlights::warnings(&input.mesh)));
@@ -146,6 +147,7 @@ impl<'a> Bake<'a> {
             &mesh,
             &|index| placed.origin(index),
             contours.caster(),
+            diagonal,
         ));
         let chunks = match options.representation {
             Representation::ClusteredPca => {
@@ -408,6 +410,8 @@ fn refined(
         mesh.warnings.truncate(warnings);
     }
     if by_error {
+        let scale = (sizes, ray_offset);
+        mesh = refine::cut_where_pierced(mesh, contours.caster(), scale, bound.max_vertices);
         return Ok(refine::refine_wrong(mesh, contours, bound, monitor)?);
     }
     Ok(mesh)

@@ -11,60 +11,122 @@ use crate::visibility::ray::RayCaster;
 const PROBES: usize = 2048;
 /// Directions looked in from each.
 const RAYS: usize = 32;
+/// One of so many of them tells of a dim place what is about it.
+const FEW: usize = 4;
 /// Mean part of light from everywhere below which errors of what is left of it show.
 const DIM: f64 = 0.25;
+/// Places where less than that arrives are in a room, not in a crevice, if their rays go farther than this part of the
+/// scene's diagonal, on average. People look at rooms from within: the whole is dim to them if so much of the surface is.
+const ROOM: f32 = 0.1;
+const ROOMS: f64 = 0.2;
 
-/// A warning if the distance is seen from nearly nowhere, or little of it; `origin` tells where rays from a triangle begin.
+/// What a place sees.
+struct Place {
+    area: f32,
+    /// Of light from everywhere, the part that arrives, at most.
+    part: f32,
+    /// Whether it lies in a room: it sees fronts, most of them far away, and little else.
+    indoors: bool,
+}
+
+/// A warning if the distance is seen from nearly nowhere, or little of it; `origin` tells where rays from a triangle begin,
+/// `diagonal` how large the scene is without its ground.
 pub(super) fn warning(
     mesh: &Mesh,
     origin: &(impl Fn(usize) -> Vec3 + Sync),
     caster: &RayCaster,
+    diagonal: f32,
 ) -> Option<String> {
     let step = (mesh.triangles.len() / PROBES).max(1);
     let looked_at: Vec<usize> = (0..mesh.triangles.len()).step_by(step).collect();
-    // Area, and of light from everywhere the part that arrives, at most.
-    let seen = |&triangle: &usize| {
+    let look = |&triangle: &usize| {
         let [a, b, c] = mesh.corners(&mesh.triangles[triangle]);
-        let area = (b - a).cross(c - a);
-        let face = area.normalize_or_zero();
-        let origin = origin(triangle);
-        let [mut open, mut all] = [0.0, 0.0];
-        for ray in 0..RAYS {
-            // Spread over the sphere by the golden angle.
-            let y = (2.0 * ray as f32 + 1.0) / RAYS as f32 - 1.0;
-            let (sin, cos) = math::sin_cos(2.399_963_f32 * ray as f32);
-            let around = (1.0 - y * y).max(0.0).sqrt();
-            let direction = Vec3::new(around * cos, y, around * sin);
-            let cosine = face.dot(direction);
-            all += cosine.abs();
-            if !caster.any_hit(origin, direction * cosine.signum()) {
-                open += cosine.abs();
-            }
-        }
-        [area.length(), open / all.max(f32::MIN_POSITIVE)]
+        place(caster, origin(triangle), (b - a).cross(c - a), diagonal)
     };
-    let seen: Vec<[f32; 2]> = looked_at.par_iter().map(seen).collect();
-    let lit = seen.iter().filter(|[_, part]| *part > 0.0).count();
-    if lit * 50 < seen.len() {
+    let places: Vec<Place> = looked_at.par_iter().map(look).collect();
+    let lit = places.iter().filter(|place| place.part > 0.0).count();
+    if lit * 50 < places.len() {
         return Some(format!(
             "the distance is seen from {lit} of {} points on fronts of triangles: an environment \
              hardly lights this scene; a closed room needs lights or openings, and a mesh whose \
              triangles face inwards must be turned about in the program that made it",
-            seen.len()
+            places.len()
         ));
     }
-    let (light, area) = seen.iter().fold((0.0, 0.0), |(light, all), [area, part]| {
-        (light + f64::from(area * part), all + f64::from(*area))
-    });
-    let part = light / area;
-    (part < DIM).then(|| {
-        format!(
+    // Their area, and the part of light that arrives there on average.
+    let mean = |counts: &dyn Fn(&Place) -> bool| {
+        let counted = places.iter().filter(|place| counts(place));
+        let (light, area) = counted.fold((0.0, 0.0), |(light, all), place| {
+            let area = f64::from(place.area);
+            (light + area * f64::from(place.part), all + area)
+        });
+        (area, light / area)
+    };
+    let (all, part) = mean(&|_| true);
+    if part < DIM {
+        return Some(format!(
             "of light from everywhere {:.0} % arrives at the surface, on average: errors show {:.0} times as \
              much as out in the open; compare with `lab truth`, and draw with high quality",
             100.0 * part,
             1.0 / part
+        ));
+    }
+    let (area, part) = mean(&|place| place.indoors);
+    (area > ROOMS * all).then(|| {
+        format!(
+            "{:.0} % of the surface lies in rooms, where of light from everywhere {:.1} % arrives, on average: errors \
+             show more there than out in the open; compare with `lab truth`, draw with high quality, and bake with \
+             --refine-error 0.02 or less",
+            100.0 * area / all,
+            100.0 * part
         )
     })
+}
+
+/// What is seen from `origin` on the side of a triangle that `normal`, twice as long as its area, points to.
+fn place(caster: &RayCaster, origin: Vec3, normal: Vec3, diagonal: f32) -> Place {
+    let face = normal.normalize_or_zero();
+    // Spread over the sphere by the golden angle, and turned to the side that the triangle faces.
+    let directions = (0..RAYS).map(|ray| {
+        let y = (2.0 * ray as f32 + 1.0) / RAYS as f32 - 1.0;
+        let (sin, cos) = math::sin_cos(2.399_963_f32 * ray as f32);
+        let around = (1.0 - y * y).max(0.0).sqrt();
+        let direction = Vec3::new(around * cos, y, around * sin);
+        direction * face.dot(direction).signum()
+    });
+    let [mut open, mut all] = [0.0; 2];
+    for direction in directions.clone() {
+        let cosine = face.dot(direction);
+        all += cosine;
+        if !caster.any_hit(origin, direction) {
+            open += cosine;
+        }
+    }
+    let part = open / all.max(f32::MIN_POSITIVE);
+    let mut place = Place {
+        area: normal.length(),
+        part,
+        indoors: false,
+    };
+    if f64::from(part) >= DIM {
+        return place;
+    }
+    let [mut fronts, mut backs, mut reach] = [0.0; 3];
+    for direction in directions.step_by(FEW) {
+        let Some(hit) = caster.closest_hit(origin, direction) else {
+            continue;
+        };
+        // Of both sides of a sheet the one that is seen is a front.
+        let met = caster.crossings(origin, direction, hit.distance * (1.0 + 1e-5));
+        if met.iter().any(|met| met.normal.dot(direction) < 0.0) {
+            fronts += 1.0;
+            reach += hit.distance;
+        } else {
+            backs += 1.0;
+        }
+    }
+    place.indoors = fronts > backs && reach > ROOM * diagonal * fronts;
+    place
 }
 
 #[cfg(test)]
@@ -74,8 +136,9 @@ mod tests {
     use super::*;
     use crate::mesh::{Triangle, Vertex};
 
-    /// The warning of so many faces of a box that look inwards, its last face the lid, each divided into triangles.
-    fn told(faces: usize) -> Option<String> {
+    /// The warning of so many faces of a box of 2 m that look inwards, its last face the lid, each divided into triangles,
+    /// beside an open floor that has so many metres on each side.
+    fn told(faces: usize, floor: f32) -> Option<String> {
         const PARTS: u32 = 8;
         let mut mesh = Mesh::default();
         let sides = [
@@ -86,14 +149,17 @@ mod tests {
             Vec3::NEG_Z,
             Vec3::Y,
         ];
-        for outwards in sides.into_iter().take(faces) {
+        let box_faces = sides.into_iter().take(faces).map(|side| (side, side, 2.0));
+        let floor =
+            (floor > 0.0).then(|| (Vec3::NEG_Y, Vec3::new(2.0 + 0.5 * floor, -1.0, 0.0), floor));
+        for (outwards, middle, width) in box_faces.chain(floor) {
             let (u, v) = (-outwards).any_orthonormal_pair();
             for (row, column) in (0..PARTS).flat_map(|row| (0..PARTS).map(move |i| (row, i))) {
                 let first = mesh.vertices.len() as u32;
                 for [x, y] in [[0, 0], [1, 0], [1, 1], [0, 1]] {
-                    let at = |part: u32| 2.0 * part as f32 / PARTS as f32 - 1.0;
+                    let at = |part: u32| width * (part as f32 / PARTS as f32 - 0.5);
                     mesh.vertices.push(Vertex {
-                        position: outwards + at(column + x) * u + at(row + y) * v,
+                        position: middle + at(column + x) * u + at(row + y) * v,
                         normal: -outwards,
                         tangent: u,
                         bitangent_sign: 1.0,
@@ -115,16 +181,39 @@ mod tests {
             assert!(face.dot(corners[0]) < 0.0, "faces look inwards");
             corners.iter().sum::<Vec3>() / 3.0 + 1e-4 * face.normalize()
         };
-        warning(&mesh, &middle, &RayCaster::new(&mesh.soup()))
+        warning(
+            &mesh,
+            &middle,
+            &RayCaster::new(&mesh.soup()),
+            mesh.diagonal(),
+        )
     }
 
     #[test]
     fn a_floor_is_light_a_box_without_its_lid_dim_and_a_closed_one_dark() {
-        assert_eq!(told(1), None);
+        assert_eq!(told(1, 0.0), None);
         // A fifth of what leaves the lid arrives at each of the others.
-        let dim = told(5).unwrap();
+        let dim = told(5, 0.0).unwrap();
         let part: f32 = (dim.split_whitespace().nth(4).unwrap().parse()).unwrap();
         assert!((part - 20.0).abs() <= 2.0, "{dim}");
-        assert!(told(6).unwrap().contains("is seen from 0 of"));
+        assert!(told(6, 0.0).unwrap().contains("is seen from 0 of"));
+    }
+
+    #[test]
+    fn a_dim_room_is_told_of_beside_what_lies_open() {
+        // The box has 20 of 36 square metres.
+        // But for what lies below the rim, where more than a quarter arrives.
+        let told_of = told(5, 4.0).unwrap();
+        let (part, text) = told_of.split_once(' ').unwrap();
+        assert!(
+            (30..=56).contains(&part.parse::<i32>().unwrap()),
+            "{told_of}"
+        );
+        assert!(
+            text.starts_with("% of the surface lies in rooms"),
+            "{told_of}"
+        );
+        // Of 164 it has an eighth: this is a view of something else.
+        assert_eq!(told(5, 12.0), None);
     }
 }

@@ -24,7 +24,7 @@ pub(crate) mod surfaces;
 /// How to gather bounced light. Every field has its default in [`Options::standard`].
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Options {
-    /// Bounces to follow; `None` for as many as it takes until the next adds less than 0.5 %.
+    /// Bounces to follow; `None` for as many as it takes until those left out add less than 0.5 %.
     /// Default: 0, direct light alone. `bake scene` asks for `None`.
     pub bounces: Option<u32>,
     /// Order of the spherical harmonics that distant light is given in.

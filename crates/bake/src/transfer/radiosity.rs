@@ -18,9 +18,13 @@ use crate::monitor::{Interrupted, Monitor};
 use crate::simd::vectorised;
 use crate::visibility::ray::RayCaster;
 
-/// Without a number given, bounces end where the next adds less than this to what is there,
-/// root mean square over points.
-const LAST_BOUNCE: f64 = 0.005;
+/// Without a number given, bounces end where the next and all after it would add less than this, as a part of what
+/// each point has; root mean square over points. Of what all points have together, those in the open have most, and
+/// rooms would be left dark.
+const LEFT_OUT: f64 = 0.005;
+/// A point counts as having at least this part of the mean: into the insides of solid things light comes through cracks,
+/// bounce by bounce, and nobody looks at them.
+const LEAST: f64 = 0.001;
 /// And after so many in any case: albedos of nearly one in closed rooms.
 const MOST_BOUNCES: u32 = 64;
 /// Part of rays that meet backs from which on backs have points of their own.
@@ -81,7 +85,7 @@ pub(crate) struct Radiosity {
     pub(super) relays: Emitters,
     /// Bounces followed, those at vertices among them.
     bounces: u32,
-    /// What the last added, relative to all before.
+    /// What the last adds, by [`Self::part_of_each`].
     last_bounce: f32,
     rays: u64,
 }
@@ -268,6 +272,7 @@ impl Radiosity {
         let length = 3 * self.columns;
         self.irradiance.clone_from(&direct);
         let mut last = direct;
+        let mut before = f64::INFINITY;
         while self.bounces < most.unwrap_or(MOST_BOUNCES) {
             monitor.step("bounces", 0.0)?;
             let mut next = vec![0.0; last.len()];
@@ -282,15 +287,14 @@ impl Radiosity {
                     );
                 }
             });
-            let squares = |values: &[f32]| -> f64 {
-                values.iter().map(|x| f64::from(*x) * f64::from(*x)).sum()
-            };
-            let whole = squares(&self.irradiance).max(f64::MIN_POSITIVE);
-            let added = (squares(&next) / whole).sqrt();
-            self.last_bounce = added as f32;
-            if most.is_none() && added < LAST_BOUNCE {
+            let added = self.part_of_each(&next);
+            // Each bounce after it is smaller by as much as this one is.
+            let left_out = added / (1.0 - added / before).max(f64::MIN_POSITIVE);
+            if most.is_none() && left_out < LEFT_OUT {
                 break;
             }
+            before = added;
+            self.last_bounce = added as f32;
             for (sum, value) in self.irradiance.iter_mut().zip(&next) {
                 *sum += value;
             }
@@ -298,6 +302,23 @@ impl Radiosity {
             last = next;
         }
         Ok(())
+    }
+
+    /// The root mean square over points of what reaches each, by what it has or [`LEAST`].
+    fn part_of_each(&self, values: &[f32]) -> f64 {
+        let squares = |values: &[f32]| -> Vec<f64> {
+            let square =
+                |values: &[f32]| values.iter().map(|x| f64::from(*x) * f64::from(*x)).sum();
+            values.chunks_exact(3 * self.columns).map(square).collect()
+        };
+        let [next, all] = [values, &self.irradiance].map(squares);
+        let count = all.len() as f64;
+        let least = LEAST * LEAST * all.iter().sum::<f64>() / count;
+        let parts = next
+            .iter()
+            .zip(&all)
+            .map(|(next, all)| next / all.max(least).max(f64::MIN_POSITIVE));
+        (parts.sum::<f64>() / count).sqrt()
     }
 
     /// Points as emitters of what they send on of what is emitted elsewhere.
@@ -780,6 +801,38 @@ pub(crate) mod tests {
         }
         // A few per cent of what 32 rays to emitters miss, over 40 places.
         assert!((mean / (2.0 * PI) - 1.0).abs() < 0.03, "{mean}");
+    }
+
+    #[test]
+    fn bounces_end_where_rooms_are_bright_enough_too() {
+        // A room of 1 m of albedo .9 whose lid leaves a tenth open, beside a floor of 6 m that has hundreds of times its light.
+        let (o, x, y, z) = (Vec3::new(4.0, 0.0, 0.0), Vec3::X, Vec3::Y, Vec3::Z);
+        let mesh = squares(
+            &[
+                [Vec3::new(-3.0, 0.0, -3.0), 6.0 * z, 6.0 * x],
+                [o, z, x],
+                [o, x, y],
+                [o, y, z],
+                [o + y, 0.9 * x, z],
+                [o + z, y, x],
+                [o + x, z, y],
+            ],
+            0.9,
+            0.0,
+        );
+        let [found, all] = [None, Some(64)].map(|bounces| {
+            let (solved, _) = solve(&mesh, bounces);
+            let length = 3 * solved.columns;
+            let within = |point: &Point| point.position.x > 3.9;
+            let points =
+                (solved.points.as_slice().iter()).zip(solved.irradiance.chunks_exact(length));
+            let inside: Vec<f32> = points
+                .filter_map(|(point, light)| within(point).then_some(light[0]))
+                .collect();
+            assert!(inside.len() > 50, "{}", inside.len());
+            inside.iter().sum::<f32>() / inside.len() as f32
+        });
+        assert!(found < all && found > 0.99 * all, "{found} of {all}");
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! Divides a mesh until no edge is longer than it may be there, so that visibility, which lives
 //! at vertices, is sampled finely enough.
 
+mod pierced;
 mod wrong;
 
 use std::collections::HashMap;
@@ -10,6 +11,7 @@ use rayon::prelude::*;
 
 use super::{Mesh, Triangle, Vertex};
 
+pub(crate) use pierced::cut_where_pierced;
 pub(crate) use wrong::{Bound, refine as refine_wrong};
 
 /// Both ends of an edge, bit by bit, the lesser first.
@@ -111,7 +113,7 @@ fn divide(mesh: &mut Mesh, cut: impl Fn(Vec3, Vec3) -> Option<Vec3>) -> HashMap<
             let (first, second) = (vertices[a as usize], vertices[b as usize]);
             let position = cut(first.position, second.position)?;
             Some(*middles.entry([a.min(b), a.max(b)]).or_insert_with(|| {
-                vertices.push(average(&first, &second, position));
+                vertices.push(between(&first, &second, position));
                 vertices.len() as u32 - 1
             }))
         };
@@ -150,14 +152,21 @@ fn divide(mesh: &mut Mesh, cut: impl Fn(Vec3, Vec3) -> Option<Vec3>) -> HashMap<
     middles
 }
 
-fn average(a: &Vertex, b: &Vertex, position: Vec3) -> Vertex {
+/// What is at a position on the edge between two vertices.
+fn between(a: &Vertex, b: &Vertex, position: Vec3) -> Vertex {
+    let edge = b.position - a.position;
+    let part = if position == (a.position + b.position) * 0.5 {
+        0.5
+    } else {
+        ((position - a.position).dot(edge) / edge.length_squared()).clamp(0.0, 1.0)
+    };
     Vertex {
         position,
-        normal: (a.normal + b.normal) * 0.5,
-        tangent: (a.tangent + b.tangent) * 0.5,
+        normal: a.normal * (1.0 - part) + b.normal * part,
+        tangent: a.tangent * (1.0 - part) + b.tangent * part,
         bitangent_sign: a.bitangent_sign,
-        uv: (a.uv + b.uv) * 0.5,
-        second_uv: (a.second_uv + b.second_uv) * 0.5,
+        uv: a.uv * (1.0 - part) + b.uv * part,
+        second_uv: a.second_uv * (1.0 - part) + b.second_uv * part,
     }
 }
 
@@ -189,7 +198,7 @@ mod tests {
     }
 
     /// An irregular octahedron whose eight faces share no vertex.
-    fn soup() -> Mesh {
+    pub(super) fn soup() -> Mesh {
         let [x, y, z] = [1.3f32, 0.37, 2.1];
         let mut mesh = Mesh::default();
         for octant in 0..8u16 {
@@ -225,7 +234,7 @@ mod tests {
         areas
     }
 
-    fn assert_closed(mesh: &Mesh) {
+    pub(super) fn assert_closed(mesh: &Mesh) {
         let mut edges: HashMap<_, i32> = HashMap::new();
         let positions: HashSet<_> = mesh.vertices.iter().map(bits).collect();
         for triangle in &mesh.triangles {
@@ -264,9 +273,14 @@ mod tests {
 
     #[test]
     fn area_material_and_attributes_are_kept() {
-        let before = areas(&soup());
         let mesh = refine(soup(), even(0.1), usize::MAX);
-        let after = areas(&mesh);
+        assert_same_surface(&mesh);
+    }
+
+    /// That a mesh is [`soup`] divided: areas, materials and what vertices hold.
+    pub(super) fn assert_same_surface(mesh: &Mesh) {
+        let after = areas(mesh);
+        let before = areas(&soup());
         assert_eq!(before.len(), after.len());
         for (material, area) in before {
             assert!((after[&material] / area - 1.0).abs() < TOLERANCE);

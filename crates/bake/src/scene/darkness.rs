@@ -113,16 +113,13 @@ fn place(caster: &RayCaster, origin: Vec3, normal: Vec3, diagonal: f32) -> Place
     }
     let [mut fronts, mut backs, mut reach] = [0.0; 3];
     for direction in directions.step_by(FEW) {
-        let Some(hit) = caster.closest_hit(origin, direction) else {
-            continue;
-        };
-        // Of both sides of a sheet the one that is seen is a front.
-        let met = caster.crossings(origin, direction, hit.distance * (1.0 + 1e-5));
-        if met.iter().any(|met| met.normal.dot(direction) < 0.0) {
-            fronts += 1.0;
-            reach += hit.distance;
-        } else {
-            backs += 1.0;
+        match caster.closest_side(origin, direction) {
+            Some((distance, true)) => {
+                fronts += 1.0;
+                reach += distance;
+            }
+            Some(_) => backs += 1.0,
+            None => {}
         }
     }
     place.indoors = fronts > backs && reach > ROOM * diagonal * fronts;

@@ -167,19 +167,33 @@ impl RayCaster {
             .found
     }
 
+    /// How far the nearest intersection is, in lengths of the direction, and whether it is of a triangle's front: the side
+    /// from which its vertices run counter-clockwise. Of two sides of a sheet the front is met.
+    pub(crate) fn closest_side(&self, origin: Vec3, direction: Vec3) -> Option<(f32, bool)> {
+        let (place, distance, _) = self.nearest(origin, direction)?;
+        let [a, b, c] = self.triangles[place as usize];
+        let slope = (b - a).cross(c - a).dot(direction.into());
+        Some((distance, slope < 0.0))
+    }
+
     /// The nearest intersection at a parameter greater than zero.
     pub fn closest_hit(&self, origin: Vec3, direction: Vec3) -> Option<Hit> {
-        let nearest = Nearest {
-            triangles: &self.triangles,
-            found: None,
-        };
-        let ray = Ray::new(origin, direction);
-        let nearest = self.tree.walk(&ray, f32::INFINITY, nearest).found;
+        let nearest = self.nearest(origin, direction);
         nearest.map(|(place, distance, barycentrics)| Hit {
             triangle: self.numbers[place as usize] as usize,
             barycentrics,
             distance,
         })
+    }
+
+    /// The place of what is met first, how far away it is, and barycentrics.
+    fn nearest(&self, origin: Vec3, direction: Vec3) -> Option<(u32, f32, Vec3)> {
+        let nearest = Nearest {
+            triangles: &self.triangles,
+            found: None,
+        };
+        let ray = Ray::new(origin, direction);
+        self.tree.walk(&ray, f32::INFINITY, nearest).found
     }
 }
 

@@ -4,6 +4,7 @@ use glam::Vec3;
 use relight_shading::octahedral;
 
 use super::super::ray::{Crossing, NOTHING, RayCaster};
+use super::EXPOSURE_RESOLUTION;
 
 /// How close to another surface a corner touches it, and how close to a position crossings
 /// may be of the surface that goes on there, in offsets.
@@ -14,6 +15,9 @@ const SAME_PLANE: f32 = 1e-3;
 
 /// Crossings that are closer, in offsets, are of both sides of one sheet.
 const SHEET: f32 = 0.01;
+/// Directions that tell of a room, about, and how far from a place its walls are at least, in offsets.
+const FEW: usize = 4;
+pub(super) const ROOM: f32 = 1000.0;
 /// Points of a triangle that may be what people see of it, as weights of its corners.
 const CENTRES: [[f32; 3]; 4] = [
     [1.0 / 3.0; 3],
@@ -47,8 +51,31 @@ impl Exposure {
         })
     }
 
+    /// Whether one of a few of those directions leads to something that faces the place and is farther than `near`, metres:
+    /// it lies in a room, through whose openings none of them may lead, and neither within something solid nor in a gap.
+    /// With as few directions as drafts take that is not told: much has none that is open.
+    pub(crate) fn is_in_a_room(
+        &self,
+        caster: &RayCaster,
+        origin: Vec3,
+        normal: Vec3,
+        near: f32,
+    ) -> bool {
+        if self.rays.len() < EXPOSURE_RESOLUTION.pow(2) as usize {
+            return false;
+        }
+        let step = self.rays.len().div_ceil(FEW);
+        let few = self.rays.iter().step_by(step);
+        // Turned to the side of the normal.
+        let directions = few.map(|(direction, _)| direction * direction.dot(normal).signum());
+        directions.into_iter().any(|direction| {
+            let met = caster.closest_side(origin, direction);
+            met.is_some_and(|(distance, front)| front && distance > near)
+        })
+    }
+
     /// How many of those directions are open, if they are more than `beyond`; else no more than that.
-    fn count_open(
+    pub(super) fn count_open(
         &mut self,
         caster: &RayCaster,
         (origin, normal): (Vec3, Vec3),
@@ -121,22 +148,37 @@ impl Emerging<'_> {
             return [None; 3];
         }
         // What people see of the triangle may be near one of its corners alone.
+        let in_a_room = |exposure: &Exposure, weights: [f32; 3]| {
+            let near = ROOM * self.offset;
+            exposure.is_in_a_room(self.caster, self.above(weights), self.normal, near)
+        };
         let mut open = |weights: [f32; 3], beyond: usize| {
             exposure.count_open(self.caster, (self.above(weights), self.normal), beyond)
         };
         // Halfway to the corner from where the centre's way to it comes out of something.
-        let tips = ways.into_iter().enumerate().filter_map(|(k, way)| {
-            let along = 0.5 + 0.5 * way.last?;
-            let mut weights = CENTRES[0].map(|weight| (1.0 - along) * weight);
-            weights[k] += along;
-            way.end.is_none().then_some(weights)
-        });
+        let tips: Vec<[f32; 3]> = ways
+            .into_iter()
+            .enumerate()
+            .filter_map(|(k, way)| {
+                let along = 0.5 + 0.5 * way.last?;
+                let mut weights = CENTRES[0].map(|weight| (1.0 - along) * weight);
+                weights[k] += along;
+                way.end.is_none().then_some(weights)
+            })
+            .collect();
         let mut best = (CENTRES[0], open(CENTRES[0], 0));
-        for weights in CENTRES.into_iter().skip(1).chain(tips) {
+        for weights in CENTRES.into_iter().skip(1).chain(tips.iter().copied()) {
             let open = open(weights, 2 * best.1);
             if open > 2 * best.1 {
                 best = (weights, open);
             }
+        }
+        // In a room few directions are open, or none of these.
+        if best.1 == 0
+            && let Some(tip) = tips.into_iter().find(|tip| in_a_room(exposure, *tip))
+            && !in_a_room(exposure, CENTRES[0])
+        {
+            best = (tip, 0);
         }
         let ways = if best.0 == CENTRES[0] {
             ways
@@ -254,7 +296,6 @@ impl Emerging<'_> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::EXPOSURE_RESOLUTION;
     use super::*;
 
     #[test]

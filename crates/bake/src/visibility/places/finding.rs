@@ -4,7 +4,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::super::ray::RayCaster;
-use super::emerging::{Emerging, Exposure};
+use super::emerging::{Emerging, Exposure, ROOM};
 use super::{Places, umbrellas, weld};
 
 /// Places that are told by the surface that they are on; which of them lie on or behind another one, rays tell where
@@ -120,32 +120,48 @@ impl<'a> Finding<'a> {
         let ended = |ends: &[[Option<Vec3>; 3]], corner: u32| {
             ends[corner as usize / 3][corner as usize % 3]
         };
-        // Where nothing is seen from, though no crossing tells so, the triangles may see something all the same.
-        let (origins, dark): (Vec<Vec3>, Vec<bool>) = (0..self.members.count())
+        // Where nothing is seen from, though no crossing tells so, the triangles may see something all the same. Of places in
+        // rooms more directions tell how much they see: what is twice that, or more, tells of a triangle.
+        let exposures = || (exposure(), Exposure::new(2 * self.exposure_resolution));
+        let (origins, dark): (Vec<Vec3>, Vec<Option<usize>>) = (0..self.members.count())
             .into_par_iter()
-            .map_init(exposure, |exposure, place| {
+            .map_init(exposures, |(exposure, fine), place| {
                 if !asked(place) {
-                    return (self.places.origins[place as usize], false);
+                    return (self.places.origins[place as usize], None);
                 }
                 let (origin, sum) = self.beside(place, |corner| ended(&ends, corner).is_none());
-                let dark = sum != Vec3::ZERO && !exposure.sees(self.caster, origin, sum);
-                (origin, dark)
+                if sum == Vec3::ZERO || exposure.sees(self.caster, origin, sum) {
+                    return (origin, None);
+                }
+                let near = ROOM * self.offset;
+                let in_a_room = exposure.is_in_a_room(self.caster, origin, sum, near);
+                let mut open = || fine.count_open(self.caster, (origin, sum), 0);
+                (origin, Some(if in_a_room { open() } else { 0 }))
             })
             .unzip();
         let elsewhere =
-            |exposure: &mut Exposure, (triangle, ends): (usize, &mut [Option<Vec3>; 3])| {
-                let is_dark = |k: &usize| {
-                    ends[*k].is_none() && dark.get(of(3 * triangle + k) as usize) == Some(&true)
-                };
-                let corners: Vec<usize> = (0..3).filter(is_dark).collect();
-                if self.normals[triangle] != Vec3::ZERO && !corners.is_empty() {
-                    let from = self.emerging(triangle).seen_from(exposure);
-                    for k in corners {
-                        ends[k] = from[k];
+            |(exposure, fine): &mut (Exposure, Exposure),
+             (triangle, ends): (usize, &mut [Option<Vec3>; 3])| {
+                let dark = [0, 1, 2].map(|k| {
+                    let open = dark.get(of(3 * triangle + k) as usize).copied().flatten();
+                    open.filter(|_| ends[k].is_none())
+                });
+                let normal = self.normals[triangle];
+                if normal == Vec3::ZERO || dark == [None; 3] {
+                    return;
+                }
+                let from = self.emerging(triangle).seen_from(exposure);
+                for (k, open) in dark.into_iter().enumerate() {
+                    let (Some(open), Some(from)) = (open, from[k]) else {
+                        continue;
+                    };
+                    let most = 2 * open;
+                    if open == 0 || fine.count_open(self.caster, (from, normal), most) > most {
+                        ends[k] = Some(from);
                     }
                 }
             };
-        (ends.par_iter_mut().enumerate()).for_each_init(exposure, elsewhere);
+        (ends.par_iter_mut().enumerate()).for_each_init(exposures, elsewhere);
         let divided = self.places.origins.split_off(origins.len());
         self.places.origins = [origins, divided].concat();
         for place in 0..self.members.count() {

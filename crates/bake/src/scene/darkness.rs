@@ -203,7 +203,7 @@ mod tests {
         let told_of = told(5, 4.0).unwrap();
         let (part, text) = told_of.split_once(' ').unwrap();
         assert!(
-            (30..=56).contains(&part.parse::<i32>().unwrap()),
+            (20..=56).contains(&part.parse::<i32>().unwrap()),
             "{told_of}"
         );
         assert!(

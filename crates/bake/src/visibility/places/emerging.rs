@@ -15,8 +15,8 @@ const SAME_PLANE: f32 = 1e-3;
 
 /// Crossings that are closer, in offsets, are of both sides of one sheet.
 const SHEET: f32 = 0.01;
-/// Directions that tell of a room, about, and how far from a place its walls are at least, in offsets.
-const FEW: usize = 4;
+/// Directions that tell of a room, but for one or two, and how far from a place its walls are at least, in offsets.
+const FEW: usize = 5;
 pub(super) const ROOM: f32 = 1000.0;
 /// Points of a triangle that may be what people see of it, as weights of its corners.
 const CENTRES: [[f32; 3]; 4] = [
@@ -64,7 +64,8 @@ impl Exposure {
         if self.rays.len() < EXPOSURE_RESOLUTION.pow(2) as usize {
             return false;
         }
-        let step = self.rays.len().div_ceil(FEW);
+        // Odd, so that they are not all of one column of the map.
+        let step = self.rays.len() / FEW | 1;
         let few = self.rays.iter().step_by(step);
         // Turned to the side of the normal.
         let directions = few.map(|(direction, _)| direction * direction.dot(normal).signum());

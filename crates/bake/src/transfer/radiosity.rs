@@ -805,7 +805,7 @@ pub(crate) mod tests {
 
     #[test]
     fn bounces_end_where_rooms_are_bright_enough_too() {
-        // A room of 1 m of albedo .9 whose lid leaves a tenth open, beside a floor of 6 m that has hundreds of times its light.
+        // A room of 1 m of albedo .9 whose lid leaves a tenth open, beside a floor of 6 m that has most of all light.
         let (o, x, y, z) = (Vec3::new(4.0, 0.0, 0.0), Vec3::X, Vec3::Y, Vec3::Z);
         let mesh = squares(
             &[

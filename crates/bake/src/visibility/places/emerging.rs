@@ -65,7 +65,7 @@ impl Exposure {
             return false;
         }
         // Odd, so that they are not all of one column of the map.
-        let step = self.rays.len() / FEW | 1;
+        let step = (self.rays.len() / FEW) | 1;
         let few = self.rays.iter().step_by(step);
         // Turned to the side of the normal.
         let directions = few.map(|(direction, _)| direction * direction.dot(normal).signum());

@@ -39,6 +39,7 @@ pub fn trials() -> Vec<Trial> {
         Trial::test("cli::refine_error", refine_error),
         Trial::test("cli::small_drafts", small_drafts),
         Trial::test("cli::drafts_of_leaves", drafts_of_leaves),
+        Trial::test("cli::drafts_of_rooms", drafts_of_rooms),
         Trial::test("cli::environment", environment),
         Trial::test("cli::layered_material", layered_material),
         Trial::test("cli::broken_table", broken_table),
@@ -311,6 +312,50 @@ fn drafts_of_leaves() -> Outcome {
     assert!(warned && sampled < 8_000, "{sampled}");
     let (warned, sampled) = baked(1_000)?;
     assert!(!warned && sampled > 1_000, "{sampled}");
+    Ok(())
+}
+
+/// A box of 2 m without its lid, whose sides face each other or away from each other, as OBJ.
+fn open_box(inwards: bool) -> String {
+    let mut text = String::new();
+    for corner in 0..8 {
+        let [x, y, z] = [1, 2, 4].map(|bit| if corner & bit == 0 { -1 } else { 1 });
+        let _ = writeln!(text, "v {x} {y} {z}");
+    }
+    // By their corners counter-clockwise, seen from within.
+    for side in [
+        [1, 5, 6, 2],
+        [1, 3, 7, 5],
+        [2, 6, 8, 4],
+        [1, 2, 4, 3],
+        [5, 7, 8, 6],
+    ] {
+        let [a, b, c, d] = side;
+        let _ = match inwards {
+            true => writeln!(text, "f {a} {b} {c} {d}"),
+            false => writeln!(text, "f {d} {c} {b} {a}"),
+        };
+    }
+    text
+}
+
+/// A draft of a room is finer than others, unless options say how fine it is to be.
+fn drafts_of_rooms() -> Outcome {
+    let folder = tempfile::tempdir()?;
+    let [mesh, asset] = ["a.obj", "a.relight"].map(|name| folder.path().join(name));
+    let resolution = |inwards: bool, options: &[&str]| -> Result<u32, Failed> {
+        std::fs::write(&mesh, open_box(inwards))?;
+        let mut bake = binary("bake");
+        bake.arg("scene").arg(&mesh).arg("-o").arg(&asset);
+        bake.args(["--preset", "draft", "--bounces", "0", "--force"]);
+        expect(OK, bake.args(options));
+        let limits = relight_format::Limits::default();
+        let scene = relight_format::read_scene(&std::fs::read(&asset)?, &limits)?;
+        Ok(scene.visibility.sample_resolution)
+    };
+    assert_eq!(resolution(true, &[])?, 64);
+    assert_eq!(resolution(false, &[])?, 32);
+    assert_eq!(resolution(true, &["--max-tiles", "2"])?, 32);
     Ok(())
 }
 

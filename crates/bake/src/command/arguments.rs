@@ -320,6 +320,11 @@ impl SceneArguments {
         replace(&mut options.max_vertices, self.max_vertices);
         replace(&mut options.sample_resolution, self.sample_resolution);
         replace(&mut options.basis_resolution, self.basis_resolution);
+        // What is given holds for all scenes.
+        options.finer_rooms &= self.max_tiles.is_none()
+            && self.max_edge.is_none()
+            && self.sample_resolution.is_none()
+            && self.basis_resolution.is_none();
         options.transfer.bounces = self.bounces.0;
         let (sample, basis) = (options.sample_resolution, options.basis_resolution);
         if basis > sample || !sample.is_multiple_of(basis) {

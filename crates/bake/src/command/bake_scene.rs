@@ -95,6 +95,7 @@ pub fn bake(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Summ
     for warning in &head.report.warnings {
         show::warn(warning.as_str());
     }
+    let sample_resolution = head.visibility.sample_resolution;
     let chunks = parts.finished();
     let clock = ProcessorClock::start();
     monitor.step("write", 0.0)?;
@@ -147,7 +148,7 @@ pub fn bake(arguments: &SceneArguments, monitor: Monitor) -> anyhow::Result<Summ
         summary.text += &format!(
             "\nvisibility equals one ray per texel: {} points of {} texels compared, {} differ",
             statistics.verified_points,
-            options.sample_resolution.pow(2),
+            sample_resolution.pow(2),
             statistics.differing_texels,
         );
         summary.json["verified_points"] = json!(statistics.verified_points);

@@ -14,7 +14,7 @@ use super::error::Error;
 use super::fingerprint::Dependencies;
 use super::highlights;
 use super::load::SceneInput;
-use super::options::Options;
+use super::options::{Options, ROOM_VERTICES};
 use super::overlaps;
 use super::queue::Queue;
 use super::sample::{CHUNK_VERTICES, Placed, Prepared};
@@ -128,7 +128,8 @@ impl<'a> Bake<'a> {
         warnings.extend(far_off.into_iter().chain(highlights::warnings(&input.mesh)));
         warnings.extend(overlaps::warning(&input.mesh, contours.caster()));
         warnings.extend(reflections);
-        let mut mesh = refined(input, options, &contours, (&sizes, ray_offset), monitor)?;
+        let scale = (&sizes, ray_offset);
+        let (mut mesh, ref options) = refined(input, options, &contours, scale, monitor)?;
         for warning in mesh.warnings.drain(..) {
             if !warnings.contains(&warning) {
                 warnings.push(warning);
@@ -384,14 +385,14 @@ fn ray_offset(mesh: &Mesh, sizes: &SizeFunction) -> (f32, Option<String>) {
     (offset, Some(warning))
 }
 
-/// The mesh, fine enough to carry shadows.
+/// The mesh, fine enough to carry shadows, and the options for it: rooms may have others.
 fn refined(
     input: SceneInput,
     options: &Options,
     contours: &ContourMesh,
     (sizes, ray_offset): (&SizeFunction, f32),
     monitor: Monitor,
-) -> Result<Mesh, Error> {
+) -> Result<(Mesh, Options), Error> {
     let (max_edge, bound) = refinement(&input, options, sizes, ray_offset);
     let by_error = bound.error.is_finite();
     // Of the vertices that may be added, half are kept for where shadows fall.
@@ -400,8 +401,17 @@ fn refined(
     } else {
         bound.max_vertices
     };
+    let diagonal = input.object_diagonal;
     let length = |edge: f32| move |a, b| sizes.length(a, b, edge) / edge;
     let mut mesh = refine::refine(input.mesh, length(max_edge), even_vertices);
+    let rooms = options.finer_rooms
+        && mesh.vertices.len() < ROOM_VERTICES
+        && darkness::has_rooms(&mesh, ray_offset, contours.caster(), diagonal);
+    let options = if rooms {
+        options.for_rooms()
+    } else {
+        options.clone()
+    };
     let least = options.least_vertices.min(bound.max_vertices);
     if mesh.vertices.len() < least {
         let warnings = mesh.warnings.len();
@@ -412,9 +422,9 @@ fn refined(
     if by_error {
         let scale = (sizes, ray_offset);
         mesh = refine::cut_where_pierced(mesh, contours.caster(), scale, bound.max_vertices);
-        return Ok(refine::refine_wrong(mesh, contours, bound, monitor)?);
+        mesh = refine::refine_wrong(mesh, contours, bound, monitor)?;
     }
-    Ok(mesh)
+    Ok((mesh, options))
 }
 
 /// The longest edge as a part of the size of things, and the bounds on cuts by error: the scene

@@ -31,6 +31,55 @@ struct Place {
     indoors: bool,
 }
 
+/// What places all over a scene see.
+struct Places(Vec<Place>);
+
+impl Places {
+    /// `origin` tells where rays from a triangle begin, `diagonal` how large the scene is without its ground.
+    fn of(
+        mesh: &Mesh,
+        origin: &(impl Fn(usize) -> Vec3 + Sync),
+        caster: &RayCaster,
+        diagonal: f32,
+    ) -> Self {
+        let step = (mesh.triangles.len() / PROBES).max(1);
+        let looked_at: Vec<usize> = (0..mesh.triangles.len()).step_by(step).collect();
+        let look = |&triangle: &usize| {
+            let [a, b, c] = mesh.corners(&mesh.triangles[triangle]);
+            place(caster, origin(triangle), (b - a).cross(c - a), diagonal)
+        };
+        Self(looked_at.par_iter().map(look).collect())
+    }
+
+    /// The area of those that count, and the part of light from everywhere that arrives there on average.
+    fn mean(&self, counts: impl Fn(&Place) -> bool) -> (f64, f64) {
+        let counted = self.0.iter().filter(|place| counts(place));
+        let (light, area) = counted.fold((0.0, 0.0), |(light, all), place| {
+            let area = f64::from(place.area);
+            (light + area * f64::from(place.part), all + area)
+        });
+        (area, light / area)
+    }
+
+    /// The part of the surface that lies in rooms which light gets into, and the part of it that does, if much does.
+    fn rooms(&self) -> Option<(f64, f64)> {
+        let (all, _) = self.mean(|_| true);
+        let (area, part) = self.mean(|place| place.indoors);
+        (area > ROOMS * all && part > CLOSED).then(|| (area / all, part))
+    }
+}
+
+/// Whether much of a scene lies in rooms; `ray_offset` is how far from triangles rays begin, `diagonal` as in [`warning`].
+pub(super) fn has_rooms(mesh: &Mesh, ray_offset: f32, caster: &RayCaster, diagonal: f32) -> bool {
+    let above_middle = |triangle: usize| {
+        let corners = mesh.corners(&mesh.triangles[triangle]);
+        let normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
+        corners.iter().sum::<Vec3>() / 3.0 + ray_offset * normal.normalize_or_zero()
+    };
+    let places = Places::of(mesh, &above_middle, caster, diagonal);
+    places.rooms().is_some()
+}
+
 /// A warning if the distance is seen from nearly nowhere, or little of it; `origin` tells where rays from a triangle begin,
 /// `diagonal` how large the scene is without its ground.
 pub(super) fn warning(
@@ -39,32 +88,17 @@ pub(super) fn warning(
     caster: &RayCaster,
     diagonal: f32,
 ) -> Option<String> {
-    let step = (mesh.triangles.len() / PROBES).max(1);
-    let looked_at: Vec<usize> = (0..mesh.triangles.len()).step_by(step).collect();
-    let look = |&triangle: &usize| {
-        let [a, b, c] = mesh.corners(&mesh.triangles[triangle]);
-        place(caster, origin(triangle), (b - a).cross(c - a), diagonal)
-    };
-    let places: Vec<Place> = looked_at.par_iter().map(look).collect();
-    let lit = places.iter().filter(|place| place.part > 0.0).count();
-    if lit * 50 < places.len() {
+    let places = Places::of(mesh, origin, caster, diagonal);
+    let count = places.0.len();
+    let lit = places.0.iter().filter(|place| place.part > 0.0).count();
+    if lit * 50 < count {
         return Some(format!(
-            "the distance is seen from {lit} of {} points on fronts of triangles: an environment \
+            "the distance is seen from {lit} of {count} points on fronts of triangles: an environment \
              hardly lights this scene; a closed room needs lights or openings, and a mesh whose \
-             triangles face inwards must be turned about in the program that made it",
-            places.len()
+             triangles face inwards must be turned about in the program that made it"
         ));
     }
-    // Their area, and the part of light that arrives there on average.
-    let mean = |counts: &dyn Fn(&Place) -> bool| {
-        let counted = places.iter().filter(|place| counts(place));
-        let (light, area) = counted.fold((0.0, 0.0), |(light, all), place| {
-            let area = f64::from(place.area);
-            (light + area * f64::from(place.part), all + area)
-        });
-        (area, light / area)
-    };
-    let (all, part) = mean(&|_| true);
+    let (_, part) = places.mean(|_| true);
     if part < DIM {
         return Some(format!(
             "of light from everywhere {:.0} % arrives at the surface, on average: errors show {:.0} times as \
@@ -73,13 +107,12 @@ pub(super) fn warning(
             1.0 / part
         ));
     }
-    let (area, part) = mean(&|place| place.indoors);
-    (area > ROOMS * all && part > CLOSED).then(|| {
+    places.rooms().map(|(surface, part)| {
         format!(
             "{:.0} % of the surface lies in rooms, where of light from everywhere {:.1} % arrives, on average: errors \
              show more there than out in the open; compare with `lab truth`, draw with high quality, and bake with \
              --refine-error 0.02 or less",
-            100.0 * area / all,
+            100.0 * surface,
             100.0 * part
         )
     })
@@ -135,9 +168,9 @@ mod tests {
     use super::*;
     use crate::mesh::{Triangle, Vertex};
 
-    /// The warning of so many faces of a box of 2 m that look inwards, its last face the lid, each divided into triangles,
-    /// beside an open floor that has so many metres on each side.
-    fn told(faces: usize, floor: f32) -> Option<String> {
+    /// So many faces of a box of 2 m that look inwards, its last face the lid, each divided into triangles, beside an open
+    /// floor that has so many metres on each side.
+    fn scene(faces: usize, floor: f32) -> Mesh {
         const PARTS: u32 = 8;
         let mut mesh = Mesh::default();
         let sides = [
@@ -174,6 +207,12 @@ mod tests {
                 }
             }
         }
+        mesh
+    }
+
+    /// The warning of such a scene.
+    fn told(faces: usize, floor: f32) -> Option<String> {
+        let mesh = scene(faces, floor);
         let middle = |triangle: usize| {
             let corners = mesh.corners(&mesh.triangles[triangle]);
             let face = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
@@ -216,5 +255,16 @@ mod tests {
         assert_eq!(told(5, 12.0), None);
         // Nobody looks into a closed one.
         assert_eq!(told(6, 4.0), None);
+    }
+
+    #[test]
+    fn rooms_are_what_light_gets_into() {
+        let rooms = |faces: usize, floor: f32| {
+            let mesh = scene(faces, floor);
+            let caster = RayCaster::new(&mesh.soup());
+            has_rooms(&mesh, 1e-4, &caster, mesh.diagonal())
+        };
+        assert!(rooms(5, 0.0) && rooms(5, 4.0));
+        assert!(!rooms(1, 0.0) && !rooms(5, 12.0) && !rooms(6, 0.0) && !rooms(6, 4.0));
     }
 }

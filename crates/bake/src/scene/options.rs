@@ -11,6 +11,11 @@ use crate::visibility::places::EXPOSURE_RESOLUTION;
 /// Whether this build can represent a scene by one basis, to compare with the paper.
 pub const PAPER: bool = cfg!(feature = "paper");
 
+/// Of [`Options::sample_resolution`].
+const MOST_SAMPLES: u32 = 256;
+/// A scene is small that has fewer vertices once it is divided.
+pub(super) const ROOM_VERTICES: usize = 65_536;
+
 /// What to trade. Every field has its default in [`Options::standard`].
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Options {
@@ -51,6 +56,9 @@ pub struct Options {
     /// Rays per side of an octahedral map of all directions that tell whether a place sees anything, or lies behind
     /// what touches it (`crate::visibility::places`); 1 to 64.
     pub exposure_resolution: u32,
+    /// Whether a scene of rooms, while it is small, is sampled more finely than the rest tells: light gets there from
+    /// few of the directions that are sampled.
+    pub finer_rooms: bool,
     /// Triangles in which interpolation is checked once a scene is baked, about; at least 1.
     pub probes: usize,
     /// Edges are cut further where interpolated visibility is off by more than this, radians
@@ -75,6 +83,7 @@ impl Options {
             least_vertices: 32_768,
             sample_spacing: 0.008,
             exposure_resolution: 4,
+            finer_rooms: true,
             probes: 512,
             refine_error: f32::INFINITY,
             transfer: transfer::Options::draft(),
@@ -98,6 +107,7 @@ impl Options {
             least_vertices: 0,
             sample_spacing: 0.0,
             exposure_resolution: EXPOSURE_RESOLUTION,
+            finer_rooms: false,
             probes: 2048,
             refine_error: f32::INFINITY,
             max_vertices: 1_000_000,
@@ -117,6 +127,25 @@ impl Options {
         }
     }
 
+    /// In place of these for a small scene of rooms: by those of a draft errors there are half as large again, in all it
+    /// takes twice the time.
+    pub(super) fn for_rooms(&self) -> Self {
+        let standard = Self::standard();
+        Self {
+            sample_resolution: if self.sample_resolution <= MOST_SAMPLES / 2 {
+                2 * self.sample_resolution
+            } else {
+                self.sample_resolution
+            },
+            max_tiles: self.max_tiles.max(standard.max_tiles),
+            aim: self.aim.min(standard.aim),
+            least_vertices: self.least_vertices.max(ROOM_VERTICES),
+            sample_spacing: 0.6 * self.sample_spacing,
+            exposure_resolution: self.exposure_resolution.max(EXPOSURE_RESOLUTION),
+            ..self.clone()
+        }
+    }
+
     /// That every option is in its range, and that none contradicts another.
     pub(super) fn check(&self) -> Result<(), Error> {
         let Options {
@@ -127,7 +156,10 @@ impl Options {
         let wrong = |place: &str, expected: String, found: String| {
             Err(Error::Options(Objection::new(place, expected, found)))
         };
-        if !(8..=512).contains(&basis) || !(basis..=256).contains(&sample) || sample % basis != 0 {
+        if !(8..=512).contains(&basis)
+            || !(basis..=MOST_SAMPLES).contains(&sample)
+            || sample % basis != 0
+        {
             return wrong(
                 "sample_resolution",
                 "a basis resolution in 8..=512 that divides a sample resolution up to 256".into(),

@@ -49,6 +49,17 @@ const MOST_STEPS: u32 = 4;
 const MOST_TIMES_MEAN: f32 = 4.0;
 /// Radians by which the sky is blurred that such surfaces see, by one ray.
 const SKY_BLUR: f32 = 0.35;
+/// Where a point is looked for that stands for what a ray met, one place after the other, in such radii along the one drawn by
+/// chance and across it: about it, and farther off where those do not stand for it, as where a wall lies between that it passes through.
+const PLACES: [[f32; 2]; 7] = [
+    [1.0, 0.0],
+    [-0.5, 0.0],
+    [0.0, 0.0],
+    [-2.0, 0.0],
+    [0.0, 2.0],
+    [0.0, -2.0],
+    [2.0, 0.0],
+];
 /// How far above the surface what stands between neighbours is looked for, as a part of their
 /// distance.
 const ABOVE: f32 = 0.1;
@@ -456,14 +467,16 @@ impl Radiosity {
         let spacing = self.points.spacing_at(met.position);
         let radius = BLUR * spacing * unit(hash(number, 1)).sqrt();
         let aside = radius * self.aside(met.normal, hash(number, 2));
-        let mut tried = None;
-        [1.0, -0.5, 0.0].into_iter().find_map(|part| {
-            let place = met.position + part * aside;
+        let across = met.normal.cross(aside);
+        let places = PLACES.map(|[along, turned]| met.position + along * aside + turned * across);
+        let mut tried = [usize::MAX; PLACES.len()];
+        places.into_iter().enumerate().find_map(|(at, place)| {
             let index = (self.points).nearest_alike(place, met.normal, REACH + BLUR, ALIKE)?;
             // Most often the same as at the last place.
-            if tried.replace(index) == Some(index) {
+            if tried[..at].contains(&index) {
                 return None;
             }
+            tried[at] = index;
             let point = &self.points.as_slice()[index];
             let distance = point.position.distance(met.position);
             let near = distance < REACH * spacing && point.geometric_normal.dot(met.normal) > ALIKE;

@@ -459,14 +459,48 @@ mod tests {
         assert_tip_tells(&solids.concat());
     }
 
-    #[test]
-    fn a_tip_tells_of_its_corners_in_a_room_without_a_window() {
-        let mut walls = cuboid([-20.0, -20.0, -20.0], [20.0, 20.0, 20.0]);
+    /// A room of single sheets that face inwards, up to so high.
+    fn room(ceiling: f32) -> [[[f32; 3]; 4]; 6] {
+        let mut walls = cuboid([-20.0, -20.0, -20.0], [20.0, ceiling, 20.0]);
         for wall in &mut walls {
             wall.reverse();
         }
+        walls
+    }
+
+    #[test]
+    fn a_tip_tells_of_its_corners_in_a_room_without_a_window() {
         let solid = cuboid([-5.0, -1.0, -3.0], [0.0, 1.0, 3.0]);
-        assert_tip_tells(&[walls, solid].concat());
+        assert_tip_tells(&[room(20.0), solid].concat());
+    }
+
+    #[test]
+    fn a_tip_tells_of_its_corners_where_a_wall_passes_through_the_ceiling() {
+        let solid = cuboid([-15.0, -1.0, -15.0], [0.0, 3.0, 15.0]);
+        let faces = [room(2.0), solid].concat();
+        // From within the wall, the ceiling looks like that of a room.
+        let (positions, triangles) = squares(&faces);
+        let soup: Vec<[Vec3; 3]> = (triangles.iter())
+            .map(|triangle| triangle.map(|vertex| positions[vertex as usize].into()))
+            .collect();
+        let exposure = Exposure::new(EXPOSURE_RESOLUTION);
+        let within = Vec3::new(-1.3, OFFSET, 0.0);
+        assert!(exposure.is_in_a_room(&RayCaster::new(&soup), within, Vec3::Y, 1.0));
+        assert_tip_tells(&faces);
+    }
+
+    #[test]
+    fn what_sticks_out_of_a_room_is_sampled_within_it() {
+        let (mut positions, mut triangles) = squares(&room(20.0));
+        positions.extend([[19.8, 0.0, 0.0], [20.03, 0.0, 0.1], [20.03, 0.0, -0.1]]);
+        let first = positions.len() as u32 - 3;
+        triangles.push([first, first + 1, first + 2]);
+        let places = places(&positions, &triangles);
+        let corners = places.corners.last().expect("a triangle");
+        for origin in corners.map(|place| places.origins[place as usize]) {
+            assert!(19.7 < origin.x && origin.x < 20.0, "{origin}");
+            assert!((origin.y - OFFSET).abs() < 1e-5, "{origin}");
+        }
     }
 
     #[test]

@@ -104,12 +104,15 @@ struct Way {
     end: Option<Vec3>,
     /// How far the last crossing is, as a part of the way, if there are any.
     last: Option<f32>,
+    /// Whether it comes out of something that it has not entered: it begins within.
+    from_within: bool,
 }
 
 impl Way {
     const CLEAR: Self = Self {
         end: None,
         last: None,
+        from_within: false,
     };
 }
 
@@ -157,29 +160,39 @@ impl Emerging<'_> {
             exposure.count_open(self.caster, (self.above(weights), self.normal), beyond)
         };
         // Halfway to the corner from where the centre's way to it comes out of something.
-        let tips: Vec<[f32; 3]> = ways
+        let tips: Vec<(Way, [f32; 3])> = ways
             .into_iter()
             .enumerate()
             .filter_map(|(k, way)| {
                 let along = 0.5 + 0.5 * way.last?;
                 let mut weights = CENTRES[0].map(|weight| (1.0 - along) * weight);
                 weights[k] += along;
-                way.end.is_none().then_some(weights)
+                way.end.is_none().then_some((way, weights))
             })
             .collect();
+        // Behind a wall of a single sheet all may be open, but that is its other side.
+        let before_end = |&(way, weights): &(Way, [f32; 3])| {
+            let near = middle.distance(self.above(weights));
+            way.end.is_none_or(|end| near < middle.distance(end))
+        };
+        let near_corners = ways.into_iter().zip(CENTRES.into_iter().skip(1));
+        let near_corners = near_corners.filter(before_end).map(|(_, weights)| weights);
         let mut best = (CENTRES[0], open(CENTRES[0], 0));
-        for weights in CENTRES.into_iter().skip(1).chain(tips.iter().copied()) {
+        for weights in near_corners.chain(tips.iter().map(|(_, tip)| *tip)) {
             let open = open(weights, 2 * best.1);
             if open > 2 * best.1 {
                 best = (weights, open);
             }
         }
-        // In a room few directions are open, or none of these.
-        if best.1 == 0
-            && let Some(tip) = tips.into_iter().find(|tip| in_a_room(exposure, *tip))
-            && !in_a_room(exposure, CENTRES[0])
-        {
-            best = (tip, 0);
+        // In a room few directions are open, or none of these. A wall that passes through a room's ceiling looks like one
+        // from within.
+        if best.1 == 0 {
+            let hidden = |way: &Way| way.from_within || !in_a_room(exposure, CENTRES[0]);
+            let tip =
+                (tips.into_iter()).find(|(way, tip)| in_a_room(exposure, *tip) && hidden(way));
+            if let Some((_, tip)) = tip {
+                best = (tip, 0);
+            }
         }
         let ways = if best.0 == CENTRES[0] {
             ways
@@ -275,6 +288,7 @@ impl Emerging<'_> {
         Way {
             end: end.map(|end| start + end * direction),
             last,
+            from_within: depth < 0,
         }
     }
 

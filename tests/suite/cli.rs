@@ -331,10 +331,8 @@ fn open_box(inwards: bool) -> String {
         [5, 7, 8, 6],
     ] {
         let [a, b, c, d] = side;
-        let _ = match inwards {
-            true => writeln!(text, "f {a} {b} {c} {d}"),
-            false => writeln!(text, "f {d} {c} {b} {a}"),
-        };
+        let [first, second] = if inwards { [b, d] } else { [d, b] };
+        let _ = writeln!(text, "f {a} {first} {c} {second}");
     }
     text
 }

@@ -345,7 +345,7 @@ fn drafts_of_rooms() -> Outcome {
         std::fs::write(&mesh, open_box(inwards))?;
         let mut bake = binary("bake");
         bake.arg("scene").arg(&mesh).arg("-o").arg(&asset);
-        bake.args(["--preset", "draft", "--bounces", "0", "--force"]);
+        bake.args(["--preset", "draft", "--bounces", "0"]);
         expect(OK, bake.args(options));
         let limits = relight_format::Limits::default();
         let scene = relight_format::read_scene(&std::fs::read(&asset)?, &limits)?;

@@ -432,9 +432,9 @@ mod tests {
         }
     }
 
-    /// Asserts that the other corners of a triangle are sampled where its tip, at x = .1, comes out of these faces at x = 0.
-    fn assert_tip_tells(faces: &[[[f32; 3]; 4]]) {
-        let tip = [0.1, 0.0, 0.0];
+    /// Asserts that the other corners of a triangle are sampled where its tip, so far along x, comes out of these faces at x = 0.
+    fn assert_tip_tells(along: f32, faces: &[[[f32; 3]; 4]]) {
+        let tip = [along, 0.0, 0.0];
         let (mut positions, mut triangles) = squares(faces);
         positions.extend([tip, [-2.0, 0.0, -1.0], [-2.0, 0.0, 1.0]]);
         let first = positions.len() as u32 - 3;
@@ -456,7 +456,7 @@ mod tests {
             cuboid([-5.0, -1.0, -3.0], [0.0, 1.0, 0.5]),
             cuboid([-5.0, -1.0, 0.5], [0.0, 1.0, 3.0]),
         ];
-        assert_tip_tells(&solids.concat());
+        assert_tip_tells(0.1, &solids.concat());
     }
 
     /// A room of single sheets that face inwards, up to so high.
@@ -471,7 +471,7 @@ mod tests {
     #[test]
     fn a_tip_tells_of_its_corners_in_a_room_without_a_window() {
         let solid = cuboid([-5.0, -1.0, -3.0], [0.0, 1.0, 3.0]);
-        assert_tip_tells(&[room(20.0), solid].concat());
+        assert_tip_tells(0.1, &[room(20.0), solid].concat());
     }
 
     #[test]
@@ -486,7 +486,14 @@ mod tests {
         let exposure = Exposure::new(EXPOSURE_RESOLUTION);
         let within = Vec3::new(-1.3, OFFSET, 0.0);
         assert!(exposure.is_in_a_room(&RayCaster::new(&soup), within, Vec3::Y, 1.0));
-        assert_tip_tells(&faces);
+        assert_tip_tells(0.1, &faces);
+    }
+
+    #[test]
+    fn a_large_tip_tells_of_its_corners_within_a_box_of_two_sides() {
+        let outer = cuboid([-5.0, -1.0, -3.0], [0.0, 1.0, 3.0]);
+        let inner = outer.map(|[a, b, c, d]| [d, c, b, a]);
+        assert_tip_tells(5.0, &[outer, inner].concat());
     }
 
     #[test]

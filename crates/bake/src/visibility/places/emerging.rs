@@ -102,6 +102,8 @@ impl Exposure {
 struct Way {
     /// Where the triangle emerges, if the corner is behind something.
     end: Option<Vec3>,
+    /// Whether that is where it passes through a sheet of two sides, which may lead out as well as in.
+    by_sheet: bool,
     /// How far the last crossing is, as a part of the way, if there are any.
     last: Option<f32>,
     /// Whether it comes out of something that it has not entered: it begins within.
@@ -111,6 +113,7 @@ struct Way {
 impl Way {
     const CLEAR: Self = Self {
         end: None,
+        by_sheet: false,
         last: None,
         from_within: false,
     };
@@ -170,10 +173,10 @@ impl Emerging<'_> {
                 way.end.is_none().then_some((way, weights))
             })
             .collect();
-        // Behind a wall of a single sheet all may be open, but that is its other side.
+        // Behind a wall of one side all may be open, but that is outside.
         let before_end = |&(way, weights): &(Way, [f32; 3])| {
             let near = middle.distance(self.above(weights));
-            way.end.is_none_or(|end| near < middle.distance(end))
+            way.by_sheet || way.end.is_none_or(|end| near < middle.distance(end))
         };
         let near_corners = ways.into_iter().zip(CENTRES.into_iter().skip(1));
         let near_corners = near_corners.filter(before_end).map(|(_, weights)| weights);
@@ -287,6 +290,7 @@ impl Emerging<'_> {
         };
         Way {
             end: end.map(|end| start + end * direction),
+            by_sheet: depth > 0 && by_sheet,
             last,
             from_within: depth < 0,
         }

@@ -1,14 +1,8 @@
-"""Reads `.relight` assets into numpy arrays, as FORMAT.md describes them.
-
-    asset = relight_reader.read("statue.relight")
-    asset.kind                      # "scene", "environment" or "material"
-    asset.metadata["materials"]     # dicts, lists, numbers, strings, as FORMAT.md lists them
-    asset.arrays["vertices"]["position"]
+"""Reads `.relight` assets into numpy arrays, as FORMAT.md describes them; README.md has an example.
 
 Bytes are untrusted: whatever is wrong raises `Invalid`, before memory is asked for that the
 file does not justify. Values are as stored: radians, metres, linear Rec.709.
 """
-
 import json
 import struct
 import zlib
@@ -21,13 +15,13 @@ KINDS = {1: "scene", 2: "environment", 3: "material"}
 SECTIONS = dict(enumerate("metadata vertices triangles clusters coefficients basis texels lobes prefiltered"
                           " sources source_texels transfer second_uvs".split(), 1))
 NEEDED = {"scene": {1, 2, 3, 4, 5, 6, 7}, "environment": {1, 8, 9, 10, 11}, "material": {1, 7}}
-
 VERTEX = np.dtype([("position", "<f4", 3), ("normal", "<f4", 3), ("tangent", "<f4", 4), ("uv", "<f4", 2)])
 TRIANGLE = np.dtype([("vertices", "<u4", 3), ("material", "<u2"), ("cluster", "<u2")])
-CLUSTER = np.dtype([("first_vertex", "<u4"), ("vertices", "<u4"), ("first_coefficient", "<u4"),
-                    ("first_tile", "<u4"), ("tiles", "<u4"), ("scale", "<f4")])
+CLUSTER = np.dtype(list(zip("first_vertex vertices first_coefficient first_tile tiles scale".split(),
+                            5 * ["<u4"] + ["<f4"])))
 SOURCE = np.dtype(list(zip("theta phi row_step column_step rows columns".split(), 4 * ["<f4"] + 2 * ["<u4"])))
 LOBE = np.dtype([("axis", "<f4", 3), ("sharpness", "<f4"), ("amplitude", "<f4", 3), ("reserved", "<u4")])
+Asset = namedtuple("Asset", "kind version metadata arrays")
 
 class Invalid(ValueError):
     """The bytes are not a valid asset."""
@@ -35,8 +29,6 @@ class Invalid(ValueError):
 def _require(holds, message):
     if not holds:
         raise Invalid(message)
-
-Asset = namedtuple("Asset", "kind version metadata arrays")
 
 def _metadata(data):
     """One JSON object; what readers of arrays need of it is checked where they do."""
@@ -113,13 +105,11 @@ def _column(differences, exponent, parents, exact):
         integers = _add_up(differences, parents, 1 << 32)
     else:
         exact = np.where(np.isnan(exact), 0.0, exact)
-        bits = _ordered(exact.astype("<f4")).view("<i4")
-        expected = bits if exponent == -128 else np.rint(np.ldexp(exact, -exponent))
-        integers = (expected.astype(np.int64) + differences) % (1 << 32)
+        exact = _ordered(exact.astype("<f4")).view("<i4") if exponent == -128 else np.rint(np.ldexp(exact, -exponent))
+        integers = (exact.astype(np.int64) + differences) % (1 << 32)
     words = integers.astype("<u4")
-    if exponent == -128:
-        return _ordered(words).view("<f4")
-    return np.ldexp(words.view("<i4").astype(np.float64), exponent).astype("<f4")
+    scaled = np.ldexp(words.view("<i4").astype(np.float64), exponent).astype("<f4")
+    return _ordered(words).view("<f4") if exponent == -128 else scaled
 
 def _vertices(data, triangles, count):
     """Vertices, the place of each, and what places and vertices are expected from."""
@@ -195,6 +185,16 @@ def _basis(data, n):
     _require(not (image == -128).any(), "a basis texel of -128")
     return np.ascontiguousarray(image.astype(np.int8).reshape(-1, 4, n, n).transpose(0, 2, 3, 1))
 
+def _texels(data, width, height):
+    """A texture of a flag and planes; what is predicted is added along diagonals, each from the two before it."""
+    left, image = data[1:].reshape(4, height, width).astype(np.int16), np.zeros((4, height + 1, width + 1), np.int16)
+    left[::2] += data[0] * left[1]
+    for d in range(width + height - 1):
+        y = np.arange(max(0, d - width + 1), min(height, d + 1))
+        l, a, c = image[:, y + 1, d - y], image[:, y, d - y + 1], image[:, y, d - y]
+        image[:, y + 1, d - y + 1] = left[:, y, d - y] + np.clip(l + a - c, np.minimum(l, a), np.maximum(l, a)) & 255
+    return np.ascontiguousarray(image[:, 1:, 1:].astype(np.uint8).transpose(1, 2, 0))
+
 def _decompressed(content, length, name):
     """Exactly one Zstandard frame of exactly this length; a bomb is noticed before it has grown."""
     stream, parts, size = zstandard.ZstdDecompressor(max_window_size=8 << 20).decompressobj(), [], 0
@@ -212,7 +212,7 @@ def _decompressed(content, length, name):
 def _sections(data, max_bytes):
     _require(len(data) >= 24 and data[:8] == b"RELIGHT\n", "no .relight file")
     version, kind, count, reserved = struct.unpack_from("<4I", data, 8)
-    _require(version == 4 and kind in KINDS and reserved == 0, f"version {version} of kind {kind}; this reads 4")
+    _require(4 <= version <= 5 and kind in KINDS and reserved == 0, f"version {version}, kind {kind}; this reads 4, 5")
     _require(count <= 64 and len(data) >= 24 + 32 * count, "the section table ends early")
     offset, last, total, raw = 24 + 32 * count, 0, 0, {}
     for index in range(count):
@@ -252,14 +252,14 @@ def decode(data, max_bytes=4 << 30):
         texels = (arrays["sources"]["rows"].astype(np.uint64) * arrays["sources"]["columns"]).sum()
         _require(3 * texels == len(arrays["source_texels"]), "texels of other sources")
     if "texels" in raw:
-        arrays["textures"], texels = [], _array(raw["texels"], np.uint8)
+        arrays["textures"], texels, flags = [], _array(raw["texels"], np.uint8), int(version > 4)
         _require(isinstance(metadata.get("textures"), list), "metadata: textures")
         for texture in metadata["textures"]:
             width, height = _whole(texture, "width"), _whole(texture, "height")
-            size = 4 * width * height
-            _require(size <= len(texels), "texels of a fraction of the textures")
-            arrays["textures"].append(texels[:size].reshape(height, width, 4))
-            texels = texels[size:]
+            size = flags + 4 * width * height
+            _require(size <= len(texels) and (texels[0] < 2 or not flags), "texels of a fraction, or another flag")
+            own, texels = texels[:size], texels[size:]
+            arrays["textures"].append(_texels(own, width, height) if flags else own.reshape(height, width, 4))
         _require(len(texels) == 0, "texels of no texture")
     return Asset(kind, version, metadata, arrays)
 

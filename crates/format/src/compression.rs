@@ -4,11 +4,10 @@
 use std::io::{self, Read};
 
 #[cfg(not(target_family = "wasm"))]
-pub(crate) use c::{Decoder, compress, compress_images, compress_noise, compress_numbers};
+pub(crate) use c::{Decoder, compress, compress_noise, compress_numbers};
 #[cfg(target_family = "wasm")]
 pub(crate) use rust::{
-    Decoder, compress, compress as compress_images, compress as compress_noise,
-    compress as compress_numbers,
+    Decoder, compress, compress as compress_noise, compress as compress_numbers,
 };
 
 /// log2 of the largest window a reader allocates for; levels up to 15 use 22 at most.
@@ -23,17 +22,11 @@ mod c {
     /// The last of the fast ones: the next takes three times as long for 0.2 % of the bytes. Decoding speed does
     /// not depend on it.
     const LEVEL: i32 = 12;
-    const IMAGE_LEVEL: i32 = 9;
     const NUMBER_LEVEL: i32 = 1;
 
     /// All bytes in one frame.
     pub(crate) fn compress(raw: &[u8]) -> io::Result<Vec<u8>> {
         zstd::bulk::compress(raw, LEVEL)
-    }
-
-    /// The same of images: in half the time to 0.8 % more bytes.
-    pub(crate) fn compress_images(raw: &[u8]) -> io::Result<Vec<u8>> {
-        zstd::bulk::compress(raw, IMAGE_LEVEL)
     }
 
     /// The same of numbers that do not repeat each other: the fastest level finds little where the others find hardly
@@ -151,7 +144,6 @@ mod tests {
         for raw in samples() {
             for stored in [
                 compress(&raw).unwrap(),
-                compress_images(&raw).unwrap(),
                 compress_noise(&raw).unwrap(),
                 compress_numbers(&raw).unwrap(),
                 rust::compress(&raw).unwrap(),

@@ -12,7 +12,9 @@ use crate::{Error, Issue};
 /// First eight bytes of every asset. The line feed catches text-mode transfers.
 pub const MAGIC: [u8; 8] = *b"RELIGHT\n";
 /// Format version this crate writes.
-pub const VERSION: u32 = 4;
+pub const VERSION: u32 = 5;
+/// The first version that it reads.
+const FIRST_VERSION: u32 = 4;
 
 const HEADER_LENGTH: usize = 24;
 const ENTRY_LENGTH: usize = 32;
@@ -59,7 +61,7 @@ pub enum SectionKind {
     Coefficients = 5,
     /// 8-bit basis tiles, as differences from what neighbours predict.
     Basis = 6,
-    /// Texels of all textures, concatenated.
+    /// Texels of all textures, as differences from what neighbours predict.
     Texels = 7,
     /// [`crate::Lobe`] array.
     Lobes = 8,
@@ -172,11 +174,11 @@ pub fn inspect(bytes: &[u8], limits: &Limits) -> Result<(Kind, u32, Vec<SectionI
         ));
     }
     let version = u32_at(8)?;
-    if version != VERSION {
+    if !(FIRST_VERSION..=VERSION).contains(&version) {
         return Err(Error::invalid(
             Issue::UnknownVersion,
             "header",
-            format_args!("version {VERSION}"),
+            format_args!("version {FIRST_VERSION} to {VERSION}"),
             format_args!("version {version}"),
         ));
     }
@@ -287,12 +289,13 @@ pub fn inspect(bytes: &[u8], limits: &Limits) -> Result<(Kind, u32, Vec<SectionI
 pub(crate) struct Reader<'a> {
     bytes: &'a [u8],
     limits: &'a Limits,
+    version: u32,
     sections: std::vec::IntoIter<SectionInfo>,
 }
 
 impl<'a> Reader<'a> {
     pub(crate) fn new(bytes: &'a [u8], expected: Kind, limits: &'a Limits) -> Result<Self, Error> {
-        let (kind, _, sections) = inspect(bytes, limits)?;
+        let (kind, version, sections) = inspect(bytes, limits)?;
         if kind != expected {
             return Err(Error::invalid(
                 Issue::WrongKind,
@@ -304,8 +307,14 @@ impl<'a> Reader<'a> {
         Ok(Self {
             bytes,
             limits,
+            version,
             sections: sections.into_iter(),
         })
+    }
+
+    /// Of the format, that the file is in.
+    pub(crate) fn version(&self) -> u32 {
+        self.version
     }
 
     /// The next section, which must be of `kind`, as an array of little-endian elements.
@@ -465,8 +474,9 @@ impl Writer {
         let raw: &[u8] = bytemuck::cast_slice(values);
         let compress = match kind {
             SectionKind::Basis => compression::compress_noise,
-            SectionKind::Texels => compression::compress_images,
-            SectionKind::Coefficients | SectionKind::Transfer => compression::compress_numbers,
+            SectionKind::Texels | SectionKind::Coefficients | SectionKind::Transfer => {
+                compression::compress_numbers
+            }
             _ => compression::compress,
         };
         let stored = compress(raw).map_err(|error| {

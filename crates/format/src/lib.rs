@@ -21,6 +21,7 @@ mod material_asset;
 pub mod math;
 mod prediction;
 mod scene;
+mod texels;
 mod transfer;
 
 pub use container::{Kind, Limits, MAGIC, SectionInfo, SectionKind, VERSION, inspect};

@@ -4,7 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::container::{Kind, Limits, Reader, SectionKind, Writer};
 use crate::material::TextureShape;
-use crate::scene::{concatenate_texels, split_texels, validate_textures};
+use crate::scene::validate_textures;
+use crate::texels;
 use crate::{Error, Issue, Material, Texture};
 
 /// How well the lobes fit what they came from. Zero where nothing was fitted.
@@ -46,12 +47,13 @@ struct Metadata {
 pub fn read_material(bytes: &[u8], limits: &Limits) -> Result<MaterialAsset, Error> {
     let mut reader = Reader::new(bytes, Kind::Material, limits)?;
     let metadata: Metadata = reader.metadata()?;
-    let texels: Vec<u8> = reader.pod(SectionKind::Texels)?;
+    let version = reader.version();
+    let stored: Vec<u8> = reader.pod(SectionKind::Texels)?;
     reader.finish()?;
     let asset = MaterialAsset {
         report: metadata.report,
         material: metadata.material,
-        textures: split_texels(&metadata.textures, &texels)?,
+        textures: texels::decode(&metadata.textures, &stored, version)?,
     };
     asset.validate()?;
     Ok(asset)
@@ -66,7 +68,7 @@ pub fn write_material(asset: &MaterialAsset) -> Result<Vec<u8>, Error> {
         material: asset.material.clone(),
         textures: asset.textures.iter().map(Texture::shape).collect(),
     })?;
-    writer.section(SectionKind::Texels, &concatenate_texels(&asset.textures))?;
+    writer.section(SectionKind::Texels, &texels::encode(&asset.textures))?;
     Ok(writer.finish())
 }
 

@@ -9,6 +9,7 @@ use crate::container::{Kind, Limits, Reader, SectionKind, Writer};
 use crate::geometry::{self, Places};
 use crate::material::TextureShape;
 use crate::prediction;
+use crate::texels;
 use crate::transfer::Transfer;
 use crate::{Camera, Error, Issue, Material, Texture};
 
@@ -182,7 +183,8 @@ pub fn read_scene(bytes: &[u8], limits: &Limits) -> Result<Scene, Error> {
         reader.pod(SectionKind::Basis)?,
         metadata.visibility.basis_resolution,
     );
-    let texels: Vec<u8> = reader.pod(SectionKind::Texels)?;
+    let version = reader.version();
+    let stored_texels: Vec<u8> = reader.pod(SectionKind::Texels)?;
     let transfer: Option<Vec<u8>> = if reader.has(SectionKind::Transfer) {
         Some(reader.pod(SectionKind::Transfer)?)
     } else {
@@ -233,7 +235,7 @@ pub fn read_scene(bytes: &[u8], limits: &Limits) -> Result<Scene, Error> {
         visibility: metadata.visibility,
         camera: metadata.camera,
         materials: metadata.materials,
-        textures: split_texels(&metadata.textures, &texels)?,
+        textures: texels::decode(&metadata.textures, &stored_texels, version)?,
         report: metadata.report,
         vertices,
         second_uvs,
@@ -259,7 +261,7 @@ impl StoredTexels {
     /// Compresses the texels of all textures of a scene.
     pub fn new(textures: &[Texture]) -> Result<Self, Error> {
         let mut section = Writer::new(Kind::Scene);
-        section.section(SectionKind::Texels, &concatenate_texels(textures))?;
+        section.section(SectionKind::Texels, &texels::encode(textures))?;
         Ok(Self {
             section,
             lengths: lengths(textures),
@@ -375,66 +377,6 @@ fn late_sections(scene: &Scene) -> Result<Writer, Error> {
         writer.section(SectionKind::SecondUvs, &uvs)?;
     }
     Ok(writer)
-}
-
-pub(crate) fn concatenate_texels(textures: &[Texture]) -> Vec<u8> {
-    textures
-        .iter()
-        .flat_map(|texture| texture.texels.iter().copied())
-        .collect()
-}
-
-pub(crate) fn split_texels(
-    sizes: &[TextureShape],
-    mut texels: &[u8],
-) -> Result<Vec<Texture>, Error> {
-    let total = texels.len();
-    let mut textures = Vec::new();
-    for &TextureShape {
-        width,
-        height,
-        encoding,
-    } in sizes
-    {
-        let split = texel_bytes(width, height).and_then(|length| texels.split_at_checked(length));
-        let (head, tail) = split.ok_or_else(|| {
-            Error::section(
-                Issue::BadLength,
-                SectionKind::Texels,
-                format_args!(
-                    "{width}x{height} RGBA8 texels of texture {}",
-                    textures.len()
-                ),
-                format_args!("{} of {total} bytes left", texels.len()),
-            )
-        })?;
-        textures.push(Texture {
-            width,
-            height,
-            encoding,
-            texels: head.to_vec(),
-        });
-        texels = tail;
-    }
-    if texels.is_empty() {
-        Ok(textures)
-    } else {
-        Err(Error::section(
-            Issue::BadLength,
-            SectionKind::Texels,
-            format_args!("{} bytes", total - texels.len()),
-            format_args!("{total} bytes"),
-        ))
-    }
-}
-
-/// Bytes of an RGBA8 image, or `None` if it has none or too many to address.
-fn texel_bytes(width: u32, height: u32) -> Option<usize> {
-    // Two 32-bit factors and a 4 can exceed even 64 bits.
-    let bytes = u64::from(width)
-        .checked_mul(u64::from(height))?
-        .checked_mul(4)?;
-    usize::try_from(bytes).ok().filter(|bytes| *bytes > 0)
 }
 
 impl Scene {
@@ -565,7 +507,7 @@ fn validate_metadata(scene: &Scene) -> Result<(), Error> {
 
 pub(crate) fn validate_textures(textures: &[Texture]) -> Result<(), Error> {
     for (index, texture) in textures.iter().enumerate() {
-        if texel_bytes(texture.width, texture.height) != Some(texture.texels.len()) {
+        if texels::texel_bytes(texture.width, texture.height) != Some(texture.texels.len()) {
             return Err(Error::section(
                 Issue::BadLength,
                 SectionKind::Metadata,

@@ -15,11 +15,12 @@ enum Asset {
     Material(Box<format::MaterialAsset>),
 }
 
-fn decode(path: &Path) -> anyhow::Result<(Vec<format::SectionInfo>, Asset)> {
+/// An asset, the version of the format that it is in, and its sections.
+fn decode(path: &Path) -> anyhow::Result<(Asset, u32, Vec<format::SectionInfo>)> {
     let bytes = read(path)?;
     let limits = format::Limits::default();
     let asset = || -> Result<_, format::Error> {
-        let (kind, _, sections) = format::inspect(&bytes, &limits)?;
+        let (kind, version, sections) = format::inspect(&bytes, &limits)?;
         let asset = match kind {
             format::Kind::Scene => Asset::Scene(Box::new(format::read_scene(&bytes, &limits)?)),
             format::Kind::Environment => {
@@ -29,7 +30,7 @@ fn decode(path: &Path) -> anyhow::Result<(Vec<format::SectionInfo>, Asset)> {
                 Asset::Material(Box::new(format::read_material(&bytes, &limits)?))
             }
         };
-        Ok((sections, asset))
+        Ok((asset, version, sections))
     };
     asset().map_err(|error| Error::asset(path, error).into())
 }
@@ -47,7 +48,7 @@ pub(super) fn validate(path: &Path) -> anyhow::Result<Summary> {
     reason = "what there is to say of each kind of asset"
 )]
 pub(super) fn inspect(path: &Path) -> anyhow::Result<Summary> {
-    let (sections, asset) = decode(path)?;
+    let (asset, version, sections) = decode(path)?;
     let mut text = format!("{}: ", path.display());
     let mut object = match &asset {
         Asset::Scene(scene) => {
@@ -58,7 +59,7 @@ pub(super) fn inspect(path: &Path) -> anyhow::Result<Summary> {
                  {:?}: {} clusters, {} tiles of 4 images at {r}x{r}, sampled at {s}x{s}\n\
                  {}\n",
                 scene.name,
-                format::VERSION,
+                version,
                 scene.vertices.len(),
                 scene.triangles.len(),
                 scene.materials.len(),
@@ -92,7 +93,7 @@ pub(super) fn inspect(path: &Path) -> anyhow::Result<Summary> {
         Asset::Environment(environment) => {
             text += &format!(
                 "environment, format version {}\n{} sources, {} lobes fitted to {} ({}x{}), relative L2 {:.4}, energy error {:?}\n",
-                format::VERSION,
+                version,
                 environment.sources.len(),
                 environment.lobes.len(),
                 environment.report.source,
@@ -129,7 +130,7 @@ pub(super) fn inspect(path: &Path) -> anyhow::Result<Summary> {
     if let Asset::Material(asset) = &asset {
         text += &format!(
             "material, format version {}\n{:#?}\n{} textures; relative L2 {:.4}, as shaded {:.4}, albedo error {:.4}\n",
-            format::VERSION,
+            version,
             asset.material,
             asset.textures.len(),
             asset.report.relative_l2,
@@ -150,7 +151,7 @@ pub(super) fn inspect(path: &Path) -> anyhow::Result<Summary> {
         }));
     }
     object["file"] = json!(lossy(path));
-    object["version"] = json!(format::VERSION);
+    object["version"] = json!(version);
     object["sections"] = json!(rows);
     Ok(Summary { text, json: object })
 }

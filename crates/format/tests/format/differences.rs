@@ -115,8 +115,8 @@ fn axis_tangent(scene: &Scene, v: usize) -> [f64; 3] {
 )]
 fn compare(scene: &Scene) {
     let file = File::parse(&write_scene(scene).unwrap());
-    let [vertices, triangles_raw, coefficients, basis] =
-        [1, 2, 4, 5].map(|section: usize| file.sections[section].raw());
+    let [vertices, triangles_raw, coefficients, basis, texels] =
+        [1, 2, 4, 5, 6].map(|section: usize| file.sections[section].raw());
     let triangles = triangles(&triangles_raw);
     let found = scene
         .triangles
@@ -278,6 +278,35 @@ fn compare(scene: &Scene) {
             }
         }
     }
+
+    let mut left = &texels[..];
+    for texture in &scene.textures {
+        let (width, count) = (texture.width as usize, texture.texels.len() / 4);
+        let by_green = left[0] == 1;
+        for channel in 0..4 {
+            let stored = |channel: usize, i: usize| left[1 + channel * count + i];
+            for i in 0..count {
+                let (x, y) = (i % width, i / width);
+                let at = |inside: bool, before: usize| match inside {
+                    true => i16::from(texture.texels[4 * (i - before) + channel]),
+                    false => 0,
+                };
+                let (l, a) = (at(x > 0, 1), at(y > 0, width));
+                let c = at(x > 0 && y > 0, width + 1);
+                let mut three = [l, a, l + a - c];
+                three.sort_unstable();
+                let green = match by_green && channel % 2 == 0 {
+                    true => stored(1, i),
+                    false => 0,
+                };
+                let difference = stored(channel, i).wrapping_add(green);
+                let texel = (three[1] as u8).wrapping_add(difference);
+                assert_eq!(texel, texture.texels[4 * i + channel]);
+            }
+        }
+        left = &left[1 + 4 * count..];
+    }
+    assert!(left.is_empty());
 }
 
 #[test]

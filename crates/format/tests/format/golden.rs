@@ -3,26 +3,51 @@
 //! `RELIGHT_UPDATE_GOLDEN=1` writes those of the current version; that is right only until
 //! the version is released. A missing file fails.
 
+use std::fmt::Debug;
 use std::path::PathBuf;
 
 use relight_format::{
-    BakeReport, Blend, Camera, Cluster, Environment, EnvironmentReport, FieldOfView, FittedLobe,
-    Layer, Limits, Lobe, Material, MaterialAsset, MaterialReport, Prefiltered, RATIO_SIZE,
-    Representation, Scene, Source, Specular, Surface, Texture, TextureEncoding, TextureSlot,
-    Transfer, TransferGroup, Triangle, VERSION, Vertex, VisibilityErrors, VisibilityParameters,
-    read_environment, read_material, read_scene, write_environment, write_material, write_scene,
+    BakeReport, Blend, Camera, Cluster, Environment, EnvironmentReport, Error, FieldOfView,
+    FittedLobe, Layer, Limits, Lobe, Material, MaterialAsset, MaterialReport, Prefiltered,
+    RATIO_SIZE, Representation, Scene, Source, Specular, Surface, Texture, TextureEncoding,
+    TextureSlot, Transfer, TransferGroup, Triangle, VERSION, Vertex, VisibilityErrors,
+    VisibilityParameters, read_environment, read_material, read_scene, write_environment,
+    write_material, write_scene,
 };
 
 use crate::container::File;
 
-fn golden(name: &str, written: &[u8]) -> Vec<u8> {
-    let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(format!("tests/golden/v{VERSION}"));
-    let path = folder.join(name);
+/// The first version that is read.
+const FIRST_VERSION: u32 = 4;
+
+fn path(version: u32, name: &str) -> PathBuf {
+    let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/golden");
+    folder.join(format!("v{version}")).join(name)
+}
+
+/// What is written has today's layout, and files of every version are read as the value.
+fn frozen<T: PartialEq + Debug>(
+    name: &str,
+    value: &T,
+    write: impl Fn(&T) -> Result<Vec<u8>, Error>,
+    read: impl Fn(&[u8], &Limits) -> Result<T, Error>,
+) {
+    let written = write(value).unwrap();
     if std::env::var_os("RELIGHT_UPDATE_GOLDEN").is_some_and(|value| value == "1") {
-        std::fs::create_dir_all(&folder).unwrap();
-        std::fs::write(&path, written).unwrap();
+        let path = path(VERSION, name);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(&path, &written).unwrap();
     }
-    std::fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+    for version in FIRST_VERSION..=VERSION {
+        let path = path(version, name);
+        let bytes = std::fs::read(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+        assert_eq!(read(&bytes, &Limits::default()).unwrap(), *value);
+        let found = content(&bytes);
+        assert_eq!(found.0, version);
+        if version == VERSION {
+            assert!(found == content(&written), "the writer's layout changed");
+        }
+    }
 }
 
 /// The header and the raw bytes of every section: all that a release of zstd cannot change.
@@ -37,17 +62,11 @@ fn content(bytes: &[u8]) -> (u32, u32, Vec<(u32, Vec<u8>)>) {
 }
 
 #[test]
-fn scenes_of_version_1() {
-    let written = write_scene(&scene()).unwrap();
-    let frozen = golden("scene.relight", &written);
-    assert_eq!(read_scene(&frozen, &Limits::default()).unwrap(), scene());
-    assert!(
-        content(&frozen) == content(&written),
-        "the writer's layout changed"
-    );
+fn scenes_of_every_version() {
+    frozen("scene.relight", &scene(), write_scene, read_scene);
 }
 
-/// What scenes of this version did not have at first.
+/// What scenes of version 4 did not have at first.
 #[test]
 fn scenes_with_second_texture_coordinates() {
     let mut scene = scene();
@@ -56,40 +75,26 @@ fn scenes_with_second_texture_coordinates() {
         slot.second_uv = true;
     }
     assert!(scene.materials[0].uses_second_uv());
-    let written = write_scene(&scene).unwrap();
-    let frozen = golden("scene_second_uvs.relight", &written);
-    assert_eq!(read_scene(&frozen, &Limits::default()).unwrap(), scene);
-    assert!(
-        content(&frozen) == content(&written),
-        "the writer's layout changed"
+    frozen("scene_second_uvs.relight", &scene, write_scene, read_scene);
+}
+
+#[test]
+fn environments_of_every_version() {
+    frozen(
+        "environment.relight",
+        &environment(),
+        write_environment,
+        read_environment,
     );
 }
 
 #[test]
-fn environments_of_version_1() {
-    let written = write_environment(&environment()).unwrap();
-    let frozen = golden("environment.relight", &written);
-    assert_eq!(
-        read_environment(&frozen, &Limits::default()).unwrap(),
-        environment()
-    );
-    assert!(
-        content(&frozen) == content(&written),
-        "the writer's layout changed"
-    );
-}
-
-#[test]
-fn materials_of_version_1() {
-    let written = write_material(&material()).unwrap();
-    let frozen = golden("material.relight", &written);
-    assert_eq!(
-        read_material(&frozen, &Limits::default()).unwrap(),
-        material()
-    );
-    assert!(
-        content(&frozen) == content(&written),
-        "the writer's layout changed"
+fn materials_of_every_version() {
+    frozen(
+        "material.relight",
+        &material(),
+        write_material,
+        read_material,
     );
 }
 
@@ -106,7 +111,7 @@ fn texture(
     }
 }
 
-/// What scenes of this version did not have at first: layers, both blends, every texture.
+/// What scenes of version 4 did not have at first: layers, both blends, every texture.
 fn material() -> MaterialAsset {
     let slot = |texture| {
         Some(TextureSlot {

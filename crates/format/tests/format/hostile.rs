@@ -139,7 +139,7 @@ fn foreign_headers_are_rejected() {
     let mut text = bytes.clone();
     text.insert(7, b'\r');
     assert_eq!(issue(&text), Issue::BadMagic);
-    for version in [0, 2, 3, 5, u32::MAX] {
+    for version in [0, 2, 3, 6, u32::MAX] {
         assert_eq!(with(8, version), Issue::UnknownVersion);
     }
     for kind in [0, 2, 3, u32::MAX] {
@@ -377,12 +377,33 @@ fn texture_sizes_cannot_wrap() {
         }
     }
     let file = File::parse(&write_scene(&scene).unwrap());
-    assert_eq!(file.sections[TEXELS].raw(), [1, 2, 3, 4]);
+    // Red and blue less green.
+    assert_eq!(file.sections[TEXELS].raw(), [1, 255, 2, 1, 4]);
     let bytes = file.with_raw(METADATA, |raw| {
         replace(raw, "\"textures\":[{\"width\":", "2147549185");
         replace(raw, "\"width\":2147549185,\"height\":", "2147418113");
     });
     assert_eq!(issue(&bytes), Issue::BadLength);
+}
+
+#[test]
+fn texels_need_their_texture_and_its_planes() {
+    let file = full();
+    for other in [2, 0xff] {
+        let bytes = file.with_raw(TEXELS, |raw| raw[0] = other);
+        assert_eq!(issue(&bytes), Issue::ValueOutOfRange);
+    }
+    let length = file.sections[TEXELS].raw_length as usize;
+    for end in 0..length {
+        let bytes = file.with_raw(TEXELS, |raw| raw.truncate(end));
+        assert_eq!(issue(&bytes), Issue::BadLength, "{end} of {length}");
+    }
+    let bytes = file.with_raw(TEXELS, |raw| raw.push(0));
+    assert_eq!(issue(&bytes), Issue::BadLength);
+    // The version before had no byte before each.
+    let mut before = file;
+    before.version = 4;
+    assert_eq!(issue(&before.bytes()), Issue::BadLength);
 }
 
 #[test]
@@ -392,7 +413,7 @@ fn messages_name_place_expectation_and_finding_in_brief() {
     let error = inspect(&bytes, &Limits::default()).unwrap_err();
     assert_eq!(
         error.to_string(),
-        "header: expected version 4, found version 9 (it was written for another version of the format)"
+        "header: expected version 4 to 5, found version 9 (it was written for another version of the format)"
     );
     let mut scene = full_scene();
     scene.materials[0].name = "é".repeat(1 << 20);

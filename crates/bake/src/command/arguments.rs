@@ -121,7 +121,8 @@ fn refuse(options: &[(&'static str, bool)], expected: &str) -> Result<(), Usage>
 
 #[derive(Clone, Copy, ValueEnum)]
 enum Preset {
-    /// For a first look within seconds: of a fine mesh, only some vertices are sampled.
+    /// For a first look within seconds: of a fine mesh, only some vertices are sampled. Rooms are sampled more finely
+    /// while they are small, unless settings below say how.
     Draft,
     /// For most uses.
     Standard,

@@ -361,7 +361,7 @@ fn bounces(
     stages.push(("bounces", clock.elapsed()));
     let clock = ProcessorClock::start();
     let error = |material| radiosity.reflection_error(caster, material, monitor);
-    let warnings = highlights::of_surfaces(mesh, error)?;
+    let warnings = highlights::of_surfaces(mesh, radiosity.lit_by_lamps(), error)?;
     stages.push(("reflections", clock.elapsed()));
     Ok((Some(radiosity), warnings))
 }

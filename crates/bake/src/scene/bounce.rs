@@ -149,18 +149,19 @@ impl Prepared<'_> {
 }
 
 /// Whether a surface reflects so much as a mirror, rough or not, that it shows what is about it:
-/// that takes more than irradiance.
-pub(super) fn mirrors(material: &format::Material) -> bool {
+/// that takes more than irradiance. Where lamps light the scene dielectrics do, in which all about them would glow else.
+pub(super) fn mirrors(material: &format::Material, lit_by_lamps: bool) -> bool {
     /// Colours below are those of a dielectric, or twice as bright.
     const LEAST: f32 = 0.08;
-    let bright = |color: &[f32; 3]| color.iter().any(|x| *x > LEAST);
+    let least = if lit_by_lamps { 0.0 } else { LEAST };
+    let bright = |color: &[f32; 3]| color.iter().any(|x| *x > least);
     let mirrors = |specular: &format::Specular| match (specular, specular.model()) {
         (_, Some((_, parameters))) => bright(&parameters.color),
         (format::Specular::Lobes { lobes, .. }, _) => lobes.iter().any(|lobe| bright(&lobe.f0)),
         _ => false,
     };
     match &material.surface {
-        format::Surface::MetallicRoughness { metallic, .. } => *metallic > LEAST,
+        format::Surface::MetallicRoughness { metallic, .. } => lit_by_lamps || *metallic > LEAST,
         format::Surface::DiffuseSpecular { specular, .. } => mirrors(specular),
         format::Surface::Layers { layers } => layers.iter().any(|layer| mirrors(&layer.specular)),
     }

@@ -68,10 +68,11 @@ const MIRRORS: usize = 64;
 /// Warnings of materials whose reflections of other surfaces are far off, `error` by the number of a material.
 pub(super) fn of_surfaces<E>(
     mesh: &Mesh,
+    lit_by_lamps: bool,
     error: impl Fn(usize) -> Result<Option<ReflectionError>, E>,
 ) -> Result<Vec<String>, E> {
     let (mut by_lamps, mut by_sky) = (Vec::new(), Vec::new());
-    for number in largest_mirrors(mesh) {
+    for number in largest_mirrors(mesh, lit_by_lamps) {
         let error = error(number)?.unwrap_or_default();
         let name = &mesh.materials[number].name[..];
         by_lamps.push((error.lamps, name));
@@ -93,14 +94,16 @@ pub(super) fn of_surfaces<E>(
 }
 
 /// The materials that show what is about them, those with the most surface where there are many.
-fn largest_mirrors(mesh: &Mesh) -> Vec<usize> {
+fn largest_mirrors(mesh: &Mesh, lit_by_lamps: bool) -> Vec<usize> {
     let mut areas = vec![0.0; mesh.materials.len()];
     for triangle in &mesh.triangles {
         let [a, b, c] = mesh.corners(triangle);
         areas[usize::from(triangle.material)] += f64::from((b - a).cross(c - a).length());
     }
     let all = 0..mesh.materials.len();
-    let mut mirrors: Vec<usize> = all.filter(|&i| mirrors(&mesh.materials[i])).collect();
+    let mut mirrors: Vec<usize> = all
+        .filter(|&i| mirrors(&mesh.materials[i], lit_by_lamps))
+        .collect();
     mirrors.sort_by(|&a, &b| areas[b].total_cmp(&areas[a]));
     mirrors.truncate(MIRRORS);
     mirrors

@@ -259,7 +259,11 @@ impl<'a> Prepared<'a> {
             Some(_) => NORMAL_MAP_TILT,
             None => 0.0,
         };
-        let mirrors = mesh.materials.iter().map(mirrors).collect();
+        let lit_by_lamps = radiosity.as_ref().is_some_and(Radiosity::lit_by_lamps);
+        let materials = mesh.materials.iter();
+        let mirrors = materials
+            .map(|material| mirrors(material, lit_by_lamps))
+            .collect();
         let tilts = mesh.materials.iter().map(tilt).collect();
         let mut by_place: Vec<u32> = (0..placed.places.len() as u32).collect();
         by_place.sort_by_key(|&vertex| placed.places[vertex as usize]);

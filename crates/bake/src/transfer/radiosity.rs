@@ -60,6 +60,9 @@ const PLACES: [[f32; 2]; 7] = [
     [0.0, -2.0],
     [2.0, 0.0],
 ];
+/// Radiance of a sky that would give surfaces as much light as what emits does, on average, from which on they are lit by
+/// lamps; skies are about 1.
+const LIT_BY_LAMPS: f32 = 0.02;
 /// How far above the surface what stands between neighbours is looked for, as a part of their
 /// distance.
 const ABOVE: f32 = 0.1;
@@ -367,6 +370,15 @@ impl Radiosity {
     /// The column of what is emitted.
     pub(super) fn emitted_of(&self, values: &[f32]) -> Vec3 {
         Vec3::from([1, 2, 3].map(|channel| values[channel * self.columns - 1]))
+    }
+
+    /// Whether surfaces get as much light of what emits that it shows where they reflect it: lamps are bright and small, so
+    /// that what lies in other directions is far darker than all together.
+    pub(crate) fn lit_by_lamps(&self) -> bool {
+        let points = 0..self.points.as_slice().len();
+        let count = 3.0 * points.len() as f32;
+        let sent = points.map(|point| self.emitted_at(point).element_sum());
+        self.surfaces.emit() && sent.sum::<f32>() > LIT_BY_LAMPS * PI * count
     }
 
     /// Adds a colour to the column of what is emitted.
@@ -799,6 +811,9 @@ pub(crate) mod tests {
         ];
         let (solved, caster) = solve(&squares(&walls, 0.5, 1.0), None);
         assert!(solved.bounces > 6, "{}", solved.bounces);
+        assert!(solved.lit_by_lamps());
+        let (faint, _) = solve(&squares(&walls, 0.5, 0.005), None);
+        assert!(faint.surfaces.emit() && !faint.lit_by_lamps());
         let mut mean = 0.0;
         let count = 40;
         for i in 0..count {

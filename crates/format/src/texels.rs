@@ -1,8 +1,8 @@
 //! Texels of textures as differences from what their neighbours predict, plane after plane.
 //!
 //! The prediction is the median of LOCO-I (Weinberger, Seroussi & Sapiro 2000, section III.A): textures have edges, at
-//! which the linear one of basis images goes too far. What is left takes less than three quarters of the texels
-//! themselves, and the fastest compression finds as little in it as any.
+//! which the linear one of basis images goes too far. Compressed, what is left takes about seven tenths of what texels
+//! take, and the fastest level makes it as small as any.
 
 use crate::material::TextureShape;
 use crate::{Error, Issue, SectionKind, Texture};
@@ -12,7 +12,7 @@ const PLANES: usize = 4;
 type Texel = [u8; PLANES];
 
 /// The version of the format from which on differences are stored.
-pub(crate) const DIFFERENCES_SINCE: u32 = 5;
+const DIFFERENCES_SINCE: u32 = 5;
 
 /// The section of some textures.
 pub(crate) fn encode(textures: &[Texture]) -> Vec<u8> {
@@ -39,9 +39,12 @@ pub(crate) fn encode(textures: &[Texture]) -> Vec<u8> {
         let by_green = size(&less_green) < size(&|difference| difference);
         bytes.push(u8::from(by_green));
         for plane in 0..PLANES {
-            let stored = |difference: &Texel| match by_green {
-                true => less_green(*difference)[plane],
-                false => difference[plane],
+            let stored = |difference: &Texel| {
+                if by_green {
+                    less_green(*difference)[plane]
+                } else {
+                    difference[plane]
+                }
             };
             bytes.extend(differences.iter().map(stored));
         }
@@ -196,7 +199,7 @@ mod tests {
 
     #[test]
     fn textures_come_back() {
-        let noise = |x: u32, y: u32| (x * 7919 ^ y * 104_729 ^ x * y).to_le_bytes();
+        let noise = |x: u32, y: u32| (x * 7919).wrapping_add(y * 104_729 * (x + 1)).to_le_bytes();
         let grey = |x: u32, y: u32| [(3 * x + y * y / 9) as u8; 4];
         let mut textures = Vec::new();
         for size in [[1, 1], [1, 9], [9, 1], [13, 8], [64, 64]] {

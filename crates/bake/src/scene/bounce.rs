@@ -149,7 +149,8 @@ impl Prepared<'_> {
 }
 
 /// Whether a surface reflects so much as a mirror, rough or not, that it shows what is about it:
-/// that takes more than irradiance. Where lamps light the scene dielectrics do, in which all about them would glow else.
+/// that takes more than irradiance. Where lamps light the scene, dielectrics
+/// count as well: from irradiance alone they would show these lamps in every direction.
 pub(super) fn mirrors(material: &format::Material, lit_by_lamps: bool) -> bool {
     /// Colours below are those of a dielectric, or twice as bright.
     const LEAST: f32 = 0.08;

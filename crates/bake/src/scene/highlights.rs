@@ -257,7 +257,7 @@ mod tests {
                 let sky = sky[number];
                 Ok::<_, ()>(Some(ReflectionError { sky, lamps }))
             };
-            of_surfaces(&mesh, error).unwrap()
+            of_surfaces(&mesh, false, error).unwrap()
         };
         assert_eq!(with([0.05, 0.07, 0.02], 0.2), [""; 0]);
         let [warning] = &with([0.05, 0.3, 0.1], 0.2)[..] else {
@@ -272,6 +272,24 @@ mod tests {
             warning
                 .contains("and less in 2 others: reflections of what emits light are off by 150 %")
         );
+    }
+
+    #[test]
+    fn dielectrics_show_lamps() {
+        let with = |specular| {
+            let surface = Surface::DiffuseSpecular {
+                diffuse: [0.5; 3],
+                specular,
+            };
+            plain_material("wall", surface)
+        };
+        let plastic = with(Specular::Ggx {
+            f0: [0.04; 3],
+            alpha: [0.3; 2],
+        });
+        let matt = with(Specular::None);
+        let found = [false, true].map(|lamps| [&plastic, &matt].map(|wall| mirrors(wall, lamps)));
+        assert_eq!(found, [[false, false], [true, false]]);
     }
 
     #[test]

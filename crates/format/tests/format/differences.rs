@@ -287,17 +287,18 @@ fn compare(scene: &Scene) {
             let stored = |channel: usize, i: usize| left[1 + channel * count + i];
             for i in 0..count {
                 let (x, y) = (i % width, i / width);
-                let at = |inside: bool, before: usize| match inside {
-                    true => i16::from(texture.texels[4 * (i - before) + channel]),
-                    false => 0,
+                let at = |inside: bool, before: usize| {
+                    let texel = inside.then(|| texture.texels[4 * (i - before) + channel]);
+                    i16::from(texel.unwrap_or(0))
                 };
                 let (l, a) = (at(x > 0, 1), at(y > 0, width));
                 let c = at(x > 0 && y > 0, width + 1);
                 let mut three = [l, a, l + a - c];
                 three.sort_unstable();
-                let green = match by_green && channel % 2 == 0 {
-                    true => stored(1, i),
-                    false => 0,
+                let green = if by_green && channel % 2 == 0 {
+                    stored(1, i)
+                } else {
+                    0
                 };
                 let difference = stored(channel, i).wrapping_add(green);
                 let texel = (three[1] as u8).wrapping_add(difference);

@@ -7,7 +7,7 @@ mod common;
 
 use relight_bake::internals::DistanceTransform;
 use relight_bake::internals::visibility::ContourMesh;
-use relight_bake::internals::visibility::Directions;
+use relight_bake::internals::visibility::{Directions, RUNS};
 
 fn main() {
     let vertices = common::number("--vertices", 100);
@@ -27,7 +27,7 @@ fn main() {
             let directions = Directions::new(samples);
             let mut scratch = contours.scratch(&directions);
             let mut sample = || {
-                for group in subject.origins.chunks(subject.group) {
+                for group in subject.origins.chunks(RUNS[0]) {
                     contours.prepare(group, &mut scratch);
                     for &origin in group {
                         contours.sample(origin, &directions, &mut scratch);
@@ -37,7 +37,7 @@ fn main() {
             let visibility = common::best(rounds, &mut sample);
             let mut scratch = contours.scratch(&directions);
             let mut apply = |transform: Option<&DistanceTransform>| {
-                for group in subject.origins.chunks(subject.group) {
+                for group in subject.origins.chunks(RUNS[0]) {
                     contours.prepare(group, &mut scratch);
                     for &origin in group {
                         let (bitmap, _) = contours.sample(origin, &directions, &mut scratch);

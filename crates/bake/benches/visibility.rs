@@ -22,7 +22,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 use relight_bake::internals::DistanceTransform;
 use relight_bake::internals::visibility::ContourMesh;
-use relight_bake::internals::visibility::{self, Bitmap, Directions};
+use relight_bake::internals::visibility::{self, Bitmap, Directions, RUNS};
 use serde_json::{Value, json};
 
 const RESOLUTION: u32 = 128;
@@ -95,7 +95,6 @@ fn measure(subject: &Subject, rounds: usize, threads: usize) -> Value {
         name,
         soup,
         origins,
-        group,
         ..
     } = subject;
     let directions = Directions::new(RESOLUTION);
@@ -116,7 +115,7 @@ fn measure(subject: &Subject, rounds: usize, threads: usize) -> Value {
             best[contender] = best[contender].min(start.elapsed().as_secs_f64());
         };
         lap(0, &mut || {
-            fast = (origins.par_chunks(*group))
+            fast = (origins.par_chunks(RUNS[0]))
                 .map_init(
                     || contours.scratch(&directions),
                     |scratch, group| {
@@ -145,7 +144,7 @@ fn measure(subject: &Subject, rounds: usize, threads: usize) -> Value {
         };
         for (contender, transform) in [(3, None), (4, Some(&transform))] {
             lap(contender, &mut || {
-                (origins.par_chunks(*group)).for_each_init(
+                (origins.par_chunks(RUNS[0])).for_each_init(
                     || contours.scratch(&directions),
                     |scratch, group| distances(scratch, group, transform),
                 );

@@ -28,7 +28,7 @@ pub mod transfer {
 
 /// Visibility from a point.
 pub mod visibility {
-    pub use crate::visibility::contour::{ContourMesh, RUN, group_of};
+    pub use crate::visibility::contour::{ContourMesh, RUNS};
     pub use crate::visibility::places::{EXPOSURE_RESOLUTION, Places};
     pub use crate::visibility::ray::{RayCaster, ray_offset};
     pub use crate::visibility::{Bitmap, Crossings, Directions, arrange, sample};

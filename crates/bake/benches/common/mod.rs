@@ -9,9 +9,9 @@ use glam::Vec3;
 use relight_bake::import;
 use relight_bake::internals::compress::Normal;
 use relight_bake::internals::visibility;
+use relight_bake::internals::visibility::RUNS;
 use relight_bake::internals::visibility::RayCaster;
 use relight_bake::internals::visibility::{EXPOSURE_RESOLUTION, Places};
-use relight_bake::internals::visibility::{RUN, group_of};
 
 /// Meshes that are measured unless others are named, below the data folder.
 const MESHES: [&str; 5] = [
@@ -30,8 +30,6 @@ pub struct Subject {
     pub soup: Vec<[Vec3; 3]>,
     /// Points that visibility is sampled from.
     pub origins: Vec<Vec3>,
-    /// How many of them follow one another that are close together.
-    pub group: usize,
     /// Shading normals there.
     pub normals: Vec<Normal>,
 }
@@ -174,12 +172,11 @@ pub fn subject(path: &Path, count: usize) -> Subject {
         }
     }
     let mut order: Vec<u32> = (0..origins.len() as u32).collect();
-    let group = group_of(order.len());
-    visibility::arrange(&mut order, &[group, RUN], &|&place| {
+    visibility::arrange(&mut order, &RUNS, &|&place| {
         (origins[place as usize].to_array(), place)
     });
     let step = (origins.len() / count).max(1);
-    let picked: Vec<u32> = (order.chunks(group).step_by(step).flatten())
+    let picked: Vec<u32> = (order.chunks(RUNS[0]).step_by(step).flatten())
         .copied()
         .collect();
     let vertex = |place: u32| &mesh.vertices[vertices[place as usize] as usize];
@@ -190,7 +187,6 @@ pub fn subject(path: &Path, count: usize) -> Subject {
     Subject {
         name: path.file_stem().unwrap_or_default().display().to_string(),
         soup,
-        group,
         origins: (picked.iter()).map(|&v| origins[v as usize]).collect(),
         normals: picked.iter().map(normal).collect(),
     }

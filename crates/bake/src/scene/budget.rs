@@ -69,6 +69,9 @@ pub(super) fn default_aim(prepared: &Prepared) -> Result<f32, Error> {
     let fewer = (Options::standard().probes / prepared.options.probes).max(1);
     let step = PROBE_STEP * fewer as u32;
     let mut errors = ErrorSums::default();
+    // By all threads at once, as one chunk has few groups of samples.
+    let tried = spread(chunks.len(), count).flat_map(|chunk| &chunks[chunk]);
+    prepared.sample_kept_for(tried)?;
     for chunk in spread(chunks.len(), count) {
         let (seen, ssdfs) = prepared.seen(&chunks[chunk])?;
         for probe in prepared.probes(&chunks[chunk], step)? {

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use super::sample::Prepared;
 use crate::monitor::Interrupted;
 use crate::visibility::arrange;
-use crate::visibility::contour::{RUN, group_of};
+use crate::visibility::contour::RUNS;
 use crate::visibility::sparse::Sparse;
 
 /// Where what is kept would take more, each chunk samples what it needs.
@@ -41,8 +41,8 @@ impl Kept {
         if places.len() == origins.len() || bytes > MOST_BYTES {
             return Self::default();
         }
-        let group = if by_rays { RUN } else { group_of(places.len()) };
-        arrange(&mut places, &[group, RUN], &|&place| {
+        let group = RUNS[if by_rays { RUNS.len() - 1 } else { 0 }];
+        arrange(&mut places, &RUNS, &|&place| {
             (origins[place as usize].to_array(), place)
         });
         let mut number = vec![u32::MAX; origins.len()];
@@ -86,6 +86,18 @@ impl Kept {
 }
 
 impl Prepared<'_> {
+    /// Samples what some triangles need of what is kept, if anything is.
+    pub(super) fn sample_kept_for<'a>(
+        &self,
+        triangles: impl Iterator<Item = &'a u32>,
+    ) -> Result<(), Interrupted> {
+        if self.kept.is_empty() {
+            return Ok(());
+        }
+        let places = triangles.flat_map(|&triangle| self.triangles[triangle as usize]);
+        self.sample_kept(&self.sparse.sources_of(places))
+    }
+
     /// Samples some places and those of their groups, unless that was done before.
     pub(super) fn sample_kept(&self, places: &[u32]) -> Result<(), Interrupted> {
         let kept = &self.kept;

@@ -8,7 +8,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::DistanceTransform;
-use crate::visibility::contour::{ContourMesh, Lent, RUN, Scratch};
+use crate::visibility::contour::{ContourMesh, Lent, RUNS, Scratch};
 use crate::visibility::{self, Bitmap, Crossings, Directions, arrange};
 
 /// What is seen from a point.
@@ -96,11 +96,10 @@ impl Sampler {
             .zip(points)
             .map(|(number, (origin, for_whom))| (number, origin, for_whom))
             .collect();
-        let group = contours.group_of(points.iter().map(|(_, origin, _)| *origin));
-        arrange(&mut points, &[group, RUN], &|(number, origin, _)| {
+        arrange(&mut points, &RUNS, &|(number, origin, _)| {
             (origin.to_array(), *number)
         });
-        points.par_chunks_mut(group).try_for_each_init(
+        points.par_chunks_mut(RUNS[0]).try_for_each_init(
             || self.scratch(contours),
             |scratch, group| {
                 let origins: Vec<Vec3> = group.iter().map(|(_, origin, _)| *origin).collect();

@@ -69,11 +69,11 @@ const ABOVE: f32 = 0.1;
 /// Directions about a circle that random ones are drawn from.
 const TURNS: usize = 256;
 
-/// In place of the point that stands for a triangle: there is none, it has not been found yet, or there is not one for all
-/// of it.
+/// In place of the point that stands for a cell: there is none, or it has not been found yet.
 const NONE: u32 = u32::MAX;
 const UNKNOWN: u32 = u32::MAX - 1;
-const LARGE: u32 = u32::MAX - 2;
+/// Triangles that would have more cells along a side have none: rays seldom meet the same one of them.
+const MOST_STEPS_A_SIDE: f32 = 8.0;
 
 /// Light of the scene after all bounces.
 pub(crate) struct Radiosity {
@@ -91,7 +91,9 @@ pub(crate) struct Radiosity {
     /// Of every point that something is above within it, the harmonic mean of how far its rays go, metres; without
     /// bound of others: what is beside a wall differs less from what is farther away than rays by chance do.
     clearances: Vec<f32>,
-    /// For each side of every triangle, the point that stands for it, or [`NONE`], [`UNKNOWN`] or [`LARGE`].
+    /// Of every triangle.
+    cells: Vec<Cells>,
+    /// For each side of every cell, the point that stands for it, or [`NONE`] or [`UNKNOWN`].
     standing: Vec<[AtomicU32; 2]>,
     /// Irradiance of every point: per channel `columns` numbers.
     pub(super) irradiance: Vec<f32>,
@@ -102,6 +104,12 @@ pub(crate) struct Radiosity {
     /// What the last adds, by [`Self::part_of_each`].
     last_bounce: f32,
     rays: u64,
+}
+
+/// The parts of a triangle for which one point each stands, along two sides; none where there would be too many.
+struct Cells {
+    first: u32,
+    steps: u32,
 }
 
 /// What a ray meets, and what it sends on.
@@ -169,6 +177,7 @@ impl Radiosity {
             columns,
             ray_offset,
             clearances: Vec::new(),
+            cells: Vec::new(),
             standing: Vec::new(),
             irradiance: Vec::new(),
             relays: Emitters::default(),
@@ -180,7 +189,7 @@ impl Radiosity {
             all.points = Points::new(&all.surfaces, sizes, 2 * options.points, true);
             all.look_around(caster, options.point_rays / FEW);
         }
-        all.find_small();
+        all.divide();
         let (direct, senders) = all.first(caster, options, monitor)?;
         all.bounce(direct, &senders, options.bounces, monitor)?;
         all.relays = all.relays();
@@ -438,38 +447,58 @@ impl Radiosity {
         sender
     }
 
-    /// Finds out which triangles are so small that one point, and one albedo, stand for all of each.
-    fn find_small(&mut self) {
-        let is_small = |triangle: usize| {
+    /// Divides triangles into cells so small that one point stands for all of each, and finds those that are one cell: they
+    /// have one albedo.
+    fn divide(&mut self) {
+        let steps = |triangle: usize| {
             let [a, b, c] = self.surfaces.corners(triangle);
             let longest = (a.distance(b)).max(b.distance(c)).max(c.distance(a));
-            longest <= BLUR * self.points.spacing_at((a + b + c) / 3.0)
+            let cell = BLUR * self.points.spacing_at((a + b + c) / 3.0);
+            // What is no number has none.
+            (longest / cell).ceil().clamp(1.0, f32::INFINITY)
         };
         let all = (0..self.surfaces.triangle_count()).into_par_iter();
-        let small: Vec<bool> = all.map(is_small).collect();
-        let unknown = |small: &bool| if *small { UNKNOWN } else { LARGE };
-        self.standing = (small.iter())
-            .map(|small| [(); 2].map(|()| AtomicU32::new(unknown(small))))
+        let steps: Vec<f32> = all.map(steps).collect();
+        let mut cells = 0;
+        self.cells = (steps.iter())
+            .map(|&steps| {
+                let steps = if steps <= MOST_STEPS_A_SIDE {
+                    steps as u32
+                } else {
+                    0
+                };
+                let first = cells;
+                cells += steps * steps;
+                Cells { first, steps }
+            })
             .collect();
+        self.standing = (0..cells)
+            .map(|_| [(); 2].map(|()| AtomicU32::new(UNKNOWN)))
+            .collect();
+        let small: Vec<bool> = steps.iter().map(|steps| *steps == 1.0).collect();
         self.surfaces.average(&small);
     }
 
-    /// The point that stands for what a ray met; for all of a small triangle's side the same, found once.
+    /// The point that stands for what a ray met; for all of a cell's side the same, found once.
     fn standing_at(&self, caster: &RayCaster, met: &Met, number: u32) -> Option<usize> {
-        let kept = &self.standing[met.triangle][usize::from(met.behind)];
-        let stored = match kept.load(Ordering::Relaxed) {
-            LARGE => return self.standing_for(caster, met, number),
-            UNKNOWN => {
-                let [a, b, c] = self.surfaces.corners(met.triangle);
-                let position = (a + b + c) / 3.0;
-                let side = 2 * met.triangle as u32 + u32::from(met.behind);
-                let point = self.standing_for(caster, &Met { position, ..*met }, hash(side, 12));
-                let stored = point.map_or(NONE, |point| point as u32);
-                kept.store(stored, Ordering::Relaxed);
-                stored
-            }
-            stored => stored,
-        };
+        let Cells { first, steps } = self.cells[met.triangle];
+        if steps == 0 {
+            return self.standing_for(caster, met, number);
+        }
+        let [x, y] = [met.barycentrics.y, met.barycentrics.z]
+            .map(|along| ((along * steps as f32) as u32).min(steps - 1));
+        let cell = first + x * steps + y;
+        let kept = &self.standing[cell as usize][usize::from(met.behind)];
+        let mut stored = kept.load(Ordering::Relaxed);
+        if stored == UNKNOWN {
+            let [a, b, c] = self.surfaces.corners(met.triangle);
+            let [y, z] = [x, y].map(|at| (at as f32 + 1.0 / 3.0) / steps as f32);
+            let position = a * (1.0 - y - z) + b * y + c * z;
+            let side = 2 * cell + u32::from(met.behind);
+            let point = self.standing_for(caster, &Met { position, ..*met }, hash(side, 12));
+            stored = point.map_or(NONE, |point| point as u32);
+            kept.store(stored, Ordering::Relaxed);
+        }
         (stored != NONE).then_some(stored as usize)
     }
 
@@ -758,12 +787,17 @@ pub(crate) mod tests {
                 .map(|[front, _]| front.load(Ordering::Relaxed))
                 .collect()
         };
-        assert!(stored(&coarse.0).iter().all(|stored| *stored == LARGE));
+        let steps = |solved: &Radiosity| -> Vec<u32> {
+            let cells = solved.cells.iter();
+            cells.map(|cells| cells.steps).collect()
+        };
+        assert!(steps(&coarse.0).iter().all(|&steps| steps == 0));
+        assert!(steps(&fine.0).iter().all(|&steps| steps == 1));
         let (solved, caster) = &fine;
         let points = solved.points.as_slice();
         let mut known = 0;
         for (triangle, stored) in stored(solved).into_iter().enumerate() {
-            assert!(stored != LARGE && stored != NONE);
+            assert!(stored != NONE);
             if let Some(point) = points.get(stored as usize) {
                 known += 1;
                 let [corner, ..] = solved.surfaces.corners(triangle);
@@ -788,6 +822,34 @@ pub(crate) mod tests {
             (0..30).map(light).sum::<f32>()
         });
         assert!((one / other - 1.0).abs() < 0.03, "{one} {other}");
+    }
+
+    #[test]
+    fn one_point_stands_for_all_of_a_cell_of_a_larger_triangle() {
+        let (solved, caster) = solve(&corner_of(8), Some(64));
+        let points = solved.points.as_slice();
+        let mut cells = 0;
+        for triangle in 0..solved.surfaces.triangle_count() {
+            let steps = solved.cells[triangle].steps;
+            let [corner, ..] = solved.surfaces.corners(triangle);
+            let eye = corner + 0.5 * Vec3::ONE;
+            for (x, y) in (0..steps).flat_map(|x| (0..steps - x).map(move |y| (x, y))) {
+                let met = |[u, v]: [f32; 2]| {
+                    let [y, z] = [x as f32 + u, y as f32 + v].map(|along| along / steps as f32);
+                    (solved.surfaces).meet(triangle, Vec3::new(1.0 - y - z, y, z), eye)
+                };
+                let (one, other) = (met([0.1, 0.3]), met([0.4, 0.2]));
+                let found = solved.standing_at(&caster, &one, 2 * triangle as u32);
+                let again = solved.standing_at(&caster, &other, 2 * triangle as u32 + 1);
+                assert_eq!(found, again, "{triangle}: {x} {y}");
+                let point = &points[found.expect("nothing parts them")];
+                let reach = (REACH + 2.0 * BLUR) * solved.points.spacing_at(corner);
+                assert!(point.position.distance(one.position) < reach);
+                assert!(point.geometric_normal.dot(one.normal) > ALIKE);
+                cells += 1;
+            }
+        }
+        assert!(cells > 500, "{cells}");
     }
 
     /// All that arrives at a place.

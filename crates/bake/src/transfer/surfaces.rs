@@ -25,6 +25,8 @@ pub(crate) struct Surfaces {
 pub(crate) struct Met {
     /// Of the mesh.
     pub triangle: usize,
+    /// Of the triangle.
+    pub barycentrics: Vec3,
     /// World space, metres.
     pub position: Vec3,
     /// Geometric normal, towards where the ray comes from.
@@ -288,6 +290,7 @@ impl Surfaces {
         };
         Met {
             triangle,
+            barycentrics,
             position,
             normal: if behind { -normal } else { normal },
             albedo: self.albedo(triangle, barycentrics, origin),

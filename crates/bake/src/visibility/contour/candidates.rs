@@ -2,7 +2,7 @@
 //!
 //! Seen from points close together, most contours are the same: the flats at them (`flats`) face
 //! all of the points or none. Those are found once per group. Of what remains, the flats whose planes pass through the
-//! group, fewer pass between the points of a run of it, and so once more (`level`). What remains then is done for every point.
+//! group, fewer pass between the points of a run of it, and fewer still of a shorter one (`level`). What remains then is done for every point.
 
 use std::ops::Range;
 
@@ -18,7 +18,7 @@ use super::facing::{Facing, Sides, for_each_where};
 use super::level::Level;
 use super::loose::Bundle;
 use super::parts::Parts;
-use super::{Contour, RUN, bounds};
+use super::{Contour, RUNS, bounds};
 
 /// Numbers below this stand for flats that face no point of the group, or every point, and
 /// for those that are not there.
@@ -28,7 +28,7 @@ pub(super) const ABSENT: u32 = 2;
 /// Of what these numbers stand for: −1 faces no point, 1 every point, 0 is absent.
 pub(super) const FACES_OF_KNOWN: [i8; KNOWN as usize] = [-1, 1, 0];
 /// Where fewer edges remain to a group, narrowing takes as long as it saves.
-const MANY: usize = 2000;
+const MANY: usize = 1000;
 
 /// An edge that some points may see as a contour: the first flat is wound along it, the second
 /// against it.
@@ -47,25 +47,10 @@ pub(super) struct Open {
     pub(super) edges: Vec<CandidateEdge>,
 }
 
-/// A group's edges, to ask for the coordinates of their vertices: of large meshes, to have them at hand takes more memory
-/// than all else that is known of the edges.
-#[derive(Clone, Copy)]
-pub(super) struct Ends<'a> {
-    edges: &'a [CandidateEdge],
-    positions: &'a [Vec3],
-}
-
-impl Ends<'_> {
-    #[inline(always)]
-    pub(super) fn of(self, edge: u32) -> [[f32; 3]; 2] {
-        let end = |vertex: u32| self.positions[vertex as usize].to_array();
-        self.vertices(edge).map(end)
-    }
-
-    #[inline(always)]
-    fn vertices(self, edge: u32) -> [u32; 2] {
-        self.edges[edge as usize].vertices
-    }
+/// Coordinates of an edge's vertices.
+#[inline(always)]
+pub(super) fn ends(positions: &[Vec3], vertices: [u32; 2]) -> [[f32; 3]; 2] {
+    vertices.map(|vertex| positions[vertex as usize].to_array())
 }
 
 /// Contours of the points of a group.
@@ -73,11 +58,11 @@ impl Ends<'_> {
 pub(super) struct Candidates {
     /// The points.
     origins: Vec<Vec3>,
-    /// What all points of the group may see, and what a run of them may.
-    levels: [Level; 2],
+    /// What all points of the group may see, and what runs of them may, shorter and shorter.
+    levels: [Level; RUNS.len()],
     /// How many of these the point looked at last needs; the last one has the edges that remain open.
     depth: usize,
-    /// What the flats of the group's level are called in the run's.
+    /// What the flats of one level are called in the next.
     names: Vec<u32>,
     open: Open,
     /// Parts of the mesh: those that look largest come first. Their numbers here are their
@@ -127,26 +112,36 @@ impl Candidates {
         self.arrange(sphere.0, parts, positions);
     }
 
-    /// Narrows down what the group may see to what the run may that a point belongs to.
+    /// Narrows down what the group may see to what the runs may that a point belongs to.
     fn narrow(&mut self, facing: &Facing, parts: &Parts, positions: &[Vec3], eye: Vec3) {
         let before = self.depth;
-        if before == 2 && self.levels[1].covers(eye) {
+        let is_whole = before == RUNS.len();
+        if is_whole && self.levels[1..].iter().all(|level| level.covers(eye)) {
             return;
         }
-        let [group, run] = &mut self.levels;
-        let mut runs = self.origins.chunks(RUN);
-        let origins = (self.origins.len() > RUN && group.edge_flats.len() >= MANY)
-            .then(|| runs.find(|run| run.contains(&eye)))
-            .flatten();
+        // Levels from here on are made anew: those of a point before are of other runs.
+        let mut known = before;
         self.depth = 1;
-        if let Some(origins) = origins {
+        while self.depth < RUNS.len() {
+            let [.., outer, inner] = &mut self.levels[..=self.depth] else {
+                break;
+            };
+            let length = RUNS[self.depth];
+            let mut runs = self.origins.chunks(length);
+            let origins = (self.origins.len() > length && outer.edge_flats.len() >= MANY)
+                .then(|| runs.find(|run| run.contains(&eye)))
+                .flatten();
+            let Some(origins) = origins else {
+                break;
+            };
             let sphere = sphere_around(origins);
-            let edges = &self.open.edges;
-            let ends = Ends { edges, positions };
-            group.narrow(facing, sphere, ends, &mut self.names, run);
-            self.depth = 2;
+            if self.depth >= known || !inner.is_of(sphere) {
+                known = self.depth;
+                outer.narrow(facing, sphere, positions, &mut self.names, inner);
+            }
+            self.depth += 1;
         }
-        if before.max(self.depth) > 1 {
+        if self.depth != before || known < before {
             self.set_costs(parts);
         }
     }
@@ -196,9 +191,9 @@ impl Candidates {
         let place = |edge: &CandidateEdge| place_at(edge.vertices[0]);
         let (sorted, first) = (&mut self.sorted_edges, &mut level.first_edge);
         sort(&mut self.open.edges, sorted, parts.count(), place, first);
-        level.edge_numbers.extend(0..self.open.edges.len() as u32);
-        let flats = self.open.edges.iter().map(|edge| edge.flats);
-        level.edge_flats.extend(flats);
+        let edges = self.open.edges.iter();
+        (level.edge_flats).extend(edges.clone().map(|edge| edge.flats));
+        (level.edge_vertices).extend(edges.map(|edge| edge.vertices));
         self.set_costs(parts);
     }
 
@@ -270,10 +265,7 @@ impl Candidates {
         self.found_batches.clear();
         simd::arch().dispatch(Find {
             level: &self.levels[self.depth - 1],
-            ends: Ends {
-                edges: &self.open.edges,
-                positions,
-            },
+            positions,
             faces: &self.faces,
             found: &mut self.found_batches,
             places,
@@ -303,12 +295,10 @@ impl Candidates {
         };
         let touched_flats: Vec<u32> = faces.touched().iter().map(|member| member.flat).collect();
         let level = &self.levels[self.depth - 1];
-        let edges = &self.open.edges;
-        for (flats, edge) in level.edge_flats.iter().zip(&level.edge_numbers) {
+        for (flats, &vertices) in level.edge_flats.iter().zip(&level.edge_vertices) {
             if !flats.iter().any(|flat| touched_flats.contains(flat)) {
                 continue;
             }
-            let vertices = edges[*edge as usize].vertices;
             let [a, b] = flats.map(|flat| i32::from(face(flat, vertices)));
             if a != b && flats.iter().any(|flat| is_touched(*flat, vertices)) {
                 let step = a - b;
@@ -388,7 +378,7 @@ fn gather(contours: &[Contour], positions: &[Vec3], batches: &mut Vec<Batch<3>>)
 /// The vectorised body of [`Candidates::find`].
 struct Find<'a> {
     level: &'a Level,
-    ends: Ends<'a>,
+    positions: &'a [Vec3],
     faces: &'a Faces,
     found: &'a mut Vec<Batch<3>>,
     places: &'a [u32],
@@ -401,7 +391,7 @@ impl WithSimd for Find<'_> {
     fn with_simd<S: Simd>(self, _: S) {
         let Self {
             level,
-            ends,
+            positions,
             faces,
             found,
             places,
@@ -410,12 +400,12 @@ impl WithSimd for Find<'_> {
         let mut found = Filling::new(found);
         for range in ranges(places, &level.first_edge) {
             let flats = &level.edge_flats[range.clone()];
-            let numbers = &level.edge_numbers[range];
-            for_each_where(flats, numbers, differ, |[a, b], edge| {
-                let face = |flat| i32::from(faces.at(flat, || ends.vertices(edge)));
+            let vertices = &level.edge_vertices[range];
+            for_each_where(flats, vertices, differ, |[a, b], vertices| {
+                let face = |flat| i32::from(faces.at(flat, || vertices));
                 let step = face(a) - face(b);
                 if step != 0 {
-                    found.append(ends.of(edge), step);
+                    found.append(ends(positions, vertices), step);
                 }
             });
         }
@@ -474,13 +464,14 @@ mod tests {
     #[test]
     fn what_a_run_may_see_is_narrowed_down_to_the_same_bits() {
         let mut state = 17;
-        let triangles = ground(64, &mut state, |_, random| 0.03 * random);
+        let triangles = ground(128, &mut state, |_, random| 0.03 * random);
         let mesh = ContourMesh::new(&triangles);
         let directions = Directions::new(32);
-        // Three runs, the last one of few, each around a place of its own.
-        let origins: Vec<Vec3> = (0..2 * RUN + 5)
+        // Three runs, the last one of few, each around a place of its own, and shorter runs in them.
+        let run = RUNS[1];
+        let origins: Vec<Vec3> = (0..2 * run + 5)
             .map(|index| {
-                let place = Vec3::new(0.1 * (index / RUN) as f32, 0.05, 0.0);
+                let place = Vec3::new(0.1 * (index / run) as f32, 0.05, 0.0);
                 place + 0.02 * Vec3::new(random(&mut state), random(&mut state), random(&mut state))
             })
             .collect();
@@ -491,14 +482,14 @@ mod tests {
         // One run after the other, then from run to run, and one that is in none.
         let orders = (0..origins.len()).chain((0..origins.len()).map(|i| i * 17 % origins.len()));
         let points = orders.map(|index| origins[index]);
-        let between = origins[0].midpoint(origins[RUN]);
+        let between = origins[0].midpoint(origins[run]);
         let mut runs = 0;
         for (index, eye) in points.chain([between, origins[1]]).enumerate() {
             let (found, _) = mesh.sample(eye, &directions, &mut scratch);
             let exact = visibility::sample(mesh.caster(), eye, &directions);
             assert!(found == exact, "{index}");
             let of_run = scratch.candidates.level().edge_flats.len();
-            runs += usize::from(scratch.candidates.depth == 2 && of_run < of_group);
+            runs += usize::from(scratch.candidates.depth == RUNS.len() && of_run < of_group);
         }
         assert_eq!(runs, 2 * origins.len() + 1, "all but the one between");
     }

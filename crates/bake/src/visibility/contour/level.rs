@@ -4,7 +4,7 @@ use glam::Vec3;
 use pulp::{Simd, WithSimd};
 
 use super::batch::{Batch, Filling, LANES};
-use super::candidates::{ABSENT, Ends, FACES_OF_KNOWN, KNOWN};
+use super::candidates::{ABSENT, FACES_OF_KNOWN, KNOWN, ends};
 use super::edges::IrregularEdge;
 use super::facing::{BACK, BLOCK, FRONT, Facing, block_of, for_each_where, sides_of};
 use crate::simd;
@@ -27,8 +27,8 @@ pub(super) struct Level {
     pub(super) numbers: Vec<u32>,
     /// Edges of such flats. The first [`KNOWN`] numbers are not theirs.
     pub(super) edge_flats: Vec<[u32; 2]>,
-    /// Their numbers among the group's edges.
-    pub(super) edge_numbers: Vec<u32>,
+    /// Their vertices.
+    pub(super) edge_vertices: Vec<[u32; 2]>,
     /// Edges of more flats than two, or of two that do not fit each other.
     pub(super) irregular: Vec<IrregularEdge>,
     /// Per bundle of loose triangles, their numbers.
@@ -41,6 +41,11 @@ impl Level {
         (self.sphere).is_some_and(|(centre, radius)| eye.distance(centre) <= radius)
     }
 
+    /// Whether it is that of the points within a sphere.
+    pub(super) fn is_of(&self, sphere: (Vec3, f32)) -> bool {
+        self.sphere == Some(sphere)
+    }
+
     /// Forgets what it was.
     pub(super) fn begin(&mut self, sphere: (Vec3, f32)) {
         self.sphere = Some(sphere);
@@ -50,7 +55,7 @@ impl Level {
         self.planes.iter_mut().for_each(Vec::clear);
         self.numbers.clear();
         self.edge_flats.clear();
-        self.edge_numbers.clear();
+        self.edge_vertices.clear();
         self.irregular.clear();
         self.loose.clear();
     }
@@ -81,7 +86,7 @@ impl Level {
         &self,
         facing: &Facing,
         sphere: (Vec3, f32),
-        ends: Ends,
+        positions: &[Vec3],
         names: &mut Vec<u32>,
         inner: &mut Self,
     ) {
@@ -91,7 +96,7 @@ impl Level {
             centre: sphere.0,
             reach: facing.reach(sphere),
             names,
-            ends,
+            positions,
             inner,
         });
         let named = |flat: u32| names[flat as usize];
@@ -115,7 +120,7 @@ struct Narrow<'a> {
     reach: f32,
     /// What the outer level's flats are called in the inner one.
     names: &'a mut Vec<u32>,
-    ends: Ends<'a>,
+    positions: &'a [Vec3],
     inner: &'a mut Level,
 }
 
@@ -129,7 +134,7 @@ impl WithSimd for Narrow<'_> {
             centre,
             reach,
             names,
-            ends,
+            positions,
             inner,
         } = self;
         names.clear();
@@ -162,34 +167,34 @@ impl WithSimd for Narrow<'_> {
             inner.numbers.extend(numbers);
         }
         inner.finish_flats();
-        keep_edges(outer, names, ends, inner);
+        keep_edges(outer, names, positions, inner);
     }
 }
 
 /// Sorts the edges of a level into those that remain open and those that every point of the inner one sees as a contour.
 #[inline(always)]
-fn keep_edges(outer: &Level, names: &[u32], ends: Ends, inner: &mut Level) {
+fn keep_edges(outer: &Level, names: &[u32], positions: &[Vec3], inner: &mut Level) {
     for range in outer.first_edge.windows(2) {
         inner.first_sure.push(inner.sure.len() as u32);
         inner.first_edge.push(inner.edge_flats.len() as u32);
         let range = range[0] as usize..range[1] as usize;
         let flats = &outer.edge_flats[range.clone()];
-        let numbers = &outer.edge_numbers[range];
+        let vertices = &outer.edge_vertices[range];
         let named = |flats: [u32; 2]| flats.map(|flat| names[flat as usize]);
         let differ = |flats: [u32; 2]| {
             let [a, b] = named(flats);
             a != b
         };
         let mut sure = Filling::new(&mut inner.sure);
-        for_each_where(flats, numbers, differ, |flats, edge| {
+        for_each_where(flats, vertices, differ, |flats, vertices| {
             let flats = named(flats);
             if flats.iter().any(|flat| *flat >= KNOWN) {
                 inner.edge_flats.push(flats);
-                inner.edge_numbers.push(edge);
+                inner.edge_vertices.push(vertices);
                 return;
             }
             let [a, b] = flats.map(|flat| i32::from(FACES_OF_KNOWN[flat as usize]));
-            sure.append(ends.of(edge), a - b);
+            sure.append(ends(positions, vertices), a - b);
         });
         sure.finish();
     }

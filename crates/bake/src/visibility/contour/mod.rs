@@ -43,18 +43,9 @@ use layers::Layers;
 use parts::Parts;
 use rounds::Rounds;
 
-/// Points of a group, of few and of many points: those of many are closer together.
-const GROUPS: [usize; 2] = [32, 128];
-/// Points that are many.
-const MANY_POINTS: usize = 1 << 16;
-/// Points of a group that follow one another and are close together: what the group may see as contours is narrowed
-/// down to what they may. Divides what a group has.
-pub const RUN: usize = 16;
-
-/// How many points, close together, [`ContourMesh::prepare`] is best told of at once, of so many.
-pub fn group_of(points: usize) -> usize {
-    GROUPS[usize::from(points >= MANY_POINTS)]
-}
+/// Points of a group, and of the runs in it, shorter and shorter, that what the group may see as contours is narrowed down for:
+/// they follow one another and are close together. Each divides the one before.
+pub const RUNS: [usize; 3] = [128, 32, 16];
 
 /// A point that lies on more triangles, in a heap of them, asks a ray per direction what it sees.
 const MOST_TOUCHED: usize = 32;
@@ -65,8 +56,6 @@ pub struct ContourMesh {
     caster: RayCaster,
     /// See [`near`].
     near: Vec3,
-    /// Diagonal of the box.
-    size: f32,
     /// Welded vertex positions, from `near`.
     positions: Vec<Vec3>,
     facing: Facing,
@@ -179,7 +168,6 @@ impl ContourMesh {
             vertices: all_vertices,
             repeated,
             near,
-            size: diagonal(bounds),
             positions,
             unused: Mutex::default(),
         }
@@ -193,14 +181,6 @@ impl ContourMesh {
     /// Casts rays at the same triangles.
     pub fn caster(&self) -> &RayCaster {
         &self.caster
-    }
-
-    /// How many of some points [`Self::prepare`] is best told of at once: as many as of points that lie as close
-    /// together all over the mesh, see [`group_of`].
-    pub(crate) fn group_of(&self, points: impl ExactSizeIterator<Item = Vec3>) -> usize {
-        let count = points.len() as f32;
-        let share = diagonal(bounds(points)) / self.size;
-        group_of((count / (share * share)) as usize)
     }
 
     /// Memory for [`Self::sample`] at the directions' resolution.
@@ -217,8 +197,8 @@ impl ContourMesh {
     }
 
     /// Finds what the points between `origins` may see as contours. Points close together
-    /// have most of it in common: sampling them is then several times faster. Best in runs of [`RUN`], see
-    /// [`visibility::arrange`], sampled in their order.
+    /// have most of it in common: sampling them is then several times faster. Best in [`RUNS`], see [`visibility::arrange`],
+    /// sampled in their order.
     pub fn prepare(&self, origins: &[Vec3], scratch: &mut Scratch) {
         let origins: Vec<Vec3> = origins.iter().map(|origin| *origin - self.near).collect();
         let candidates = &mut scratch.candidates;
@@ -383,10 +363,6 @@ fn bounds(points: impl Iterator<Item = Vec3>) -> (Vec3, Vec3) {
         (Vec3::INFINITY, Vec3::NEG_INFINITY),
         |(low, high), point| (low.min(point), high.max(point)),
     )
-}
-
-fn diagonal((low, high): (Vec3, Vec3)) -> f32 {
-    low.distance(high)
 }
 
 /// Three numbers in order.

@@ -74,6 +74,8 @@ const NONE: u32 = u32::MAX;
 const UNKNOWN: u32 = u32::MAX - 1;
 /// Triangles that would have more cells along a side have none: rays seldom meet the same one of them.
 const MOST_STEPS_A_SIDE: f32 = 8.0;
+/// Cells beyond one for each triangle, at most.
+const MOST_CELLS: usize = 1 << 20;
 
 /// Light of the scene after all bounces.
 pub(crate) struct Radiosity {
@@ -459,14 +461,20 @@ impl Radiosity {
         };
         let all = (0..self.surfaces.triangle_count()).into_par_iter();
         let steps: Vec<f32> = all.map(steps).collect();
+        // Strands have as many cells as wide triangles, and there may be a million.
+        let mut most = MOST_STEPS_A_SIDE;
+        let within = |most: f32, steps: f32| if steps <= most { steps as u32 } else { 0 };
+        let all_within = |most: f32| -> usize {
+            let each = steps.iter().map(|&steps| within(most, steps) as usize);
+            each.map(|steps| steps * steps).sum()
+        };
+        while most > 1.0 && all_within(most) > steps.len() + MOST_CELLS {
+            most *= 0.5;
+        }
         let mut cells = 0;
         self.cells = (steps.iter())
             .map(|&steps| {
-                let steps = if steps <= MOST_STEPS_A_SIDE {
-                    steps as u32
-                } else {
-                    0
-                };
+                let steps = within(most, steps);
                 let first = cells;
                 cells += steps * steps;
                 Cells { first, steps }

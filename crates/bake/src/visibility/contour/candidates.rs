@@ -493,4 +493,41 @@ mod tests {
         }
         assert_eq!(runs, 2 * origins.len() + 1, "all but the one between");
     }
+
+    #[test]
+    fn a_point_is_in_every_run_that_is_narrowed_down_for_it() {
+        let mut state = 23;
+        let triangles = ground(128, &mut state, |_, random| 0.03 * random);
+        let mesh = ContourMesh::new(&triangles);
+        let directions = Directions::new(32);
+        let mut at = |centre: Vec3, size: f32| {
+            let offset = Vec3::from([0; 3].map(|_| 2.0 * random(&mut state) - 1.0));
+            centre + size * offset
+        };
+        let origins: Vec<Vec3> = (0..RUNS[0])
+            .map(|_| at(Vec3::new(0.1, 0.05, 0.0), 0.02))
+            .collect();
+        let mut scratch = mesh.scratch(&directions);
+        mesh.prepare(&origins, &mut scratch);
+        assert!(scratch.candidates.level().edge_flats.len() >= MANY);
+        // A shorter run's sphere reaches out of that of the longer one that it is a part of: a point
+        // there is in neither, though it is in the one that was narrowed down last.
+        let mut beyond = 0;
+        for origin in origins {
+            mesh.sample(origin, &directions, &mut scratch);
+            let [_, outer, inner] = &scratch.candidates.levels;
+            let (centre, radius) = inner.sphere().expect("a run of the point");
+            let points = (0..200).map(|_| at(centre, radius));
+            let eye = { points }.find(|eye| inner.covers(*eye) && !outer.covers(*eye));
+            let Some(eye) = eye.filter(|eye| scratch.candidates.covers(*eye)) else {
+                continue;
+            };
+            let (found, _) = mesh.sample(eye, &directions, &mut scratch);
+            assert!(found == visibility::sample(mesh.caster(), eye, &directions));
+            let used = &scratch.candidates.levels[1..scratch.candidates.depth];
+            assert!(used.iter().all(|level| level.covers(eye)));
+            beyond += 1;
+        }
+        assert!(beyond > 20, "{beyond}");
+    }
 }

@@ -41,6 +41,11 @@ impl Level {
         (self.sphere).is_some_and(|(centre, radius)| eye.distance(centre) <= radius)
     }
 
+    #[cfg(test)]
+    pub(super) fn sphere(&self) -> Option<(Vec3, f32)> {
+        self.sphere
+    }
+
     /// Whether it is that of the points within a sphere.
     pub(super) fn is_of(&self, sphere: (Vec3, f32)) -> bool {
         self.sphere == Some(sphere)

@@ -20,6 +20,7 @@ mod material;
 mod material_asset;
 pub mod math;
 mod prediction;
+mod read;
 mod scene;
 mod texels;
 mod transfer;
@@ -39,10 +40,11 @@ pub use material::{
 };
 pub use material_asset::{MaterialAsset, MaterialReport, read_material, write_material};
 pub use prediction::predict;
+pub use read::read_scene;
 pub use scene::{
     BakeReport, CHANNELS_PER_TILE, Cluster, MAX_TILES_PER_CLUSTER, Representation, Scene,
-    StoredTexels, Triangle, Vertex, VisibilityErrors, VisibilityParameters, read_scene,
-    write_scene, write_scene_with,
+    StoredTexels, Triangle, Vertex, VisibilityErrors, VisibilityParameters, write_scene,
+    write_scene_with,
 };
 pub use transfer::{
     MAX_TRANSFER_ORDER, MAX_TRANSFER_RANK, TRANSFER_OUTPUTS, Transfer, TransferGroup,

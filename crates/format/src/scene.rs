@@ -5,7 +5,7 @@ use std::panic::resume_unwind;
 use bytemuck::{Pod, Zeroable};
 use serde::{Deserialize, Serialize};
 
-use crate::container::{Kind, Limits, Reader, SectionKind, Writer};
+use crate::container::{Kind, SectionKind, Writer};
 use crate::geometry::{self, Places};
 use crate::material::TextureShape;
 use crate::prediction;
@@ -161,92 +161,14 @@ pub struct Scene {
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Metadata {
-    name: String,
-    visibility: VisibilityParameters,
+pub(crate) struct Metadata {
+    pub(crate) name: String,
+    pub(crate) visibility: VisibilityParameters,
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    camera: Option<Camera>,
-    materials: Vec<Material>,
-    textures: Vec<TextureShape>,
-    report: BakeReport,
-}
-
-/// Decodes and validates a scene.
-pub fn read_scene(bytes: &[u8], limits: &Limits) -> Result<Scene, Error> {
-    let mut reader = Reader::new(bytes, Kind::Scene, limits)?;
-    let metadata: Metadata = reader.metadata()?;
-    let vertices: Vec<u8> = reader.pod(SectionKind::Vertices)?;
-    let triangles: Vec<u8> = reader.pod(SectionKind::Triangles)?;
-    let clusters: Vec<Cluster> = reader.pod(SectionKind::Clusters)?;
-    let coefficients: Vec<u8> = reader.pod(SectionKind::Coefficients)?;
-    let basis = prediction::sums(
-        reader.pod(SectionKind::Basis)?,
-        metadata.visibility.basis_resolution,
-    );
-    let version = reader.version();
-    let stored_texels: Vec<u8> = reader.pod(SectionKind::Texels)?;
-    let transfer: Option<Vec<u8>> = if reader.has(SectionKind::Transfer) {
-        Some(reader.pod(SectionKind::Transfer)?)
-    } else {
-        None
-    };
-    let second_uvs: Option<Vec<u8>> = if reader.has(SectionKind::SecondUvs) {
-        Some(reader.pod(SectionKind::SecondUvs)?)
-    } else {
-        None
-    };
-    reader.finish()?;
-    let length = |section, expected: &str, found: usize| {
-        let found = format_args!("{found} bytes");
-        Error::section(Issue::BadLength, section, expected, found)
-    };
-    let triangles = geometry::decode_triangles(&triangles).ok_or_else(|| {
-        length(
-            SectionKind::Triangles,
-            "16 bytes per triangle",
-            triangles.len(),
-        )
-    })?;
-    let (vertices, places) = geometry::decode_vertices(&vertices, &triangles, &clusters)
-        .ok_or_else(|| {
-            let expected = "13 bytes, 40 per vertex of the clusters and 12 per place in them";
-            length(SectionKind::Vertices, expected, vertices.len())
-        })?;
-    let coefficients = geometry::decode_coefficients(&coefficients, &triangles, &clusters, &places)
-        .ok_or_else(|| {
-            let expected = "2 bytes per image of the clusters and coefficient of their places";
-            length(SectionKind::Coefficients, expected, coefficients.len())
-        })?;
-    let transfer = transfer
-        .map(|bytes| Transfer::decode(&bytes, &clusters))
-        .transpose()?;
-    let second_uvs = match second_uvs {
-        None => Vec::new(),
-        Some(bytes) => {
-            let decoded = geometry::decode_uvs(&bytes, &triangles, vertices.len());
-            decoded.ok_or_else(|| {
-                let expected = "2 bytes and 8 per vertex, of which there are some";
-                length(SectionKind::SecondUvs, expected, bytes.len())
-            })?
-        }
-    };
-    let scene = Scene {
-        name: metadata.name,
-        visibility: metadata.visibility,
-        camera: metadata.camera,
-        materials: metadata.materials,
-        textures: texels::decode(&metadata.textures, &stored_texels, version)?,
-        report: metadata.report,
-        vertices,
-        second_uvs,
-        triangles,
-        clusters,
-        coefficients,
-        basis,
-        transfer,
-    };
-    scene.validate()?;
-    Ok(scene)
+    pub(crate) camera: Option<Camera>,
+    pub(crate) materials: Vec<Material>,
+    pub(crate) textures: Vec<TextureShape>,
+    pub(crate) report: BakeReport,
 }
 
 /// The texels of a scene's textures as its file stores them. Compressing them takes about as long as compressing all else, and can
@@ -318,7 +240,7 @@ fn whole([early, basis, late]: [Writer; 3], texels: StoredTexels) -> Vec<u8> {
 }
 
 /// Does two things at the same time, where there are threads to be had.
-fn both<A, B: Send>(first: impl FnOnce() -> A, second: impl Fn() -> B + Sync) -> (A, B) {
+pub(crate) fn both<A, B: Send>(first: impl FnOnce() -> A, second: impl Fn() -> B + Sync) -> (A, B) {
     std::thread::scope(|scope| {
         let thread = std::thread::Builder::new().spawn_scoped(scope, &second);
         let first = first();

@@ -109,14 +109,16 @@ impl<'a> Bake<'a> {
             .map(|found| (contours, found))
         };
         // Texels are work for one thread, beside what is so in part. What is left of it counts with bounces.
-        let texels = || format::StoredTexels::new(&input.mesh.textures);
-        let (light, texels) = rayon::join(light, texels);
+        let beside = || {
+            let texels = format::StoredTexels::new(&input.mesh.textures);
+            (texels, Dependencies::new(&input, options))
+        };
+        let (light, (texels, dependencies)) = rayon::join(light, beside);
         let (contours, (radiosity, reflections)) = light?;
         let texels = texels?;
 
         let clock = ProcessorClock::start();
         monitor.step("refine", 0.0)?;
-        let dependencies = Dependencies::new(&input, options);
         let mut report = format::BakeReport {
             source_vertices: input.mesh.vertices.len() as u64,
             source_triangles: input.mesh.triangles.len() as u64,

@@ -20,8 +20,9 @@ use super::queue::Queue;
 use super::sample::{CHUNK_VERTICES, Placed, Prepared};
 use super::statistics::{Statistics, add_time, load};
 use crate::clock::ProcessorClock;
+use crate::mesh::refine::{self, Cuts};
 use crate::mesh::size::SizeFunction;
-use crate::mesh::{Mesh, cluster, refine};
+use crate::mesh::{Mesh, cluster};
 use crate::monitor::{Interrupted, Monitor};
 use crate::transfer::radiosity::Radiosity;
 use crate::transfer::surfaces::Surfaces;
@@ -421,9 +422,14 @@ fn refined(
         // Where that stops is no loss.
         mesh.warnings.truncate(warnings);
     }
+    let cuts = if by_error {
+        Cuts::All
+    } else {
+        Cuts::BetweenRooms
+    };
+    let scale = (sizes, ray_offset);
+    mesh = refine::cut_where_pierced(mesh, contours.caster(), scale, bound.max_vertices, cuts);
     if by_error {
-        let scale = (sizes, ray_offset);
-        mesh = refine::cut_where_pierced(mesh, contours.caster(), scale, bound.max_vertices);
         mesh = refine::refine_wrong(mesh, contours, bound, monitor)?;
     }
     Ok((mesh, options))

@@ -72,6 +72,8 @@ const TURNS: usize = 256;
 /// In place of the point that stands for a cell: there is none, or it has not been found yet.
 const NONE: u32 = u32::MAX;
 const UNKNOWN: u32 = u32::MAX - 1;
+/// Something passes through the cell: what is met there has the points of its own side.
+const PARTED: u32 = u32::MAX - 2;
 /// Triangles that would have more cells along a side have none: rays seldom meet the same one of them.
 const MOST_STEPS_A_SIDE: f32 = 8.0;
 /// Cells beyond one for each triangle, at most.
@@ -95,7 +97,7 @@ pub(crate) struct Radiosity {
     clearances: Vec<f32>,
     /// Of every triangle.
     cells: Vec<Cells>,
-    /// For each side of every cell, the point that stands for it, or [`NONE`] or [`UNKNOWN`].
+    /// For each side of every cell, the point that stands for it, or [`NONE`], [`UNKNOWN`] or [`PARTED`].
     standing: Vec<[AtomicU32; 2]>,
     /// Irradiance of every point: per channel `columns` numbers.
     pub(super) irradiance: Vec<f32>,
@@ -500,14 +502,43 @@ impl Radiosity {
         let mut stored = kept.load(Ordering::Relaxed);
         if stored == UNKNOWN {
             let [a, b, c] = self.surfaces.corners(met.triangle);
-            let [y, z] = [x, y].map(|at| (at as f32 + 1.0 / 3.0) / steps as f32);
-            let position = a * (1.0 - y - z) + b * y + c * z;
-            let side = 2 * cell + u32::from(met.behind);
-            let point = self.standing_for(caster, &Met { position, ..*met }, hash(side, 12));
-            stored = point.map_or(NONE, |point| point as u32);
+            let at = |right: f32, up: f32| {
+                let [y, z] = [x as f32 + right, y as f32 + up].map(|at| at / steps as f32);
+                a * (1.0 - y - z) + b * y + c * z
+            };
+            let middle = Met {
+                position: at(1.0 / 3.0, 1.0 / 3.0),
+                ..*met
+            };
+            // Squares, but for those at the triangle's third side.
+            let last = if x + y + 1 < steps {
+                at(1.0, 1.0)
+            } else {
+                at(0.5, 0.5)
+            };
+            let corners = [at(0.0, 0.0), at(1.0, 0.0), at(0.0, 1.0), last];
+            // Small triangles lie on one side for the most part.
+            stored = if steps > 1 && self.is_parted(caster, &middle, corners) {
+                PARTED
+            } else {
+                let side = 2 * cell + u32::from(met.behind);
+                let point = self.standing_for(caster, &middle, hash(side, 12));
+                point.map_or(NONE, |point| point as u32)
+            };
             kept.store(stored, Ordering::Relaxed);
         }
-        (stored != NONE).then_some(stored as usize)
+        match stored {
+            PARTED => self.standing_for(caster, met, number),
+            NONE => None,
+            point => Some(point as usize),
+        }
+    }
+
+    /// Whether something passes between the middle of a cell and its corners.
+    fn is_parted(&self, caster: &RayCaster, middle: &Met, corners: [Vec3; 4]) -> bool {
+        let above = self.ray_offset * middle.normal;
+        let from = middle.position + above;
+        (corners.into_iter()).any(|corner| caster.blocked(from, corner + above))
     }
 
     /// The point that stands for what a ray met: one of those about it, by chance, that has the
@@ -858,6 +889,32 @@ pub(crate) mod tests {
             }
         }
         assert!(cells > 500, "{cells}");
+    }
+
+    #[test]
+    fn what_passes_through_a_wall_has_points_on_either_side() {
+        // A shelf through a wall of two sides, in whose plane no side of a cell lies.
+        let (x, y, z) = (Vec3::X, Vec3::Y, Vec3::Z);
+        let low = Vec3::new(0.53, -1.0, -1.0);
+        let wall = [low, 3.0 * y, 3.0 * z];
+        let shelf = [Vec3::new(0.4, 0.0, 0.4), 0.3 * z, 0.3 * x];
+        let mesh = squares(&[shelf, wall, [low, wall[2], wall[1]]], 0.5, 0.0);
+        let (solved, caster) = solve(&mesh, Some(64));
+        let mut beside = 0;
+        for triangle in 0..2 {
+            assert!(solved.cells[triangle].steps > 1);
+            for number in 0..4096 {
+                let [u, v] = [1, 2].map(|turn| unit(hash(number, turn)));
+                let weights = Vec3::new(1.0 - u.max(v), u.min(v), (u - v).abs());
+                let met = solved.surfaces.meet(triangle, weights, 2.0 * y);
+                let Some(point) = solved.standing_at(&caster, &met, number) else {
+                    continue;
+                };
+                assert!(!solved.parted(&caster, &met, point), "{}", met.position);
+                beside += usize::from((met.position.x - low.x).abs() < 0.05);
+            }
+        }
+        assert!(beside > 100, "{beside}");
     }
 
     /// All that arrives at a place.

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 
 use super::{Mesh, Triangle, Vertex};
 
-pub(crate) use pierced::cut_where_pierced;
+pub(crate) use pierced::{Cuts, cut_where_pierced};
 pub(crate) use wrong::{Bound, refine as refine_wrong};
 
 /// Both ends of an edge, bit by bit, the lesser first.

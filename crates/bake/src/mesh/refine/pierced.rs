@@ -7,6 +7,7 @@ use std::collections::HashMap;
 
 use glam::Vec3;
 use rayon::prelude::*;
+use relight_shading::octahedral;
 
 use super::{Key, divide, key, sides};
 use crate::mesh::Mesh;
@@ -24,8 +25,26 @@ const STEEPEST: f32 = 0.02;
 /// One vertex is added for so many at most, or this number.
 const SHARE: usize = 4;
 const FEW: usize = 1024;
+/// Rays per side of an octahedral map, folded to a hemisphere, that tell what lies to either side of a cut. So many of them that
+/// meet backs of triangles begin within something solid.
+const RAYS: u32 = 6;
+const SOLID: usize = 27;
+/// Of those of the brighter side so many meet nothing, at least, and of the darker one's this part of that at most.
+const BRIGHT: usize = 4;
+const DARKER: usize = 4;
 /// An edge that passes through many things is cut so often.
 const ROUNDS: usize = 3;
+
+/// Where to cut edges that pass through other triangles.
+#[derive(Clone, Copy, PartialEq)]
+pub(crate) enum Cuts {
+    /// Everywhere.
+    All,
+    /// Where people may see both ends of an edge and much less light arrives at one of them, as where a table's legs
+    /// pass through the floor of a room that has two sides. Elsewhere one end is within something solid, and corners there
+    /// are sampled where the triangle comes out.
+    BetweenRooms,
+}
 
 /// Cuts edges where they pass through other triangles. As with [`super::refine`], triangles that meet at an edge cut it
 /// alike. `caster` has the same surface, however it is divided; the mesh gets no more than `max_vertices`.
@@ -34,6 +53,7 @@ pub(crate) fn cut_where_pierced(
     caster: &RayCaster,
     (sizes, ray_offset): (&SizeFunction, f32),
     max_vertices: usize,
+    cuts: Cuts,
 ) -> Mesh {
     let most = max_vertices.min(mesh.vertices.len() + (mesh.vertices.len() / SHARE).max(FEW));
     let mut known = 0;
@@ -55,7 +75,15 @@ pub(crate) fn cut_where_pierced(
         let mut found: Vec<(Key, usize, Vec3)> = (alike.into_par_iter())
             .filter_map(|edges| {
                 let at = pierced(edges[0].0, caster, ray_offset)?;
-                Some((edges[0].0, edges.len(), at))
+                let normal = |[a, b]: [u32; 2]| {
+                    let [a, b] = [a, b].map(|index| mesh.vertices[index as usize].normal);
+                    (a + b).normalize_or_zero()
+                };
+                let differs = |(edge, vertices): &(Key, [u32; 2])| {
+                    parts_rooms(ends(*edge), at, normal(*vertices), caster, ray_offset)
+                };
+                let is_cut = cuts == Cuts::All || edges.iter().any(differs);
+                is_cut.then_some((edges[0].0, edges.len(), at))
             })
             .collect();
         let mut room = most.saturating_sub(mesh.vertices.len());
@@ -102,10 +130,39 @@ fn pierced(edge: Key, caster: &RayCaster, ray_offset: f32) -> Option<Vec3> {
     Some(a + distance * direction)
 }
 
+/// Whether much more of the distance is seen from one side of what an edge passes through at a point than from the other,
+/// and neither lies within something solid. `normal` is that of the surface that the edge belongs to.
+fn parts_rooms(
+    [a, b]: [Vec3; 2],
+    at: Vec3,
+    normal: Vec3,
+    caster: &RayCaster,
+    ray_offset: f32,
+) -> bool {
+    let along = 0.5 * OFFSETS * ray_offset * (b - a).normalize_or_zero();
+    let open = [-along, along].map(|aside| {
+        let origin = at + aside + ray_offset * normal;
+        let rays = (0..RAYS * RAYS).map(|i| {
+            let ray = octahedral::texel_direction(i % RAYS, i / RAYS, RAYS);
+            caster.closest_side(origin, ray * ray.dot(normal).signum())
+        });
+        let rays: Vec<Option<(f32, bool)>> = rays.collect();
+        let is_back = |met: &&Option<(f32, bool)>| met.is_some_and(|(_, front)| !front);
+        let is_solid = rays.iter().filter(is_back).count() >= SOLID;
+        (!is_solid).then(|| rays.iter().filter(|met| met.is_none()).count())
+    });
+    let [Some(one), Some(other)] = open else {
+        return false;
+    };
+    let bright = one.max(other);
+    bright >= BRIGHT && DARKER * one.min(other) <= bright
+}
+
 #[cfg(test)]
 mod tests {
     use super::super::tests::{assert_closed, assert_same_surface, soup};
     use super::*;
+    use crate::transfer::radiosity;
 
     /// A large square in the plane x = .3.
     fn board() -> [[Vec3; 3]; 2] {
@@ -118,7 +175,7 @@ mod tests {
         let sizes = SizeFunction::even(1.0);
         let both = [soup().soup(), board().to_vec()].concat();
         let caster = RayCaster::new(&both);
-        cut_where_pierced(soup(), &caster, (&sizes, 1e-4), max_vertices)
+        cut_where_pierced(soup(), &caster, (&sizes, 1e-4), max_vertices, Cuts::All)
     }
 
     #[test]
@@ -150,7 +207,7 @@ mod tests {
     fn what_is_not_pierced_or_has_no_room_stays_whole() {
         let sizes = SizeFunction::even(1.0);
         let caster = RayCaster::new(&soup().soup());
-        let alone = cut_where_pierced(soup(), &caster, (&sizes, 1e-4), usize::MAX);
+        let alone = cut_where_pierced(soup(), &caster, (&sizes, 1e-4), usize::MAX, Cuts::All);
         assert_eq!(alone, soup());
         assert_eq!(cut(24), soup());
         // Neighbours agree with as little room as there may be.
@@ -163,5 +220,53 @@ mod tests {
             );
             assert_closed(&mesh);
         }
+    }
+
+    /// A post that passes through y = 0, cut with what else there is.
+    fn post(others: &[[Vec3; 3]]) -> Mesh {
+        let of = |squares: &[[Vec3; 3]]| radiosity::tests::squares(squares, 0.5, 0.0);
+        let post = of(&[[Vec3::new(1.5, -0.5, 2.0), Vec3::X, Vec3::Y]]);
+        let all = [post.soup(), of(others).soup()].concat();
+        let sizes = SizeFunction::even(4.0);
+        let scale = (&sizes, 1e-4);
+        cut_where_pierced(
+            post,
+            &RayCaster::new(&all),
+            scale,
+            usize::MAX,
+            Cuts::BetweenRooms,
+        )
+    }
+
+    /// A box of 4 m that stands on y = 0, its front within.
+    fn room() -> [[Vec3; 3]; 6] {
+        let (o, x, y, z) = (Vec3::ZERO, 4.0 * Vec3::X, 4.0 * Vec3::Y, 4.0 * Vec3::Z);
+        [
+            [o, z, x],
+            [o, x, y],
+            [o, y, z],
+            [o + y, x, z],
+            [o + z, y, x],
+            [o + x, z, y],
+        ]
+    }
+
+    #[test]
+    fn what_passes_through_the_floor_of_a_room_is_cut_there() {
+        let outside = room().map(|[corner, u, v]| [corner, v, u]);
+        for walls in [room().to_vec(), [room(), outside].concat()] {
+            let mesh = post(&walls);
+            let line = mesh.vertices.iter().map(|vertex| vertex.position.y);
+            assert_eq!(line.filter(|y| y.abs() < 1e-6).count(), 3);
+        }
+    }
+
+    #[test]
+    fn what_passes_into_a_solid_or_through_a_sheet_in_the_open_stays_whole() {
+        let solid = room().map(|[corner, u, v]| [corner, v, u]);
+        assert_eq!(post(&solid).vertices.len(), 4);
+        let [floor, ..] = room();
+        assert_eq!(post(&[floor]).vertices.len(), 4);
+        assert_eq!(post(&[]).vertices.len(), 4);
     }
 }

@@ -153,12 +153,7 @@ impl<'a> Bake<'a> {
             contours.caster(),
             diagonal,
         ));
-        let chunks = match options.representation {
-            Representation::ClusteredPca => {
-                cluster::partition(&placed.origins, &placed.triangles, CHUNK_VERTICES)
-            }
-            Representation::GlobalPca => vec![(0..mesh.triangles.len() as u32).collect()],
-        };
+        let chunks = chunks(&placed, options.representation);
         stages.push(("refine", clock.elapsed()));
 
         let mut bake = Self {
@@ -386,6 +381,16 @@ fn ray_offset(mesh: &Mesh, sizes: &SizeFunction) -> (f32, Option<String>) {
         mesh.diagonal()
     );
     (offset, Some(warning))
+}
+
+/// Triangles that are sampled together.
+fn chunks(placed: &Placed, representation: Representation) -> Vec<Vec<u32>> {
+    match representation {
+        Representation::ClusteredPca => {
+            cluster::partition(&placed.origins, &placed.triangles, CHUNK_VERTICES)
+        }
+        Representation::GlobalPca => vec![(0..placed.triangles.len() as u32).collect()],
+    }
 }
 
 /// The mesh, fine enough to carry shadows, and the options for it: rooms may have others.

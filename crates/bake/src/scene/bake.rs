@@ -412,10 +412,8 @@ fn refined(
     let diagonal = input.object_diagonal;
     let length = |edge: f32| move |a, b| sizes.length(a, b, edge) / edge;
     let mut mesh = refine::refine(input.mesh, length(max_edge), even_vertices);
-    let rooms = options.finer_rooms
-        && mesh.vertices.len() < ROOM_VERTICES
-        && darkness::has_rooms(&mesh, ray_offset, contours.caster(), diagonal);
-    let options = if rooms {
+    let rooms = darkness::has_rooms(&mesh, ray_offset, contours.caster(), diagonal);
+    let options = if rooms && options.finer_rooms && mesh.vertices.len() < ROOM_VERTICES {
         options.for_rooms()
     } else {
         options.clone()
@@ -428,12 +426,14 @@ fn refined(
         mesh.warnings.truncate(warnings);
     }
     let cuts = if by_error {
-        Cuts::All
+        Some(Cuts::All)
     } else {
-        Cuts::BetweenRooms
+        rooms.then_some(Cuts::BetweenRooms)
     };
-    let scale = (sizes, ray_offset);
-    mesh = refine::cut_where_pierced(mesh, contours.caster(), scale, bound.max_vertices, cuts);
+    if let Some(cuts) = cuts {
+        let scale = (sizes, ray_offset);
+        mesh = refine::cut_where_pierced(mesh, contours.caster(), scale, bound.max_vertices, cuts);
+    }
     if by_error {
         mesh = refine::refine_wrong(mesh, contours, bound, monitor)?;
     }

@@ -27,11 +27,11 @@ const SHARE: usize = 4;
 const FEW: usize = 1024;
 /// Rays per side of an octahedral map, folded to a hemisphere, that tell what lies to either side of a cut. So many of them that
 /// meet backs of triangles begin within something solid.
-const RAYS: u32 = 6;
-const SOLID: usize = 27;
-/// Of those of the brighter side so many meet nothing, at least, and of the darker one's this part of that at most.
-const BRIGHT: usize = 4;
-const DARKER: usize = 4;
+const RAYS: u32 = 8;
+const SOLID: usize = 48;
+/// Of those of the darker side no more than this part meets nothing of what does on the brighter one; nothing is told by fewer than so many.
+const DARKER: usize = 2;
+const FEW_OPEN: usize = 8;
 /// An edge that passes through many things is cut so often.
 const ROUNDS: usize = 3;
 
@@ -72,18 +72,21 @@ pub(crate) fn cut_where_pierced(
         edges.par_sort_unstable();
         edges.dedup();
         let alike: Vec<&[(Key, [u32; 2])]> = edges.chunk_by(|a, b| a.0 == b.0).collect();
+        let normal = |[a, b]: [u32; 2]| {
+            let [a, b] = [a, b].map(|index| mesh.vertices[index as usize].normal);
+            (a + b).normalize_or_zero()
+        };
         let mut found: Vec<(Key, usize, Vec3)> = (alike.into_par_iter())
             .filter_map(|edges| {
-                let at = pierced(edges[0].0, caster, ray_offset)?;
-                let normal = |[a, b]: [u32; 2]| {
-                    let [a, b] = [a, b].map(|index| mesh.vertices[index as usize].normal);
-                    (a + b).normalize_or_zero()
+                let is_cut = |at: Vec3, normal: Vec3| {
+                    cuts == Cuts::All
+                        || parts_rooms(ends(edges[0].0), at, normal, caster, ray_offset)
                 };
-                let differs = |(edge, vertices): &(Key, [u32; 2])| {
-                    parts_rooms(ends(*edge), at, normal(*vertices), caster, ray_offset)
-                };
-                let is_cut = cuts == Cuts::All || edges.iter().any(differs);
-                is_cut.then_some((edges[0].0, edges.len(), at))
+                let at = edges.iter().find_map(|(edge, vertices)| {
+                    let normal = normal(*vertices);
+                    pierced(*edge, normal, caster, ray_offset).filter(|at| is_cut(*at, normal))
+                })?;
+                Some((edges[0].0, edges.len(), at))
             })
             .collect();
         let mut room = most.saturating_sub(mesh.vertices.len());
@@ -110,13 +113,15 @@ fn ends(edge: Key) -> [Vec3; 2] {
     edge.map(|end| Vec3::from(end.map(f32::from_bits)))
 }
 
-/// Where an edge passes through a triangle, nearest to its middle.
-fn pierced(edge: Key, caster: &RayCaster, ray_offset: f32) -> Option<Vec3> {
+/// Where an edge passes through a triangle, or meets one that stands on the surface, which `normal` tells; nearest to
+/// its middle.
+fn pierced(edge: Key, normal: Vec3, caster: &RayCaster, ray_offset: f32) -> Option<Vec3> {
     let [a, b] = ends(edge);
     let length = a.distance(b);
     let direction = (b - a) / length;
     let nearest = (NEAREST * length).max(OFFSETS * ray_offset);
-    let crossings = caster.crossings(a, direction, length).into_iter();
+    let start = a + ray_offset * normal;
+    let crossings = caster.crossings(start, direction, length).into_iter();
     let aside = |distance: &f32| (distance - 0.5 * length).abs();
     let distance = crossings
         .filter(|crossing| crossing.normal.dot(direction).abs() > STEEPEST)
@@ -155,7 +160,7 @@ fn parts_rooms(
         return false;
     };
     let bright = one.max(other);
-    bright >= BRIGHT && DARKER * one.min(other) <= bright
+    bright > 0 && (bright < FEW_OPEN || DARKER * one.min(other) <= bright)
 }
 
 #[cfg(test)]

@@ -125,7 +125,11 @@ fn pierced(edge: Key, normal: Vec3, caster: &RayCaster, ray_offset: f32) -> Opti
     let aside = |distance: &f32| (distance - 0.5 * length).abs();
     let distance = crossings
         .filter(|crossing| crossing.normal.dot(direction).abs() > STEEPEST)
-        .map(|crossing| crossing.distance)
+        // On the edge itself.
+        .map(|crossing| {
+            let aside = crossing.normal.dot(start - a);
+            crossing.distance + aside / crossing.normal.dot(direction)
+        })
         .filter(|distance| *distance > nearest && *distance < length - nearest)
         .min_by(|one, other| {
             aside(one)

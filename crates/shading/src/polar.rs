@@ -37,6 +37,11 @@ pub const THOROUGH_SHORTEST: f32 = 0.5;
 /// A lobe that can add more than so many times what has been gathered before it is looked at so thoroughly. The first
 /// ones are: without, half of what this gains in rooms would be lost.
 pub const LARGE_SHARE: f32 = 4.0;
+/// Of a lobe that is looked at thoroughly and of which less than this is visible, what is may lie between spokes, as a
+/// window does: it is integrated once more.
+pub const THIN: f32 = 0.25;
+/// With so many times as many spokes.
+pub const MORE_SPOKES: u32 = 4;
 /// Azimuth of the first spoke from the projected normal, in spokes. The integrand is often
 /// symmetric about that plane: a quarter puts no spoke on another's mirror image.
 pub const PHASE: f32 = 0.25;
@@ -130,6 +135,26 @@ pub(crate) fn meets_horizon(sharpness: f32, cosine: f32) -> bool {
 /// integral that spokes yield. `face` is the unit normal of the plane behind which nothing is visible, whatever the
 /// field says: that of a triangle's corners is of the surface about them. Looks `thoroughly` or not.
 pub(crate) fn visible_fraction(
+    field: &impl SignedDistance,
+    sharpness: f32,
+    axis: Vec3,
+    normals: [Vec3; 2],
+    distance: f32,
+    (options, thoroughly): (PolarOptions, bool),
+) -> f32 {
+    let fraction = |spokes: u32| {
+        let how = (PolarOptions { spokes }, thoroughly);
+        fraction_by_spokes(field, sharpness, axis, normals, distance, how)
+    };
+    let found = fraction(options.spokes);
+    if thoroughly && found < THIN {
+        return fraction(MORE_SPOKES * options.spokes);
+    }
+    found
+}
+
+/// The same by so many spokes.
+fn fraction_by_spokes(
     field: &impl SignedDistance,
     sharpness: f32,
     axis: Vec3,
@@ -275,6 +300,8 @@ pub fn wgsl_constants() -> String {
     format!(
         "const POLAR_CUT_EXPONENT: f32 = {cut_exponent:?};\n\
          const POLAR_RELAXATION: f32 = {RELAXATION:?};\n\
+         const POLAR_THIN: f32 = {THIN:?};\n\
+         const POLAR_MORE_SPOKES: u32 = {MORE_SPOKES}u;\n\
          const POLAR_SHORTEST_STEP: f32 = {SHORTEST_STEP:?};\n\
          const POLAR_SHORTEST_STEP_LIMIT: f32 = {SHORTEST_STEP_LIMIT:?};\n\
          const POLAR_LAST_STEP: f32 = {LAST_STEP:?};\n\

@@ -35,11 +35,6 @@ pub const REACH: f32 = 1.0;
 /// Pixels that a triangle covers, at least, for its corners to be asked: of smaller ones there are so many vertices that
 /// pixels, which share what they find, do with less.
 pub const LEAST_PIXELS: f32 = 4.0;
-/// Of a light of which less than this is visible, what is visible may lie between spokes, as a window does: it is
-/// integrated once more.
-pub const THIN: f32 = 0.25;
-/// With so many times as many spokes.
-pub const MORE_SPOKES: u32 = 4;
 /// Stands for a fraction that was not integrated, as the light adds nothing there.
 pub const UNKNOWN: f32 = -1.0;
 /// Texels per row of the texture of fractions, four lights each.
@@ -97,15 +92,8 @@ pub fn light_fraction(
     if spokes == 0 {
         return UNKNOWN;
     }
-    let fraction = |spokes: u32| {
-        let lobe = (light.sharpness, light.axis);
-        polar::lobe_fraction(field, lobe, normal, (PolarOptions { spokes }, true))
-    };
-    let found = fraction(spokes);
-    if found >= THIN {
-        return found;
-    }
-    fraction(MORE_SPOKES * spokes)
+    let lobe = (light.sharpness, light.axis);
+    polar::lobe_fraction(field, lobe, normal, (PolarOptions { spokes }, true))
 }
 
 /// Fractions at the corners of the triangle that a point lies on.
@@ -187,7 +175,6 @@ pub fn wgsl_constants() -> String {
         ("SURE", SURE),
         ("REACH", REACH),
         ("LEAST_PIXELS", LEAST_PIXELS),
-        ("THIN", THIN),
         ("UNKNOWN", UNKNOWN),
     ];
     reals
@@ -195,7 +182,6 @@ pub fn wgsl_constants() -> String {
         .concat()
         + &format!(
             "const VERTEX_VISIBILITY_TEXTURE_WIDTH: u32 = {TEXTURE_WIDTH}u;\n\
-             const VERTEX_VISIBILITY_MORE_SPOKES: u32 = {MORE_SPOKES}u;\n\
              const VERTEX_VISIBILITY_FRAME_BITS: u32 = {FRAME_BITS}u;\n"
         )
 }

@@ -1,5 +1,8 @@
 // Twin of polar.rs.
 
+// Added to the number of spokes where they are counted once more: a variable for it takes more registers.
+const POLAR_AGAIN: u32 = 65536u;
+
 // Spokes of a lobe that can add `share` times what has been gathered before.
 fn polar_spokes(spokes: u32, share: f32) -> u32 {
     let power = pow(min(share, 1.0), POLAR_SPOKES_EXPONENT);
@@ -29,7 +32,7 @@ fn polar_lobe_fraction(
 }
 
 // The visible fraction of a lobe that meets the horizon, `distance` being that of its axis, if it is
-// `clipped` in front of the plane whose normal is `face`. `thoroughly`: in shorter steps.
+// `clipped` in front of the plane whose normal is `face`. `thoroughly`: in shorter steps, and by more spokes if little is.
 fn polar_fraction(
     ssdf: Ssdf,
     sharpness: f32,
@@ -48,12 +51,13 @@ fn polar_fraction(
     let tangent = select(polar_any_orthogonal(axis), projected / sine, sine > 1e-4);
     // None where the axis tells it.
     let seen = distance >= radius && !clipped;
-    let count = select(spokes, 0u, seen || distance <= -radius);
+    var count = select(spokes, 0u, seen || distance <= -radius);
     var visible = select(0.0, 1.0, seen);
     var whole = visible;
-    for (var spoke = 0u; spoke < count; spoke++) {
+    var spoke = 0u;
+    while spoke < (count & (POLAR_AGAIN - 1u)) {
         // To turn a vector by one angle, and to keep the bitangent, takes more registers.
-        let angle = 2.0 * PI * (f32(spoke) + POLAR_PHASE) / f32(count);
+        let angle = 2.0 * PI * (f32(spoke) + POLAR_PHASE) / f32(count & (POLAR_AGAIN - 1u));
         let azimuth = vec2(cos(angle), sin(angle));
         let outward = azimuth.x * tangent + azimuth.y * cross(axis, tangent);
         // Along the spoke n·ω = cosine cos θ + slope sin θ, which changes sign once.
@@ -97,6 +101,14 @@ fn polar_fraction(
                 * min(radius, POLAR_SHORTEST_STEP_LIMIT / POLAR_SHORTEST_STEP);
         }
         visible += select(0.0, last, here > 0.0);
+        spoke++;
+        // Once more where little is visible.
+        if thoroughly && spoke == count && visible < max(POLAR_THIN * whole, 1.17549435e-38) {
+            count = POLAR_MORE_SPOKES * count + POLAR_AGAIN;
+            spoke = 0u;
+            visible = 0.0;
+            whole = 0.0;
+        }
     }
     return select(0.0, clamp(visible / max(whole, 1.17549435e-38), 0.0, 1.0), whole > 0.0);
 }

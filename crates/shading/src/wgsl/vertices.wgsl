@@ -47,25 +47,18 @@ fn vertices_main(@builtin(global_invocation_id) id: vec3<u32>) {
     let ssdf = ssdf_load(cluster, vec3(vertex), vec3(1.0, 0.0, 0.0));
     let normal = surface_unit_or(vertices[vertex].normal, vec3(0.0, 1.0, 0.0));
     var found = vec4(0.0);
-    // Each light at first and, where little of it is visible, with more spokes. One loop for both takes fewer registers.
-    for (var turn = 0u; turn < 8u; turn++) {
-        let again = (turn & 1u) == 1u;
-        if again && found.w >= VERTEX_VISIBILITY_THIN {
-            continue;
-        }
-        let times = select(1u, VERTEX_VISIBILITY_MORE_SPOKES, again);
-        let fraction = vertices_fraction(ssdf, 4u * id.y + turn / 2u, normal, times);
-        found = vec4(select(found.yzw, found.xyz, again), fraction);
+    for (var i = 0u; i < 4u; i++) {
+        found = vec4(found.yzw, vertices_fraction(ssdf, 4u * id.y + i, normal));
     }
     textureStore(light_fractions_found, vertex_visibility_place(vertex, id.y), found);
 }
 
-fn vertices_fraction(ssdf: Ssdf, index: u32, normal: vec3<f32>, times: u32) -> f32 {
+fn vertices_fraction(ssdf: Ssdf, index: u32, normal: vec3<f32>) -> f32 {
     if index >= frames[frame_index].light_count {
         return VERTEX_VISIBILITY_UNKNOWN;
     }
     let light = light_entry(index);
-    let spokes = times * u32(light.vertex_spokes);
+    let spokes = u32(light.vertex_spokes);
     if spokes == 0u {
         return VERTEX_VISIBILITY_UNKNOWN;
     }
